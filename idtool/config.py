@@ -1,0 +1,332 @@
+"""The configuration: YAML into frozen records. An unknown key is an error that names the nearest known one.
+
+Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic joint takes the second of each pair.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from idtool.ellipsoid import Ellipsoid
+from idtool.exceptions import ConfigError
+
+_MOST_BYTES = 1 << 20  # a configuration is written by hand or by idtool; more is not one
+_MOST_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up
+_MOST_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of their length to read
+_LATER = ("known", "mirror")  # keys and kinds of the contract that this version does not have
+_LATER_KINDS = ("entropic", "pullback")
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Constraints = Literal["none", "semi", "full", "com_ellipsoid", "ellipsoid"]
+
+
+class Record(BaseModel):
+    """Base of the configuration's records: frozen, strict about its keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if isinstance(data, Mapping):
+            for key in data:
+                if key not in cls.model_fields:
+                    near = difflib.get_close_matches(str(key), cls.model_fields, n=1, cutoff=0.0)
+                    raise ValueError(f"unknown key '{key}'; did you mean '{near[0]}'?")
+        return data
+
+
+class Bounding(Record):
+    """A bounding ellipsoid: centre [m], semi-axes [m], roll–pitch–yaw [rad]."""
+
+    center: Vector = (0.0, 0.0, 0.0)
+    semi_axes: tuple[Positive, Positive, Positive]
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+    def ellipsoid(self) -> Ellipsoid:
+        """The same as geometry."""
+        return Ellipsoid(self.center, self.semi_axes, self.rpy)
+
+
+class Uncertain(Record):
+    """A number that may carry its standard error, both in the number's unit."""
+
+    value: Finite
+    standard_error: NonNegative | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bare_number(cls, data: Any) -> Any:
+        return data if isinstance(data, Mapping) else {"value": data}
+
+
+class LogOptions(Record):
+    """How to read the logs."""
+
+    topic: str | None = None
+    columns: dict[str, str] = {}
+    scale: dict[Literal["q", "v", "tau", "qcmd", "vcmd"], dict[str, Finite]] = {}
+
+
+class Origin(Record):
+    """A frame's place: xyz [m], roll–pitch–yaw [rad]."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class Inertial(Record):
+    """Mass [kg], centre of mass [m] and [ixx, ixy, iyy, ixz, iyz, izz] about it [kg·m²]."""
+
+    mass: NonNegative
+    com: Vector = (0.0, 0.0, 0.0)
+    inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+
+
+class Rotor(Record):
+    """A body that spins with a joint, or with a combination of joint velocities.
+
+    A rotor that bears the name of a URDF link on a fixed joint is that link: what is left out here comes from there.
+    """
+
+    joint: str | None = None
+    gear_ratio: Finite | None = None
+    coupling: dict[str, Finite] = {}
+    parent: str | None = None
+    origin: Origin | None = None
+    axis: Vector | None = None
+    inertial: Inertial | None = None
+    bounding_ellipsoid: Bounding | None = None
+
+    @model_validator(mode="after")
+    def _one_drive(self) -> Self:
+        if self.coupling and (self.joint or self.gear_ratio is not None):
+            raise ValueError("give either joint and gear_ratio, or coupling")
+        if not self.coupling and (self.joint is None or self.gear_ratio is None):
+            raise ValueError("needs joint and gear_ratio, or coupling: {joint: ratio, ...}")
+        if 0.0 in (self.gear_ratio, *self.coupling.values()):
+            raise ValueError("a gear ratio of 0 does not move the rotor")
+        if self.axis is not None and not any(self.axis):
+            raise ValueError("axis must not be zero")
+        return self
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Rotor angle per joint angle, by joint."""
+        if self.coupling:
+            return dict(self.coupling)
+        if self.joint is None or self.gear_ratio is None:
+            raise AssertionError  # ruled out by _one_drive
+        return {self.joint: self.gear_ratio}
+
+
+def _term(data: Any) -> Any:
+    return data if isinstance(data, bool | Uncertain) else Uncertain.model_validate(data)
+
+
+Term = Annotated[bool | Uncertain, BeforeValidator(_term)]
+
+
+class Friction(Record):
+    """Which friction terms a joint has, or their values [N·m·s/rad, N·m, N·m], as prior for `fit`, as is elsewhere."""
+
+    viscous: Term = True
+    coulomb: Term = True
+    offset: Term = False
+
+
+def _friction_form(data: Any) -> str:
+    """Terms for all joints alike, or by joint: told apart by the keys, so that errors speak of one of them."""
+    if not isinstance(data, Mapping) or not data or set(data) & set(Friction.model_fields):
+        return "alike"
+    return "by joint" if all(isinstance(terms, Mapping | Friction) for terms in data.values()) else "alike"
+
+
+class Regularization(Record):
+    """The prior's kind and weight (27)."""
+
+    kind: Literal["none", "euclidean"] = "euclidean"
+    weight: NonNegative = 1e-6
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _kind(cls, kind: Any) -> Any:
+        if kind in _LATER_KINDS:
+            raise ValueError(f"{kind} is not in this version of idtool; use none or euclidean")
+        return kind
+
+
+class Filter(Record):
+    """The zero-phase low-pass. No cut-off: 40 Hz, or a fifth of the sampling rate where that is lower."""
+
+    kind: Literal["butterworth"] = "butterworth"
+    cutoff_hz: Positive | None = None
+    order: Annotated[int, Field(ge=1, le=8)] = 4
+
+
+class Solver(Record):
+    """The conic solver."""
+
+    name: Literal["clarabel"] = "clarabel"
+
+
+class Controller(Record):
+    """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s]."""
+
+    kp: dict[str, NonNegative]
+    kd: dict[str, NonNegative] = {}
+    delay: NonNegative = 0.0
+
+
+class EffectEntry(Record):
+    """An effect that the model carries; parameters in SI, each a number or a value with its standard error."""
+
+    effect: str
+    joint: str | None = None
+    link: str | None = None
+    parameters: dict[str, Any] = {}
+
+
+class Simulation(Record):
+    """Rollouts restart from the measured state every window [s]; null: never."""
+
+    window: Positive | None = 1.0
+
+
+class Config(Record):
+    """Everything a URDF does not say. See `docs` of the keys in the contract."""
+
+    joints: tuple[str, ...] | None = None
+    locked_joints: dict[str, Finite] = {}
+    gravity: Vector = (0.0, 0.0, -9.81)
+    log: LogOptions = LogOptions()
+    velocity: Literal["measured", "differentiated", "auto"] = "auto"
+    bounding_ellipsoids: dict[str, tuple[Bounding, ...]] = {}
+    rotors: dict[str, Rotor] = {}
+    friction: Annotated[
+        Annotated[dict[str, Friction], Tag("by joint")] | Annotated[Friction, Tag("alike")],
+        Discriminator(_friction_form),
+    ] = Friction()
+    constraints: Constraints | None = None
+    regularization: Regularization = Regularization()
+    filter: Filter = Filter()
+    effects: tuple[EffectEntry, ...] = ()
+    solver: Solver = Solver()
+    controller: Controller | None = None
+    simulation: Simulation = Simulation()
+    seed: int = 0
+
+    def friction_of(self, joint: str) -> Friction:
+        """The friction terms of one joint; a joint that is not named has the default ones."""
+        return self.friction if isinstance(self.friction, Friction) else self.friction.get(joint, Friction())
+
+
+def read_yaml(path: Path) -> Any:
+    """The contents of a YAML file from a stranger.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, is too large, is not YAML, or repeats a key.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(path, f"cannot be read ({error.strerror})") from None
+    if len(data) > _MOST_BYTES:
+        raise ConfigError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no configuration is")
+    try:
+        root = yaml.compose(data, Loader=yaml.SafeLoader)
+        _check_nodes(path, root)
+        return yaml.safe_load(data)
+    except yaml.MarkedYAMLError as error:
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(path, f"is not YAML{line}: {error.problem}") from None
+    except ConfigError:
+        raise
+    except Exception as error:  # the parser has no error of its own for a tag that belies its value
+        raise ConfigError(path, f"is not YAML: {error}") from None
+
+
+def _check_nodes(path: Path, root: yaml.Node | None) -> None:
+    """Refuse repeated keys, values without end, and aliases that nest into more than they look."""
+    sizes: dict[int, int] = {}
+
+    def size(node: yaml.Node) -> int:
+        if id(node) in sizes:
+            return sizes[id(node)]
+        sizes[id(node)] = _MOST_NODES  # an alias to a node that holds itself
+        children: list[yaml.Node] = []
+        if isinstance(node, yaml.MappingNode):
+            seen: set[str] = set()
+            for key, value in node.value:
+                if key.value in seen if isinstance(key, yaml.ScalarNode) else False:
+                    line = key.start_mark.line + 1
+                    raise ConfigError(path, f"key '{key.value}' stands twice, again in line {line}; keep one")
+                seen.add(str(key.value))
+                children += [key, value]
+        elif isinstance(node, yaml.SequenceNode):
+            children = list(node.value)
+        elif len(node.value) > _MOST_CHARACTERS:
+            raise ConfigError(path, f"holds a value of {len(node.value)} characters in line {node.start_mark.line + 1}")
+        sizes[id(node)] = 1 + sum(map(size, children))
+        return sizes[id(node)]
+
+    if root is not None and size(root) >= _MOST_NODES:
+        raise ConfigError(path, f"holds more than {_MOST_NODES} values, aliases written out; no configuration does")
+
+
+def parse_config(data: Any, where: str) -> Config:
+    """A configuration from plain data.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value does not fit; the message names the key.
+    """
+    if data is None:
+        return Config()
+    if not isinstance(data, Mapping):
+        raise ConfigError(where, "is not a configuration: expected keys such as joints, rotors, filter")
+    for key in _LATER:
+        if key in data:
+            raise ConfigError(f"{where}: {key}", "is not in this version of idtool; take it out")
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"] if part not in ("by joint", "alike", "[key]"))
+        message = first["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
+        message = message.split(" or instance of ")[0].replace("valid dictionary", "mapping of keys to values")
+        raise ConfigError(f"{where}: {key}" if key else where, message[0].lower() + message[1:]) from None
+
+
+def read_config(path: Path) -> Config:
+    """A configuration from a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        If the file or a key in it cannot be used.
+    """
+    return parse_config(read_yaml(path), str(path))

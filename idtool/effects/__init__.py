@@ -1,0 +1,83 @@
+"""Every term of the torque equation. A new effect is one new file in this folder that nothing else has to know about."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from functools import cache
+
+from idtool.config import Config, EffectEntry, Friction, Uncertain
+from idtool.effects.base import Coefficient, Effect
+from idtool.effects.joint_term import JointTerm
+from idtool.effects.rigid_body import RigidBodies
+from idtool.exceptions import ConfigError
+from idtool.model import Model, nearest
+from idtool.robot import Joint
+
+__all__ = ["Coefficient", "Effect", "JointTerm", "RigidBodies", "build_effects", "known_effects"]
+
+
+@cache
+def known_effects() -> dict[str, type[JointTerm]]:
+    """The effects that can be named in a configuration, by id."""
+    found: dict[str, type[JointTerm]] = {}
+    for module in pkgutil.iter_modules(__path__):
+        for _, member in inspect.getmembers(importlib.import_module(f"{__name__}.{module.name}"), inspect.isclass):
+            if issubclass(member, JointTerm) and not inspect.isabstract(member):
+                found[member.id] = member
+    return found
+
+
+def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
+    """The terms of a model's torque equation: its rigid bodies, its friction, and what the configuration adds.
+
+    A coefficient's prior is the configuration's value, else the URDF's.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration names an effect or joint that is not known, or gives a parameter that the effect has not.
+    """
+    terms: dict[tuple[str, int], float] = {}
+    for j, joint in enumerate(model.joints):
+        for effect, prior in _friction(joint, config.friction_of(joint.name)).items():
+            terms[effect, j] = prior
+    for entry in config.effects:
+        effect, j, prior = _entry(entry, model)
+        terms[effect, j] = prior
+    return (
+        RigidBodies(model),
+        *(known_effects()[effect](model, j, prior) for (effect, j), prior in terms.items()),
+    )
+
+
+def _friction(joint: Joint, friction: Friction) -> dict[str, float]:
+    """Ids of a joint's friction terms and their priors."""
+    chosen = {
+        "viscous_friction": (friction.viscous, joint.damping),
+        "coulomb_friction": (friction.coulomb, joint.friction),
+        "torque_offset": (friction.offset, 0.0),
+    }
+    return {
+        effect: term.value if isinstance(term, Uncertain) else urdf for effect, (term, urdf) in chosen.items() if term
+    }
+
+
+def _entry(entry: EffectEntry, model: Model) -> tuple[str, int, float]:
+    """Id, joint and coefficient of an entry under `effects`."""
+    known = known_effects()
+    if entry.effect not in known:
+        raise ConfigError(
+            f"effects: {entry.effect}", f"is not an effect of this version; {nearest(entry.effect, known)}"
+        )
+    if entry.joint not in model.names:
+        raise ConfigError(f"effects: {entry.effect}", f"joint {entry.joint}: {nearest(str(entry.joint), model.names)}")
+    name = known[entry.effect].name
+    if set(entry.parameters) != {name}:
+        raise ConfigError(f"effects: {entry.effect}", f"needs the parameter {name}, and no other")
+    try:
+        value = Uncertain.model_validate(entry.parameters[name]).value
+    except ValueError:
+        raise ConfigError(f"effects: {entry.effect}: {name}", "is not a number") from None
+    return entry.effect, model.names.index(entry.joint), value

@@ -1,0 +1,87 @@
+"""Rigid bodies, links and rotors alike: tau = Y(q, v, a) pi (6), (7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.base import Coefficient, Effect
+from idtool.inertia import NAMES, SIZE, UNITS, mass_com_inertia
+from idtool.kinematics import BodyMotion, body_motions, cross
+from idtool.model import Body, Model
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+
+class RigidBodies(Effect):
+    """All bodies of a model, ten coefficients each, in the model's order.
+
+    Parameters
+    ----------
+    model
+        The tree of bodies.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        typical = typical_mass(model.bodies)
+        self.coefficients = tuple(
+            Coefficient("rigid_body", body.name, name, unit, float(prior), float(scale))
+            for body in model.bodies
+            for name, unit, prior, scale in zip(NAMES, UNITS, body.pi, scales(body, typical), strict=True)
+        )
+        support = model.support()
+        self.active = tuple(
+            (np.flatnonzero(support[:, j])[:, None] * SIZE + np.arange(SIZE)).ravel() for j in range(support.shape[1])
+        )
+        self._first_row = np.cumsum(support, axis=0) - support  # of each body within a joint's columns, in bodies
+
+    def write(self, motion: Motion, out: Sequence[Array]) -> None:
+        """See `Effect.write`."""
+        for i, body_motion in enumerate(body_motions(self.model, motion.q, motion.v, motion.a)):
+            for k, joint in enumerate(body_motion.coordinates):
+                first = SIZE * self._first_row[i, joint]
+                _write_row(body_motion, k, out[joint][first : first + SIZE])
+
+
+def _write_row(motion: BodyMotion, k: int, out: Array) -> None:
+    """A body's ten columns in one joint's equation: the power that joint's motion takes from the body's wrench.
+
+    With the body's wrench f = m acc + alpha × h + w × (w × h), n = h × acc + I alpha + w × I w (4), the power is
+    S_v · f + S_w · n; collected by parameter.
+    """
+    w, alpha, acc = motion.w, motion.alpha, motion.acc
+    S_w, S_v = motion.S_w[:, k], motion.S_v[:, k]
+    out[0] = S_v[0] * acc[0] + S_v[1] * acc[1] + S_v[2] * acc[2]
+    out[1:4] = cross(S_v, alpha) + cross(w, cross(w, S_v)) + cross(acc, S_w)
+    u = cross(S_w, w)
+    out[4] = S_w[0] * alpha[0] + u[0] * w[0]
+    out[5] = S_w[0] * alpha[1] + S_w[1] * alpha[0] + u[0] * w[1] + u[1] * w[0]
+    out[6] = S_w[1] * alpha[1] + u[1] * w[1]
+    out[7] = S_w[0] * alpha[2] + S_w[2] * alpha[0] + u[0] * w[2] + u[2] * w[0]
+    out[8] = S_w[1] * alpha[2] + S_w[2] * alpha[1] + u[1] * w[2] + u[2] * w[1]
+    out[9] = S_w[2] * alpha[2] + u[2] * w[2]
+
+
+def typical_mass(bodies: Sequence[Body]) -> float:
+    """A mass to measure by where a body has none [kg]: the bodies' median, or 1."""
+    masses = [body.pi[0] for body in bodies if body.pi[0] > 0]
+    return float(np.median(masses)) if masses else 1.0
+
+
+def length(body: Body) -> float:
+    """A body's typical length [m]: its ellipsoid's, or the prior's radius of gyration, or 0.1."""
+    if body.ellipsoids:
+        return max(ellipsoid.size for ellipsoid in body.ellipsoids)
+    mass, _, inertia = mass_com_inertia(body.pi)
+    gyration = np.sqrt(np.trace(inertia) / (2 * mass)) if mass > 0 and np.trace(inertia) > 0 else 0.0
+    return float(gyration) or 0.1
+
+
+def scales(body: Body, typical: float) -> Array:
+    """Typical sizes of a body's parameters, shape (10,): mass, mass × length, mass × length²."""
+    mass = body.pi[0] if body.pi[0] > 0 else typical
+    return np.asarray(mass * length(body) ** np.repeat([0.0, 1.0, 2.0], [1, 3, 6]))

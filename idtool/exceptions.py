@@ -1,0 +1,38 @@
+"""Errors a user can act on.
+
+A message reads ``<file or key>: <what is wrong and what to do>`` and fits one line; the command line prints it
+behind ``error:`` and exits with code 2.
+"""
+
+
+class IdtoolError(Exception):
+    """Base of every error that idtool raises on purpose.
+
+    Parameters
+    ----------
+    where
+        The file or configuration key the error is about.
+    what
+        What is wrong with it and what to do.
+    """
+
+    def __init__(self, where: object, what: str) -> None:
+        self.where = str(where)
+        self.what = " ".join(what.split())
+        super().__init__(f"{self.where}: {self.what}")
+
+
+class ConfigError(IdtoolError):
+    """A configuration that cannot be used."""
+
+
+class LogError(IdtoolError):
+    """A log that cannot be read or holds too little."""
+
+
+class ModelError(IdtoolError):
+    """A URDF, or a URDF and configuration together, that make no robot."""
+
+
+class SolverError(IdtoolError):
+    """An optimization problem that is infeasible or was not solved to the accuracy promised."""

@@ -1,0 +1,161 @@
+"""`Experiment`: a robot, its logs and its configuration put together, with what is kept for validation set aside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from idtool.config import Config
+from idtool.effects import build_effects
+from idtool.exceptions import ConfigError, LogError
+from idtool.logs import read_log
+from idtool.model import Model, build_model
+from idtool.reduction import Reduction, empty, reduce_blocks
+from idtool.regressor import LinearModel
+from idtool.robot import Robot
+from idtool.signals import Batch, Signals
+
+Progress = Callable[[str, float], None]  # stage, share of it that is done
+
+
+@dataclass(frozen=True)
+class Run:
+    """One log: its signals, and which parts are for fitting and which for validation.
+
+    Attributes
+    ----------
+    signals
+        The log as the model's joints' motion.
+    train, held_out
+        Parts of it, without a gap each.
+    """
+
+    signals: Signals
+    train: tuple[slice, ...]
+    held_out: tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is to be fitted or validated.
+
+    Attributes
+    ----------
+    config
+        The configuration.
+    model
+        The tree of bodies.
+    equation
+        The torque equation.
+    runs
+        The logs.
+    """
+
+    config: Config
+    model: Model
+    equation: LinearModel
+    runs: tuple[Run, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know, a plain sentence each."""
+        several = len(self.runs) > 1
+        said = list(self.model.warnings)
+        for run in self.runs:
+            prefix = f"{run.signals.log.path.name}: " if several else ""
+            said += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
+        return tuple(said)
+
+    @property
+    def band_hz(self) -> float:
+        """The low-pass's cut-off, the lowest of the runs' [Hz]."""
+        return min(run.signals.band_hz for run in self.runs)
+
+    def samples(self, held_out: bool) -> int:
+        """Samples at the logged rate that are used for fitting or validation."""
+        return sum(
+            max(part.stop - part.start - 2 * run.signals.every_sample.edge, 0)
+            for run in self.runs
+            for part in (run.held_out if held_out else run.train)
+        )
+
+    def reduce(self, progress: Progress) -> Reduction:
+        """The training data as R-factors."""
+        total = empty(self.equation.active())
+        for run in self.runs:
+            batches = tracked(
+                run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}"
+            )
+            blocks = map(self.equation.block, batches)
+            total = reduce_blocks(blocks, total, run.signals.low_pass.redundancy)
+        return total
+
+
+def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress, stage: str) -> Iterable[Batch]:
+    """The same batches; tells how far they have come."""
+    whole = sum(part.stop - part.start for part in parts) or 1
+    done = 0
+    for batch in batches:
+        yield batch
+        done += len(batch.motion.t) - batch.before - batch.after
+        progress(stage, min(done / whole, 1.0))
+
+
+def prepare(
+    robot: Robot,
+    config: Config,
+    logs: Sequence[Path],
+    validate: Sequence[Path] = (),
+    holdout: float = 0.3,
+) -> Experiment:
+    """Read the logs and put model and data together.
+
+    Parameters
+    ----------
+    robot
+        From the URDF.
+    config
+        The configuration.
+    logs
+        Logs to fit to.
+    validate
+        Whole logs for validation; where given, nothing is held out of the others.
+    holdout
+        Share at the end of every log that is kept for validation.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used.
+    """
+    if not 0 <= holdout < 1:
+        raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
+    if not logs:
+        raise LogError("logs", "none given")
+    options = config.log
+    fitted, kept = (
+        [read_log(path, topic=options.topic, columns=options.columns, scale=options.scale) for path in paths]
+        for paths in (logs, validate)
+    )
+    common = [name for name in fitted[0].joints if all(name in log.joints for log in (*fitted, *kept))]
+    model = build_model(robot, config, common)
+    equation = LinearModel(model.names, build_effects(model, config))
+    runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
+    runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
+    return Experiment(config, model, equation, tuple(runs))
+
+
+def _split(signals: Signals, share: float) -> Run:
+    """The first part of a log's samples to fit, the last to validate."""
+    samples = sum(part.stop - part.start for part in signals.ranges)
+    left = round((1 - share) * samples)
+    train, held_out = [], []
+    for part in signals.ranges:
+        cut = min(part.start + max(left, 0), part.stop)
+        left -= part.stop - part.start
+        if cut > part.start:
+            train.append(slice(part.start, cut))
+        if part.stop > cut:
+            held_out.append(slice(cut, part.stop))
+    return Run(signals, tuple(train), tuple(held_out))

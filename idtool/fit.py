@@ -1,0 +1,114 @@
+"""The main job: an experiment → identified parameters, how far to trust them, and how well they predict."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.exceptions import LogError
+from idtool.experiment import Experiment, Progress
+from idtool.identify import Estimate, identify
+from idtool.inertia import SIZE
+from idtool.model import Body
+from idtool.sets import ConstraintSet, constraint_sets, tightest
+from idtool.uncertainty import Uncertainty, uncertainty
+from idtool.validate import Evaluation, evaluate
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An identified model.
+
+    Attributes
+    ----------
+    experiment
+        What it was fitted to.
+    sets
+        The constraint set of each body.
+    estimate
+        The coefficients with their certificate.
+    uncertainty
+        Standard errors.
+    train, validation
+        Errors of the ``identified`` and the ``prior`` model; ``validation`` has no samples where nothing was held out.
+    warnings
+        What a user should know, a plain sentence each.
+    seconds
+        Wall time of each stage.
+    """
+
+    experiment: Experiment
+    sets: tuple[ConstraintSet, ...]
+    estimate: Estimate
+    uncertainty: Uncertainty
+    train: Evaluation
+    validation: Evaluation
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+
+    def parameters(self, index: int) -> NDArray[np.float64]:
+        """The identified parameters of the model's body of that index, shape (10,)."""
+        return self.estimate.theta[SIZE * index : SIZE * (index + 1)]
+
+
+def fit(experiment: Experiment, progress: Progress) -> Fit:
+    """Identify.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    progress
+        Told the stage and how far it has come.
+
+    Raises
+    ------
+    LogError
+        If there are fewer samples than it takes, or a joint does not move.
+    SolverError
+        If the problem could not be solved.
+    """
+    clock = [time.perf_counter()]
+    equation, model = experiment.equation, experiment.model
+    reduction = experiment.reduce(progress)
+    clock.append(time.perf_counter())
+    warnings = list(experiment.warnings)
+    for name, factor in zip(equation.joints, reduction, strict=True):
+        if not factor.rows:
+            raise LogError(
+                experiment.runs[0].signals.log.path,
+                f"joint {name} hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints",
+            )
+    sets, remarks = choose_sets(model.bodies, experiment.config.constraints)
+    warnings += remarks
+    progress("solving", 0.0)
+    estimate = identify(equation, model.bodies, reduction, sets, experiment.config.regularization)
+    clock.append(time.perf_counter())
+    errors = uncertainty(equation, reduction, estimate.noise)
+    models = {"identified": estimate.theta, "prior": equation.prior}
+    train = evaluate(experiment, models, held_out=False, progress=progress)
+    validation = evaluate(experiment, models, held_out=True, progress=progress)
+    if not validation.errors["identified"].samples:
+        warnings.append("nothing was held out: the training error says little of how the model predicts")
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("reduce", "identify", "evaluate"), np.diff(clock).tolist(), strict=True))
+    return Fit(experiment, sets, estimate, errors, train, validation, tuple(warnings), seconds)
+
+
+def choose_sets(bodies: tuple[Body, ...], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[str]]:
+    """The constraint set of each body: the one asked for or the tightest, without an ellipsoid the tightest without.
+
+    Returns
+    -------
+    One set a body, and a remark on bodies that lack their ellipsoid.
+    """
+    known = constraint_sets()
+    wanted = known[name] if name else tightest()
+    unbounded = list(s for s in known.values() if not s.bounded)[-1]
+    lacking = [body.name for body in bodies if wanted.bounded and not body.ellipsoids]
+    sets = tuple(unbounded if body.name in lacking else wanted for body in bodies)
+    remark = f"no bounding ellipsoid, only full consistency is demanded: {', '.join(lacking)}"
+    return sets, [remark] if lacking else []

@@ -1,0 +1,116 @@
+"""Inertia parameters of a rigid body in their several forms. The one owner of the parameter order.
+
+Letters (paper: Wensing, Kim & Slotine, arXiv 1701.04395):
+
+- pi = [m, h_x, h_y, h_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], shape (..., 10): mass [kg], first moment h = m c
+  [kg·m] and rotational inertia about the origin of the body's frame [kg·m²];
+- J, shape (..., 4, 4): the pseudo-inertia [[Sigma, h], [hᵀ, m]] with Sigma = ½ Tr(I) 1 − I, the density-weighted
+  second moment of the body's points [x; 1] (Thm 3);
+- c [m] centre of mass, I_c [kg·m²] rotational inertia about it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
+SIZE = len(NAMES)
+
+# Row and column of the rotational inertia's entries, in the order of pi.
+_ROW = np.array([0, 0, 1, 0, 1, 2])
+_COLUMN = np.array([0, 1, 1, 2, 2, 2])
+
+
+def skew(x: ArrayLike) -> Array:
+    """S(x) with S(x) y = x × y, shape (3, 3)."""
+    a, b, c = np.asarray(x, dtype=float)
+    return np.array([[0, -c, b], [c, 0, -a], [-b, a, 0.0]])
+
+
+def symmetric(six: ArrayLike) -> Array:
+    """[xx, xy, yy, xz, yz, zz], shape (..., 6), as symmetric matrices, shape (..., 3, 3)."""
+    six = np.asarray(six, dtype=float)
+    matrix = np.empty((*six.shape[:-1], 3, 3))
+    matrix[..., _ROW, _COLUMN] = six
+    matrix[..., _COLUMN, _ROW] = six
+    return matrix
+
+
+def six(matrix: ArrayLike) -> Array:
+    """Symmetric matrices, shape (..., 3, 3), as [xx, xy, yy, xz, yz, zz], shape (..., 6)."""
+    return np.asarray(matrix, dtype=float)[..., _ROW, _COLUMN]
+
+
+def pseudo_inertia(pi: ArrayLike) -> Array:
+    """J(pi), shape (..., 4, 4), linear in pi (Thm 3)."""
+    pi = np.asarray(pi, dtype=float)
+    inertia = symmetric(pi[..., 4:])
+    J = np.empty((*pi.shape[:-1], 4, 4))
+    J[..., :3, :3] = 0.5 * np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - inertia
+    J[..., :3, 3] = J[..., 3, :3] = pi[..., 1:4]
+    J[..., 3, 3] = pi[..., 0]
+    return J
+
+
+def from_pseudo_inertia(J: ArrayLike) -> Array:
+    """The pi of a pseudo-inertia: the inverse of `pseudo_inertia`."""
+    J = np.asarray(J, dtype=float)
+    sigma = J[..., :3, :3]
+    inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
+    return np.concatenate([J[..., 3:, 3], J[..., :3, 3], six(inertia)], axis=-1)
+
+
+#: J(pi) = Σ_k pi_k BASIS[k], shape (10, 4, 4).
+BASIS = pseudo_inertia(np.eye(SIZE))
+
+
+def spatial_inertia(pi: ArrayLike) -> Array:
+    """The 6×6 spatial inertia [[I, S(h)], [S(h)ᵀ, m 1]] in the order (angular, linear), shape (..., 6, 6) (Thm 1)."""
+    pi = np.asarray(pi, dtype=float)
+    spatial = np.zeros((*pi.shape[:-1], 6, 6))
+    spatial[..., :3, :3] = symmetric(pi[..., 4:])
+    h = np.einsum("kij,...k->...ij", np.array([skew(e) for e in np.eye(3)]), pi[..., 1:4])
+    spatial[..., :3, 3:] = h
+    spatial[..., 3:, :3] = -h
+    spatial[..., 3:, 3:] = pi[..., 0, None, None] * np.eye(3)
+    return spatial
+
+
+def from_mass_com_inertia(mass: float, com: ArrayLike, inertia_com: ArrayLike) -> Array:
+    """The pi of mass [kg], centre of mass [m] (3,) and inertia about it [kg·m²] (3, 3), by parallel axes (12)."""
+    com = np.asarray(com, dtype=float)
+    S = skew(com)
+    return np.concatenate([[mass], mass * com, six(np.asarray(inertia_com) + mass * S @ S.T)])
+
+
+def mass_com_inertia(pi: ArrayLike) -> tuple[float, Array, Array]:
+    """Mass [kg], centre of mass [m] (3,) and inertia about it [kg·m²] (3, 3) of one body.
+
+    A body without mass has its centre at the origin.
+    """
+    pi = np.asarray(pi, dtype=float)
+    mass = float(pi[0])
+    com = pi[1:4] / mass if mass else np.zeros(3)
+    S = skew(com)
+    return mass, com, symmetric(pi[4:]) - mass * S @ S.T
+
+
+def transformation(R: ArrayLike, p: ArrayLike) -> Array:
+    """The 10×10 matrix that takes pi from a frame B to a frame A in which B sits at rotation R, position p [m].
+
+    J_A = T J_B Tᵀ with T = [[R, p], [0, 1]].
+    """
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = p
+    return from_pseudo_inertia(T @ BASIS @ T.T).T
+
+
+def triangle_margin(pi: ArrayLike) -> float:
+    """The smallest of J₁+J₂−J₃ and cyclic over the principal moments about the centre of mass [kg·m²] (13)."""
+    moments = np.linalg.eigvalsh(mass_com_inertia(pi)[2])
+    return float(moments[0] + moments[1] - moments[2])

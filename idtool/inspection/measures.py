@@ -1,0 +1,179 @@
+"""Measures of one signal x, in its own unit: N samples, dt seconds apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import detrend, welch
+
+Array = NDArray[np.float64]
+
+_BLOCK = 1 << 14  # rows
+_FEWEST_LEVELS = 16  # fewer are believed only where most samples repeat one
+_ON_GRID = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
+_ON_GRID_SHARE = 0.95
+_FINEST = 1e-6  # of the range: a finer step is as good as none
+_PROBE = 512  # levels that are tried before all are
+_ABOVE_FLOOR = 10  # a single spectrum's bin of noise reaches ten times its median once in a thousand
+_DIVISORS = 16  # a signal that was scaled after quantisation may skip levels
+
+
+class Span(NamedTuple):
+    """Least and greatest value, root mean square and number of values that are not finite, each of shape (nj,)."""
+
+    low: Array
+    high: Array
+    rms: Array
+    not_finite: NDArray[np.int64]
+
+
+def span(x: Array) -> Span:
+    """`Span` of every column of x, shape (N, nj), over its finite values, in one pass; NaN for a column of none."""
+    low, high = np.full(x.shape[1], np.nan), np.full(x.shape[1], np.nan)
+    squares, bad = np.zeros(x.shape[1]), np.zeros(x.shape[1], dtype=np.int64)
+    for start in range(0, len(x), _BLOCK):
+        block = x[start : start + _BLOCK]
+        finite = np.isfinite(block)
+        if not finite.all():
+            block = np.where(finite, block, np.nan)
+            bad += np.sum(~finite, axis=0)
+        low = np.fmin(low, np.fmin.reduce(block, axis=0))
+        high = np.fmax(high, np.fmax.reduce(block, axis=0))
+        squares += np.nansum(block**2, axis=0)
+    return Span(low, high, np.sqrt(squares / np.maximum(len(x) - bad, 1)), bad)
+
+
+def quantisation(x: Array) -> float | None:
+    """Smallest common step of a signal's values, in its unit; None where it is continuous or constant.
+
+    Steps between neighbouring levels give a first guess; a scaled signal may skip levels, so its integer fractions
+    are tried as well. A guess is made exact over ever wider spans of levels and accepted when the levels lie on its
+    grid. Values rounded to a few decimals do, as they should.
+    """
+    levels = np.unique(x)
+    if len(levels) < 2 or (len(levels) < _FEWEST_LEVELS and len(levels) > len(x) / 2):
+        return None
+    steps = np.diff(levels)
+    span = float(levels[-1] - levels[0])
+    smallest = float(np.percentile(steps, 5))
+    guess = float(np.median(steps[steps <= 1.5 * smallest]))
+    for divisor in range(1, _DIVISORS + 1):
+        step = _refined_step(levels[:_PROBE], guess / divisor)
+        if step > _FINEST * span and _on_grid(levels[:_PROBE], step):
+            step = _refined_step(levels, step)
+            if _on_grid(levels, step):
+                return step
+    return None
+
+
+def _refined_step(levels: Array, step: float) -> float:
+    """The step that best explains the distances between levels, from short ones to ever longer ones.
+
+    A distance is of use once the step is known well enough to count the steps in it.
+    """
+    apart, furthest = 1, 4
+    while apart < len(levels):
+        distance = levels[apart:] - levels[:-apart]
+        count = np.round(distance / step)
+        near = count[count <= furthest]
+        if near.any():
+            step = float(distance[count <= furthest] @ near / (near @ near))
+        if len(near) > len(count) // 2:
+            apart *= 2
+        furthest *= 2
+    return step
+
+
+def _on_grid(levels: Array, step: float) -> bool:
+    phase = (levels - levels[0]) / step
+    phase -= np.angle(np.mean(np.exp(2j * np.pi * phase))) / (2 * np.pi)
+    return bool(np.mean(np.abs(phase - np.round(phase)) < _ON_GRID) > _ON_GRID_SHARE)
+
+
+def noise_level(x: Array) -> float:
+    """Standard deviation of a signal's white noise, in its unit; x of one segment, shape (N,).
+
+    The lesser of two estimates: third differences, which a few jumps such as dry friction's do not disturb, and the
+    upper half of the spectrum, which smooth fast motion does not reach.
+    """
+    if len(x) < 16:
+        return 0.0
+    differences = float(np.median(np.abs(np.diff(x, 3)))) / (0.6745 * np.sqrt(20))
+    _, density = welch(detrend(x), nperseg=min(len(x), 1024))
+    return float(min(differences, np.sqrt(0.5 * np.median(density[len(density) // 2 :]))))
+
+
+def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: float = 0.99) -> float | None:
+    """Frequency below which ``share`` of a signal's power lies [Hz], by Welch's method; None without power.
+
+    What is not well above the floor of white noise, read from the upper quarter of the spectrum, is not counted: it
+    would fill any band.
+
+    Parameters
+    ----------
+    pieces
+        The signal's runs without a gap, each of shape (N,); those that hold no whole window of ten seconds, or of the
+        longest run, are passed over.
+    dt
+        Sample time [s].
+    derivatives
+        1 for the power of the signal's derivative.
+    share
+        Of the power.
+    """
+    window = min(max(len(x) for x in pieces), max(int(10 / dt), 256))
+    f = np.fft.rfftfreq(window, dt)
+    density = np.zeros(len(f))
+    for x in pieces:
+        if len(x) >= window:
+            density += len(x) * welch(x, nperseg=window)[1]
+    density[density < _ABOVE_FLOOR * np.median(density[-(len(f) // 4) - 1 :])] = 0
+    power = np.cumsum(density * f ** (2 * derivatives))
+    return float(f[np.searchsorted(power, share * power[-1])]) if power[-1] > 0 else None
+
+
+def stale_share(x: Array, moving: NDArray[np.bool_], step: float | None, noise: float) -> float | None:
+    """Share of samples equal to the one before where the signal is on its way; None where it hardly ever is.
+
+    On its way: over eight samples to either side it covers so many quantisation steps a sample that neither
+    quantisation nor noise repeats a value by chance.
+
+    Parameters
+    ----------
+    x
+        One segment of the signal, shape (N,).
+    moving
+        Where the joint moves, shape (N,).
+    step
+        The signal's quantisation step, in its unit.
+    noise
+        Its noise, standard deviation.
+    """
+    half = 8
+    if len(x) <= 2 * half:
+        return None
+    change = np.abs(x[2 * half :] - x[: -2 * half]) / (2 * half)
+    on_its_way = moving[half:-half] & (change > (2 * step + 3 * noise if step else 0.0))
+    if on_its_way.sum() < 100:
+        return None
+    return float(np.mean((x[half:-half] == x[half - 1 : -half - 1])[on_its_way]))
+
+
+def stuck_share(x: Array, low: float, high: float, step: float | None) -> float:
+    """Share of samples, shape (N,), that sit at the signal's lowest or highest value as on an end stop.
+
+    A turning point gathers samples too, but its neighbourhood gathers nearly as many: the extreme value has to hold
+    five times what the next step, or thousandth of the range, holds.
+    """
+    if not len(x) or not low < high:
+        return 0.0
+    total = 0.0
+    width = max(step or 0.0, 1e-3 * (high - low))
+    for depth in (high - x, x - low):
+        at = np.mean(depth <= max(0.5 * (step or 0.0), 1e-9 * (high - low)))
+        if at > 1e-3 and at > 5 * (np.mean(depth <= 1.5 * width) - at):
+            total += float(at)
+    return total

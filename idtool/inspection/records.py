@@ -1,0 +1,248 @@
+"""What an inspection finds: plain frozen records, so that `dataclasses.asdict` makes them JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Severity = Literal["note", "warning", "problem"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong with a log, or worth knowing.
+
+    Attributes
+    ----------
+    severity
+        ``note``: nothing to do; ``warning``: the fit gets worse by it; ``problem``: the joint, or the log, can't be
+        used like this.
+    joint
+        The joint it concerns; None: the whole log.
+    what
+        One sentence with the figure.
+    meaning
+        What it means for the fit, and what to do about it. The same words for the same defect, whatever the joint.
+    """
+
+    severity: Severity
+    joint: str | None
+    what: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A gap in the stamps: when it begins [s after the first stamp], and the time that was lost [s]."""
+
+    start: float
+    lost: float
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """The real instants of the samples, as the joints' positions and velocities tell them.
+
+    Attributes
+    ----------
+    skipped
+        Share of steps that took the time of two samples or more.
+    jitter_ms
+        Standard deviation of the instants about an even spacing [ms].
+    stamp_error_ms
+        The same about the stamps [ms]: less than ``jitter_ms`` where the stamps tell the truth.
+    """
+
+    skipped: float
+    jitter_ms: float
+    stamp_error_ms: float
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """The time stamps of a log.
+
+    Attributes
+    ----------
+    jitter_rms_ms, jitter_max_ms
+        Deviation from a uniform clock, fitted per segment [ms].
+    step_ms
+        Smallest common step of the stamps [ms], None where there is none.
+    duplicates, backward
+        Stamps equal to, or earlier than, the one before.
+    gaps, lost
+        Number of gaps and the time lost in them [s].
+    longest_gaps
+        The longest few, longest first.
+    short
+        Share of the samples in segments of less than half a second.
+    repeated
+        Share of samples, while anything moves, that equal the one before in the q and v of every joint.
+    sampling
+        The real instants, where the motion tells them.
+    """
+
+    jitter_rms_ms: float
+    jitter_max_ms: float
+    step_ms: float | None
+    duplicates: int
+    backward: int
+    gaps: int
+    lost: float
+    longest_gaps: tuple[Gap, ...]
+    short: float
+    repeated: float
+    sampling: Sampling | None
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal of one joint, in the signal's unit.
+
+    Attributes
+    ----------
+    minimum, maximum, rms
+        Over all finite samples.
+    not_finite
+        Number of samples that are not finite.
+    step
+        Quantisation step, None where the signal is continuous.
+    noise
+        Standard deviation of the white noise.
+    stale
+        Share of samples that repeat the one before while the signal is on its way, those that repeat in every joint
+        left out; None where it hardly ever is.
+    stuck
+        Share of samples that sit at the lowest or highest value as on an end stop.
+    """
+
+    minimum: float
+    maximum: float
+    rms: float
+    not_finite: int
+    step: float | None
+    noise: float
+    stale: float | None
+    stuck: float
+
+    @property
+    def constant(self) -> bool:
+        """Whether the signal never changes."""
+        return self.minimum == self.maximum
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """A measured velocity against the derivative of the position.
+
+    Attributes
+    ----------
+    lag_ms, lag_error_ms
+        Lag of v [ms], positive where v is late, and its standard error; None where v has nothing to do with q.
+    gain
+        Of v over dq/dt; None likewise.
+    agreement
+        Share of v's power in the band of the motion that dq/dt explains, 0..1.
+    residual
+        What is left, root mean square [rad/s or m/s].
+    """
+
+    lag_ms: float | None
+    lag_error_ms: float | None
+    gain: float | None
+    agreement: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class TorqueSource:
+    """Whether tau looks measured or commanded, and why."""
+
+    kind: Literal["measured", "commanded", "unknown"]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a log.
+
+    Attributes
+    ----------
+    signals
+        Those that are present, by name: q, v, tau, qcmd, vcmd.
+    moves
+        Whether the joint moves more than its own noise and resolution.
+    standstill
+        Share of the time at standstill: slower than 2 % of its fastest motion.
+    speed_rms
+        Root mean square velocity, averaged over 50 ms [rad/s or m/s].
+    band_hz
+        Frequency below which 99 % of the velocity's power lies; None at standstill.
+    jumps
+        Number of single steps of q that the joint's own speed can't explain.
+    wraps
+        Whether those jumps are about a full turn.
+    velocity
+        None where v is missing or constant, q jumps, or the log is too short to tell.
+    torque
+        None where tau is missing or constant.
+    """
+
+    signals: Mapping[str, Signal]
+    moves: bool
+    standstill: float
+    speed_rms: float
+    band_hz: float | None
+    jumps: int
+    wraps: bool
+    velocity: Velocity | None
+    torque: TorqueSource | None
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What is in a log, and what is wrong with it.
+
+    Attributes
+    ----------
+    path
+        The file.
+    duration
+        From the first to the last stamp [s].
+    samples
+        Rows of the log.
+    dt
+        Nominal sample time: the median step of the stamps [s].
+    rate_hz
+        Its inverse.
+    mean_rate_hz
+        Samples over time within the segments; less than ``rate_hz`` where samples were lost without a gap.
+    segments
+        Number of runs without a gap.
+    stamps
+        The time stamps.
+    joints
+        By name, in the log's order.
+    findings
+        Problems first, then warnings, then notes.
+    warnings
+        What the reader had to say.
+    """
+
+    path: str
+    duration: float
+    samples: int
+    dt: float
+    rate_hz: float
+    mean_rate_hz: float
+    segments: int
+    stamps: Stamps
+    joints: Mapping[str, Joint]
+    findings: tuple[Finding, ...]
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, finite or None, as JSON takes them."""
+        return dataclasses.asdict(self)

@@ -1,0 +1,82 @@
+"""The fields of `sensor_msgs/msg/JointState` as JSON."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.logs.payloads.base import (
+    NANOSECONDS,
+    SECONDS,
+    SIGNALS,
+    STAMPS,
+    Decoder,
+    PayloadError,
+    State,
+    samples_of,
+)
+from idtool.logs.series import Samples
+
+if TYPE_CHECKING:
+    from mcap.records import Schema
+
+ENCODING = "json"
+
+
+def decoder(schema: Schema) -> Decoder | None:
+    """Of messages whose schema has lists of names and positions, or, where it lists no fields, is called JointState."""
+    try:
+        properties = json.loads(schema.data).get("properties")
+        lists = properties and all("array" in properties[field]["type"] for field in ("name", "position"))
+    except (ValueError, RecursionError, AttributeError, KeyError, TypeError):
+        return None
+    named = schema.name.endswith("JointState")
+    return _decode if lists or (named and not properties) else None
+
+
+def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:
+    texts = [buffer[a : a + n] for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)]
+    try:
+        messages = json.loads(b"[%b]" % b",".join(texts))  # one call for all, which is faster than one for each
+    except (ValueError, RecursionError):
+        messages = []
+    if len(messages) != len(texts):
+        messages = [_load(i, text) for i, text in enumerate(texts)]
+    return samples_of([_state(i, message) for i, message in enumerate(messages)])
+
+
+def _load(i: int, text: bytes) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise PayloadError(i, f"is not JSON: {error}") from None
+
+
+def _state(i: int, message: Any) -> State:
+    try:
+        joints = tuple(message["name"])
+        values = tuple(message.get(field) or () for field in SIGNALS)
+        if not (isinstance(message["name"], list) and all(isinstance(joint, str) for joint in joints)):
+            raise TypeError
+        if not all(isinstance(value, list | tuple) for value in values):
+            raise TypeError
+        return State(_seconds(message), joints, values)
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
+        raise PayloadError(i, "is no joint state: it needs a list of names, and lists of values") from None
+
+
+def _seconds(message: Any) -> float:
+    for path in STAMPS:
+        stamp = message
+        for field in path:
+            stamp = stamp.get(field) or {}
+        if stamp:
+            return float(_first(stamp, SECONDS) + _first(stamp, NANOSECONDS) / 1e9)
+    return 0.0
+
+
+def _first(stamp: Any, names: tuple[str, ...]) -> Any:
+    return next((stamp[name] for name in names if name in stamp), 0)

@@ -1,0 +1,130 @@
+"""`Series`: samples gathered piece by piece into arrays that grow in place, the joints matched by name.
+
+Signals as in `idtool.logs.log`; N samples, nj joints, each as many as there are so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.exceptions import LogError
+from idtool.logs.log import Array
+
+_MOST_JOINTS = 512  # a joint takes room in every sample, so a file must not name them without end
+_SPARE_BYTES = 1 << 21  # room to grow into, per array
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of the same joints.
+
+    Attributes
+    ----------
+    index
+        Their places among the samples that were read together, shape (k,).
+    t
+        Time [s], shape (k,).
+    joints
+        Names of the joints.
+    signals
+        Signal to values in the log's units, each of shape (k, len(joints)).
+    """
+
+    index: NDArray[np.intp]
+    t: Array
+    joints: tuple[str, ...]
+    signals: Mapping[str, NDArray[np.floating]]
+
+
+class Series:
+    """Samples in the order they came. Values that no sample gave are NaN.
+
+    Parameters
+    ----------
+    path
+        The file they come from; errors name it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._size = 0
+        self._t: Array = np.empty(0)
+        self._columns: dict[str, int] = {}
+        self._signals: dict[str, Array] = {}
+
+    def __len__(self) -> int:
+        return self._size
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self._t[self._size - 1])
+
+    def append(self, pieces: Sequence[Samples]) -> None:
+        """Add samples that were read together.
+
+        Raises
+        ------
+        LogError
+            If the names of joints go on without end.
+        """
+        pieces = [piece for piece in pieces if piece.joints]
+        if not pieces:
+            return
+        for piece in pieces:
+            self._admit(piece)
+        start, self._size = self._size, self._size + sum(len(piece.t) for piece in pieces)
+        self._reserve(self._size)
+        for array in self._signals.values():
+            array[start : self._size] = np.nan
+        for piece, rows in zip(pieces, _places(pieces, start), strict=True):
+            self._t[rows] = piece.t
+            columns = [self._columns[joint] for joint in piece.joints]
+            if columns == list(range(len(self._columns))):
+                block = rows
+            else:
+                block = (rows, columns) if isinstance(rows, slice) else np.ix_(rows, columns)
+            for name, values in piece.signals.items():
+                self._signals[name][block] = values
+
+    def arrays(self) -> tuple[Array, tuple[str, ...], dict[str, Array]]:
+        """Times (N,), joints, and signals (N, nj), without a copy; the series must not be added to after."""
+        self._resize(self._size)
+        return self._t, tuple(self._columns), self._signals
+
+    def _admit(self, piece: Samples) -> None:
+        """Make room for the joints and signals of a piece that are new."""
+        new = [joint for joint in piece.joints if joint not in self._columns]
+        if len(self._columns) + len(new) > _MOST_JOINTS:
+            raise LogError(self._path, f"names more than {_MOST_JOINTS} joints; is this a log of one robot?")
+        if new:
+            self._columns |= {joint: len(self._columns) + i for i, joint in enumerate(new)}
+            for name, array in self._signals.items():
+                self._signals[name] = np.pad(array, ((0, 0), (0, len(new))), constant_values=np.nan)
+        for name in piece.signals:
+            if name not in self._signals:
+                self._signals[name] = np.full((len(self._t), len(self._columns)), np.nan)
+
+    def _reserve(self, size: int) -> None:
+        if size > len(self._t):
+            spare = _SPARE_BYTES // (8 * max(1, len(self._columns)))
+            self._resize(size + max(spare, size >> 6))
+
+    def _resize(self, size: int) -> None:
+        # in place, so that an array is never held twice; nothing else refers to them
+        self._t.resize(size, refcheck=False)
+        for array in self._signals.values():
+            array.resize((size, array.shape[1]), refcheck=False)
+
+
+def _places(pieces: Sequence[Samples], start: int) -> Sequence[slice | NDArray[np.intp]]:
+    """Rows of each piece, the samples in the order of their `index`."""
+    if len(pieces) == 1:
+        return [slice(start, start + len(pieces[0].t))]
+    rank = start + np.argsort(np.argsort(np.concatenate([piece.index for piece in pieces])))
+    return np.split(rank, np.cumsum([len(piece.t) for piece in pieces])[:-1])

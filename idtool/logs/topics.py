@@ -1,0 +1,168 @@
+"""The topics of an MCAP file: which one carries the joint states, and what its messages hold."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
+
+from idtool.exceptions import LogError
+from idtool.logs.names import nearest, some
+from idtool.logs.payloads import decoder_for
+from idtool.logs.payloads.base import Decoder, PayloadError
+from idtool.logs.records import HEAD, MESSAGE_FIELDS, RECORD, SCHEMA, Batch
+from idtool.logs.series import Samples, Series
+
+COMMANDS_OF = "idtool.commands_of"  # in a channel's metadata: its messages are the commands to the states of this topic
+
+
+@dataclass
+class _Topic:
+    kind: str  # of its messages, for people
+    joints: bool  # whether they are joint states
+    commands_of: str | None
+    series: Series
+    messages: int = 0
+
+
+class Topics:
+    """Takes the messages of a file and keeps those that may be wanted.
+
+    A topic whose metadata says that it carries commands is read with the topic of the states, and for states only
+    when it is asked for.
+
+    Parameters
+    ----------
+    path
+        The file; errors name it.
+    wanted
+        The topic to read; None to find it.
+    """
+
+    def __init__(self, path: Path, wanted: str | None) -> None:
+        self._path = path
+        self._wanted = wanted
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, tuple[str, Decoder | None]] = {}
+        self._topics: dict[str, _Topic] = {}
+
+    def take(self, batch: Batch) -> None:
+        """Decode what is wanted of a batch.
+
+        Raises
+        ------
+        LogError
+            If a definition or a message cannot be read.
+        """
+        for at in batch.definitions:
+            self._define(batch.buffer, at)
+        if not len(batch.messages):
+            return
+        heads = batch.heads
+        pieces: dict[str, list[Samples]] = {}
+        for channel in np.unique(heads["channel"]).tolist():
+            if channel not in self._channels:
+                raise LogError(self._path, f"is damaged: it has messages of channel {channel}, but not the channel")
+            name, decoder = self._channels[channel]
+            which = np.flatnonzero(heads["channel"] == channel)
+            if decoder and self._follows(name):
+                pieces.setdefault(name, []).extend(self._decode(name, decoder, batch, heads, which))
+            self._topics[name].messages += len(which)
+        for name, samples in pieces.items():
+            self._topics[name].series.append(samples)
+
+    def __len__(self) -> int:
+        """How many topics there are, with messages or without."""
+        return len(self._topics)
+
+    def chosen(self) -> tuple[Series, Series | None]:
+        """The samples of the states' topic, and those of their commands.
+
+        Raises
+        ------
+        LogError
+            If there is no such topic, or there are several.
+        """
+        candidates = self._candidates()
+        if self._wanted is not None and self._wanted not in candidates:
+            raise LogError(self._path, self._why_not(self._wanted))
+        if not candidates:
+            kinds = [f"{name} ({topic.kind})" for name, topic in self._topics.items() if topic.messages]
+            raise LogError(
+                self._path,
+                f"no topic carries joint states (sensor_msgs/msg/JointState); there are: {some(kinds) or 'none'}",
+            )
+        if self._wanted is None and len(candidates) > 1:
+            raise LogError(
+                self._path, f"{len(candidates)} topics carry joint states; set log.topic to one of {some(candidates)}"
+            )
+        name = self._wanted or candidates[0]
+        commands = (topic.series for topic in self._topics.values() if topic.commands_of == name and len(topic.series))
+        return self._topics[name].series, next(commands, None)
+
+    def _candidates(self) -> list[str]:
+        return [
+            name
+            for name, topic in self._topics.items()
+            if topic.joints and topic.messages and (name == self._wanted or not topic.commands_of)
+        ]
+
+    def _why_not(self, name: str) -> str:
+        if name not in self._topics:
+            return f"has no topic {name}; {nearest(name, self._candidates() or list(self._topics))}"
+        topic = self._topics[name]
+        if not topic.joints:
+            return f"topic {name} carries {topic.kind}, not joint states; {nearest(name, self._candidates())}"
+        return f"topic {name} holds no messages"
+
+    def _follows(self, name: str) -> bool:
+        """Whether the messages of a topic may be wanted, as far as is known."""
+        topic = self._topics[name]
+        if self._wanted is not None:
+            return self._wanted in (name, topic.commands_of)
+        return topic.commands_of is not None or self._candidates()[:1] in ([], [name])
+
+    def _define(self, buffer: bytes, at: int) -> None:
+        begin, length = at + RECORD.size, RECORD.unpack_from(buffer, at)[1]
+        stream = ReadDataStream(BytesIO(buffer[begin : begin + length]))
+        try:
+            if buffer[at] == SCHEMA:
+                schema = Schema.read(stream)
+                self._schemas.setdefault(schema.id, schema)
+                return
+            channel = Channel.read(stream)
+        except (McapError, struct.error, UnicodeDecodeError):
+            raise LogError(self._path, "is damaged: a schema or channel cannot be read") from None
+        if channel.id in self._channels:
+            return
+        of = self._schemas.get(channel.schema_id)
+        decoder = decoder_for(channel.message_encoding, of) if of else None
+        kind = f"{of.name if of else 'no schema'}, {channel.message_encoding}"
+        commands_of = channel.metadata.get(COMMANDS_OF)
+        topic = self._topics.setdefault(channel.topic, _Topic(kind, False, commands_of, Series(self._path)))
+        topic.joints |= decoder is not None
+        self._channels[channel.id] = channel.topic, decoder
+
+    def _decode(
+        self, name: str, decoder: Decoder, batch: Batch, heads: NDArray[np.void], which: NDArray[np.intp]
+    ) -> list[Samples]:
+        heads = heads[which]
+        starts = batch.messages[which] + HEAD.itemsize
+        try:
+            samples = decoder(batch.buffer, starts, heads["length"].astype(np.intp) - MESSAGE_FIELDS)
+        except PayloadError as error:
+            number = self._topics[name].messages + error.index + 1
+            raise LogError(self._path, f"message {number} of {name} {error}") from None
+        seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
+        logged = seconds + nanoseconds / 1e9
+        return [
+            replace(piece, index=which[piece.index], t=np.where(piece.t == 0, logged[piece.index], piece.t))
+            for piece in samples
+        ]

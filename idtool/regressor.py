@@ -1,0 +1,107 @@
+"""Effects → blocks of (columns, torque), one per joint, batch after batch.
+
+Y_j (n, m_j): the columns of joint j's equation that are not identically zero, tau_j (n,) its torque, both through the
+same low-pass. Here transposed and in one array, the torque last: (m_j + 1, n).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.base import Coefficient, Effect
+from idtool.signals import Batch, Motion
+
+Array = NDArray[np.float64]
+
+_UNDEFINED = 0.1  # share of a filtered sample's weight that may come from samples where a column is not defined
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """The torque equation as a list of effects.
+
+    Attributes
+    ----------
+    joints
+        Names of the nv joints.
+    effects
+        The terms; their coefficients one after the other are the p unknowns.
+    """
+
+    joints: tuple[str, ...]
+    effects: tuple[Effect, ...]
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]:
+        """The p unknowns."""
+        return tuple(c for effect in self.effects for c in effect.coefficients)
+
+    @property
+    def prior(self) -> Array:
+        """Their values before any data, shape (p,)."""
+        return np.array([c.prior for c in self.coefficients])
+
+    def offsets(self) -> NDArray[np.intp]:
+        """Where each effect's coefficients begin, and p."""
+        return np.cumsum([0, *(len(effect.coefficients) for effect in self.effects)])
+
+    def active(self) -> tuple[NDArray[np.intp], ...]:
+        """Per joint, which of the p unknowns appear in its equation."""
+        starts = self.offsets()[:-1]
+        return tuple(
+            np.concatenate([start + effect.active[j] for start, effect in zip(starts, self.effects, strict=True)])
+            for j in range(len(self.joints))
+        )
+
+    def columns(self, motion: Motion) -> list[Array]:
+        """Unfiltered columns and torque, per joint; shape (m_j + 1, N) each, the torque last."""
+        blocks = [np.empty((len(active) + 1, len(motion.t))) for active in self.active()]
+        first = [0] * len(self.joints)
+        for effect in self.effects:
+            sizes = [len(active) for active in effect.active]
+            effect.write(motion, [block[f : f + s] for block, f, s in zip(blocks, first, sizes, strict=True)])
+            first = [f + s for f, s in zip(first, sizes, strict=True)]
+        for block, tau in zip(blocks, motion.tau, strict=True):
+            block[-1] = tau
+        return blocks
+
+    def block(self, batch: Batch) -> list[Array]:
+        """Filtered columns and torque in the band; per joint (m_j + 1, n), the torque last.
+
+        Samples that owe more than a tenth of their weight to moments where a column is not defined, such as the sign of
+        a velocity of zero, are left out of that joint's block.
+        """
+        kept = self._defined(batch)
+        filtered = map(batch.filter, self.columns(batch.motion))
+        return [block if keep is None else block[:, keep] for block, keep in zip(filtered, kept, strict=True)]
+
+    def _defined(self, batch: Batch) -> list[NDArray[np.bool_] | None]:
+        kept: list[NDArray[np.bool_] | None] = [None] * len(self.joints)
+        for effect in self.effects:
+            for joint, mask in effect.undefined(batch.motion).items():
+                if mask.any():
+                    defined = batch.filter(mask.astype(float)) <= _UNDEFINED
+                    previous = kept[joint]
+                    kept[joint] = defined if previous is None else previous & defined
+        return kept
+
+    def torque(self, motion: Motion, theta: Array) -> Array:
+        """The torque that the model predicts, unfiltered.
+
+        Parameters
+        ----------
+        motion
+            N samples.
+        theta
+            Coefficients, shape (..., p).
+
+        Returns
+        -------
+        Shape (..., nv, N) [N·m or N].
+        """
+        blocks = self.columns(motion)
+        rows = [theta[..., active] @ block[:-1] for active, block in zip(self.active(), blocks, strict=True)]
+        return np.stack(rows, axis=-2)

@@ -1,0 +1,24 @@
+"""P, physical semi-consistency: m > 0 and a positive definite inertia about the centre of mass (Def. 3, Thm 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idtool.ellipsoid import Ellipsoid
+from idtool.inertia import SIZE, spatial_inertia
+from idtool.sets.base import ConstraintSet, Inequality
+
+_SPATIAL = Inequality(
+    "positive definite spatial inertia", spatial_inertia(np.eye(SIZE)), np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+)
+
+
+class SemiConsistent(ConstraintSet):
+    """I(pi) ⪰ 0, 6×6."""
+
+    name = "semi"
+    tightness = 1
+
+    def inequalities(self, ellipsoid: Ellipsoid | None) -> tuple[Inequality, ...]:
+        """See `ConstraintSet.inequalities`."""
+        return (_SPATIAL,)

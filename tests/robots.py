@@ -1,0 +1,94 @@
+"""Random robots as URDF text: trees that branch, every kind of joint, axes and inertials aligned with nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+KINDS = ("revolute", "continuous", "prismatic", "fixed")
+
+
+def random_urdf(
+    rng: np.random.Generator,
+    size: int = 7,
+    kinds: Sequence[str] = KINDS,
+    mimic: float = 0.2,
+    massless: float = 0.15,
+) -> str:
+    """A robot of links ``link0`` (the root) to ``link<size>`` and joints ``joint1`` to ``joint<size>``.
+
+    Parameters
+    ----------
+    rng
+        Source of all that is random.
+    size
+        Number of joints; the first of them is actuated.
+    kinds
+        Types of joint to choose from.
+    mimic
+        Share of the moving joints that follow an earlier one, itself perhaps a follower.
+    massless
+        Share of the links without inertial.
+    """
+    lines = ['<robot name="random">', _link("link0", inertial(rng))]
+    sources: list[str] = []
+    for i in range(1, size + 1):
+        kind = str(rng.choice([k for k in kinds if k != "fixed"] if i == 1 else list(kinds)))
+        parent = f"link{rng.integers(max(0, i - 3), i)}"
+        extra = ""
+        if kind != "fixed":
+            if sources and rng.random() < mimic:
+                multiplier, offset = rng.choice([-1, 1]) * rng.uniform(0.3, 2), rng.uniform(-0.5, 0.5)
+                extra = f'<mimic joint="{rng.choice(sources)}" multiplier="{multiplier}" offset="{offset}"/>'
+            sources.append(f"joint{i}")
+        lines.append(_link(f"link{i}", "" if rng.random() < massless else inertial(rng)))
+        lines.append(joint(f"joint{i}", kind, parent, f"link{i}", origin(rng) + axis(rng) + extra))
+    return "\n".join([*lines, "</robot>\n"])
+
+
+def joint(name: str, kind: str, parent: str, child: str, inside: str = '<axis xyz="0 0 1"/>') -> str:
+    """A joint; ``inside`` is what it holds beside its links and limits."""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}'
+        '<limit lower="-3" upper="3" effort="100" velocity="20"/></joint>'
+    )
+
+
+def inertial(rng: np.random.Generator) -> str:
+    """The inertial of a body that could exist, in a frame off and turned against the link's."""
+    mass = rng.uniform(0.2, 3)
+    axes = rotation(rng)
+    sigma = axes @ np.diag(mass * rng.uniform(0.01, 0.1, 3) ** 2) @ axes.T  # second moments about the centre
+    I = np.trace(sigma) * np.eye(3) - sigma  # noqa: E741
+    entries = {"ixx": I[0, 0], "ixy": I[0, 1], "ixz": I[0, 2], "iyy": I[1, 1], "iyz": I[1, 2], "izz": I[2, 2]}
+    inertia = " ".join(f'{name}="{float(value)!r}"' for name, value in entries.items())
+    return f'<inertial>{origin(rng)}<mass value="{mass}"/><inertia {inertia}/></inertial>'
+
+
+def origin(rng: np.random.Generator) -> str:
+    """A place up to 0.3 m away, turned any way."""
+    return f'<origin xyz="{_text(rng.uniform(-0.3, 0.3, 3))}" rpy="{_text(rng.uniform(-3, 3, 3))}"/>'
+
+
+def axis(rng: np.random.Generator) -> str:
+    """A direction: along a coordinate axis, either way, one time in three."""
+    direction = rng.permutation([0.0, 0.0, rng.choice([-1.0, 1.0])]) if rng.random() < 1 / 3 else rng.normal(size=3)
+    return f'<axis xyz="{_text(direction / np.linalg.norm(direction))}"/>'
+
+
+def rotation(rng: np.random.Generator) -> Array:
+    """A rotation matrix, shape (3, 3)."""
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return np.asarray(Q * np.sign(np.linalg.det(Q)))
+
+
+def _link(name: str, inside: str) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(x)) for x in values)

@@ -1,0 +1,322 @@
+"""Every key of the contract's example, and files that are wrong or hostile."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from idtool.config import Config, parse_config, read_config
+from idtool.exceptions import ConfigError
+
+Write = Callable[[str | bytes, str], Path]
+
+EXAMPLE = """\
+joints: [abad, hip, knee]
+locked_joints: {tail: 0.0}
+gravity: [0, 0, -9.81]
+log:
+  topic: /joint_states
+  columns: {t: time}
+  scale: {tau: {hip: 0.118}}
+velocity: auto
+bounding_ellipsoids:
+  thigh:
+    - {center: [0, 0, -0.17], semi_axes: [0.08, 0.08, 0.25], rpy: [0, 0, 0]}
+rotors:
+  hip_rotor:
+    joint: hip
+    gear_ratio: 10.604
+    parent: abad_link
+    origin: {xyz: [0, 0.045, 0], rpy: [0, 0, 0]}
+    axis: [0, 1, 0]
+    inertial: {mass: 0.5, com: [0, 0, 0], inertia: [1.0e-3, 0, 2.0e-3, 0, 0, 3.0e-3]}
+    bounding_ellipsoid: {center: [0, 0, 0], semi_axes: [0.05, 0.05, 0.05]}
+friction: {viscous: true, coulomb: true, offset: false}
+constraints: ellipsoid
+regularization: {kind: euclidean, weight: 1.0e-6}
+filter: {kind: butterworth, cutoff_hz: 40, order: 4}
+effects:
+  - {effect: torque_offset, joint: hip, parameters: {offset: 0.1}}
+solver: {name: clarabel}
+controller: {kp: {hip: 20.0}, kd: {hip: 1.0}, delay: 0.005}
+simulation: {window: 1.0}
+seed: 0
+"""
+
+
+@pytest.fixture
+def read(written: Write) -> Callable[[str | bytes], Config]:
+    """Reads a configuration from its text."""
+    return lambda text: read_config(written(text, "robot.yaml"))
+
+
+def refusal(read: Callable[[str | bytes], Config], text: str | bytes) -> str:
+    """The error that a configuration gives, checked to be one line."""
+    with pytest.raises(ConfigError) as caught:
+        read(text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "robot.yaml" in message
+    assert len(message) < 400
+    return message.partition("robot.yaml: ")[2]
+
+
+def test_the_contracts_example(read: Callable[[str], Config]) -> None:
+    config = read(EXAMPLE)
+    assert config.joints == ("abad", "hip", "knee")
+    assert config.locked_joints == {"tail": 0.0}
+    assert config.gravity == (0.0, 0.0, -9.81)
+    assert config.log.topic == "/joint_states"
+    assert config.log.columns == {"t": "time"}
+    assert config.log.scale == {"tau": {"hip": 0.118}}
+    (bound,) = config.bounding_ellipsoids["thigh"]
+    assert bound.ellipsoid().center == (0.0, 0.0, -0.17)
+    assert bound.ellipsoid().semi_axes == (0.08, 0.08, 0.25)
+    rotor = config.rotors["hip_rotor"]
+    assert rotor.ratios == {"hip": 10.604}
+    assert rotor.parent == "abad_link"
+    assert rotor.axis == (0.0, 1.0, 0.0)
+    assert rotor.origin is not None
+    assert rotor.inertial is not None
+    assert rotor.bounding_ellipsoid is not None
+    assert rotor.origin.xyz == (0.0, 0.045, 0.0)
+    assert rotor.inertial.inertia == (1e-3, 0.0, 2e-3, 0.0, 0.0, 3e-3)
+    assert rotor.bounding_ellipsoid.semi_axes == (0.05, 0.05, 0.05)
+    assert config.constraints == "ellipsoid"
+    assert (config.regularization.kind, config.regularization.weight) == ("euclidean", 1e-6)
+    assert (config.filter.kind, config.filter.cutoff_hz, config.filter.order) == ("butterworth", 40.0, 4)
+    assert config.effects[0].parameters == {"offset": 0.1}
+    assert config.controller is not None
+    assert (config.controller.kp, config.controller.kd, config.controller.delay) == ({"hip": 20.0}, {"hip": 1.0}, 0.005)
+    assert (config.solver.name, config.simulation.window, config.seed, config.velocity) == ("clarabel", 1.0, 0, "auto")
+
+
+def test_every_key_has_a_default(read: Callable[[str], Config]) -> None:
+    assert read("") == read("{}") == Config()
+    for key, value in yaml.safe_load(EXAMPLE).items():
+        assert read(yaml.safe_dump({key: value})) == parse_config({key: value}, "here")
+
+
+@pytest.mark.parametrize("number", ["1e-6", "1.0e-6", "1.E-6", "0.000001", "+1e-06", "1E-6"])
+def test_numbers_as_people_write_them(read: Callable[[str], Config], number: str) -> None:
+    """YAML takes 1e-6 for text."""
+    assert read(f"regularization: {{weight: {number}}}").regularization.weight == 1e-6
+
+
+def test_rollouts_that_never_restart(read: Callable[[str], Config]) -> None:
+    assert read("simulation: {window: null}").simulation.window is None
+
+
+def test_a_coupling_stands_for_joint_and_gear_ratio(read: Callable[[str], Config]) -> None:
+    rotor = read("rotors: {belt: {coupling: {hip: 10.6, knee: -10.6}}}").rotors["belt"]
+    assert rotor.ratios == {"hip": 10.6, "knee": -10.6}
+
+
+def test_friction_for_all_joints_alike(read: Callable[[str], Config]) -> None:
+    config = read("friction: {coulomb: false, offset: {value: 0.3, standard_error: 0.01}}")
+    for joint in ("hip", "knee"):
+        friction = config.friction_of(joint)
+        assert friction.viscous is True
+        assert friction.coulomb is False
+        assert friction.offset.model_dump() == {"value": 0.3, "standard_error": 0.01}  # type: ignore[union-attr]
+
+
+def test_friction_by_joint(read: Callable[[str], Config]) -> None:
+    config = read(
+        "friction: {hip: {viscous: {value: 0.4, standard_error: 0.02}, coulomb: 0.7}, knee: {viscous: false}}"
+    )
+    hip, knee = config.friction_of("hip"), config.friction_of("knee")
+    assert hip.viscous.model_dump() == {"value": 0.4, "standard_error": 0.02}  # type: ignore[union-attr]
+    assert hip.coulomb.model_dump() == {"value": 0.7, "standard_error": None}  # type: ignore[union-attr]
+    assert (knee.viscous, knee.coulomb, knee.offset) == (False, True, False)
+    assert config.friction_of("abad") == Config().friction_of("abad")  # not named: the default terms
+
+
+def test_friction_with_values_for_all_joints_is_not_taken_for_joints(read: Callable[[str], Config]) -> None:
+    config = read("friction: {viscous: {value: 0.4}, coulomb: {value: 0.7}}")
+    assert config.friction_of("hip").coulomb.value == 0.7  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("key", ["seed", "filter"])
+def test_a_configuration_cannot_be_changed(key: str) -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        setattr(Config(), key, 1)
+
+
+def paths(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where the example's own keys stand; names that the user chooses are left out."""
+    chosen_by_user = {"locked_joints", "columns", "tau", "bounding_ellipsoids", "rotors", "parameters", "kp", "kd"}
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        if isinstance(key, str) and not (path and path[-1] in chosen_by_user):
+            yield (*path, key)
+        yield from paths(value, (*path, key))
+
+
+@pytest.mark.parametrize("path", list(paths(yaml.safe_load(EXAMPLE))), ids=lambda path: ".".join(map(str, path)))
+def test_a_slip_in_any_key_names_the_key_that_was_meant(
+    read: Callable[[str | bytes], Config], path: tuple[Any, ...]
+) -> None:
+    data = copy.deepcopy(yaml.safe_load(EXAMPLE))
+    holder = data
+    for key in path[:-1]:
+        holder = holder[key]
+    slip = path[-1] + "x"
+    holder[slip] = holder.pop(path[-1])
+    message = refusal(read, yaml.safe_dump(data))
+    where = ".".join(map(str, path[:-1]))
+    assert message.startswith(where)
+    if where == "log.scale":
+        assert "'tau'" in message
+    else:
+        assert f"unknown key '{slip}'; did you mean '{path[-1]}'?" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("friction: {viscos: true}", "friction: unknown key 'viscos'; did you mean 'viscous'?"),
+        ("friction: {hip: {viscos: true}}", "friction.hip: unknown key 'viscos'; did you mean 'viscous'?"),
+        ("friction: {hip: {viscous: {valu: 1}}}", "friction.hip.viscous: unknown key 'valu'; did you mean 'value'?"),
+        ("friction: {hip: {viscous: [1]}}", "friction.hip.viscous.value: input should be a valid number"),
+        ("friction: 3", "friction: input should be a mapping of keys to values"),
+        ("log:", "log: input should be a mapping of keys to values"),
+        ("joints: hip", "joints: input should be a list"),
+        ("gravity: [0, 0]", "gravity.2: field required"),
+        ("gravity: [0, 0, .nan]", "gravity.2: input should be a finite number"),
+        ("gravity: [0, 0, -.inf]", "gravity.2: input should be a finite number"),
+        ("locked_joints: {tail: up}", "locked_joints.tail: input should be a valid number"),
+        ("locked_joints: {1: 0.0}", "locked_joints.1: input should be a valid string"),
+        ("regularization: {weight: -1}", "regularization.weight: input should be greater than or equal to 0"),
+        ("regularization: {weight: 1e400}", "regularization.weight: input should be a finite number"),
+        ("filter: {cutoff_hz: 0}", "filter.cutoff_hz: input should be greater than 0"),
+        ("filter: {order: 9}", "filter.order: input should be less than or equal to 8"),
+        ("bounding_ellipsoids: {thigh: {semi_axes: [1, 1, 1]}}", "bounding_ellipsoids.thigh: input should be a list"),
+        (
+            "bounding_ellipsoids: {thigh: [{semi_axes: [1, 1, 0]}]}",
+            "bounding_ellipsoids.thigh.0.semi_axes.2: input should be greater than 0",
+        ),
+        ("velocity: guessed", "velocity: input should be 'measured', 'differentiated' or 'auto'"),
+        ("constraints: tight", "constraints: input should be 'none', 'semi', 'full', 'com_ellipsoid' or 'ellipsoid'"),
+        ("solver: {name: mosek}", "solver.name: input should be 'clarabel'"),
+        ("controller: {kd: {hip: 1}}", "controller.kp: field required"),
+        ("seed: 0.5", "seed: input should be a valid integer"),
+        ("effects: [{joint: hip}]", "effects.0.effect: field required"),
+        ("rotors: {r: {joint: hip}}", "rotors.r: needs joint and gear_ratio, or coupling"),
+        ("rotors: {r: {gear_ratio: 3}}", "rotors.r: needs joint and gear_ratio, or coupling"),
+        ("rotors: {r: {coupling: {a: 1}, joint: b}}", "rotors.r: give either joint and gear_ratio, or coupling"),
+        ("rotors: {r: {joint: hip, gear_ratio: 0}}", "rotors.r: a gear ratio of 0 does not move the rotor"),
+        ("rotors: {r: {coupling: {a: 1, b: 0}}}", "rotors.r: a gear ratio of 0 does not move the rotor"),
+        ("rotors: {r: {joint: hip, gear_ratio: 3, axis: [0, 0, 0]}}", "rotors.r: axis must not be zero"),
+        (
+            "rotors: {r: {joint: hip, gear_ratio: 3, inertial: {mass: -1, inertia: [1, 0, 1, 0, 0, 1]}}}",
+            "rotors.r.inertial.mass: input should be greater than or equal to 0",
+        ),
+        ("[joints, rotors]", "is not a configuration"),
+        ("just words", "is not a configuration"),
+    ],
+)
+def test_a_value_that_does_not_fit_names_its_key(
+    read: Callable[[str | bytes], Config], text: str, expected: str
+) -> None:
+    assert refusal(read, text).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("known: {mass: {thigh: 0.634}}", "known"),
+        ("mirror: [{body: FR_thigh, of: FL_thigh, plane: xz}]", "mirror"),
+        ("regularization: {kind: entropic}", "regularization.kind"),
+        ("regularization: {kind: pullback}", "regularization.kind"),
+    ],
+)
+def test_what_this_version_lacks_is_said_plainly(read: Callable[[str | bytes], Config], text: str, key: str) -> None:
+    message = refusal(read, text)
+    assert message.startswith(key)
+    assert "is not in this version of idtool" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("seed: 1\nvelocity: auto\nseed: 2", 3), ("log:\n  topic: /a\n  topic: /b", 3), ("log: {topic: a, topic: b}", 1)],
+)
+def test_a_repeated_key_is_refused(read: Callable[[str | bytes], Config], text: str, line: int) -> None:
+    assert f"stands twice, again in line {line}" in refusal(read, text)
+
+
+@pytest.mark.parametrize("link", ["[{}]", "{{<<: [{}]}}"], ids=["lists", "merged mappings"])
+def test_nested_aliases_are_refused(read: Callable[[str | bytes], Config], link: str) -> None:
+    names = "abcdefghijkl"
+    levels = [
+        f"{name}: &{name} {link.format(', '.join([f'*{previous}'] * 9))}"
+        for previous, name in itertools.pairwise(names)
+    ]
+    assert "aliases written out" in refusal(read, "\n".join(["a: &a {x: 1}", *levels]))
+
+
+@pytest.mark.parametrize("text", ["&a [*a]", "joints: &a [*a]", "&a {log: *a}"])
+def test_an_alias_to_what_holds_it_is_refused(read: Callable[[str | bytes], Config], text: str) -> None:
+    assert "aliases written out" in refusal(read, text)
+
+
+def test_an_alias_that_only_saves_typing_is_fine(read: Callable[[str], Config]) -> None:
+    text = "bounding_ellipsoids: {left: &e [{semi_axes: [1, 2, 3]}], right: *e}"
+    assert read(text).bounding_ellipsoids["right"][0].semi_axes == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize("tag", ["!!python/object/apply:os.system", "!!python/name:os.system", "!!python/tuple", "!x"])
+def test_tags_that_make_objects_are_refused(read: Callable[[str | bytes], Config], tag: str) -> None:
+    assert "is not YAML in line 1" in refusal(read, f"joints: {tag} ['touch /tmp/owned']")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *("!!bool perhaps", "!!int ''", "!!int three", "!!float ''", "!!timestamp soon", "!!binary x", "2001-99-99"),
+        *("0x_", "1:" * 300 + "1.5", "1" * 6000),
+    ],
+)
+def test_values_that_belie_their_tag_are_refused(read: Callable[[str | bytes], Config], value: str) -> None:
+    assert refusal(read, f"seed: {value}").startswith("is not YAML")
+
+
+@pytest.mark.parametrize("value", ["1:" * 100_000 + "1", "9" * 100_000, '"' + "\\x41" * 20_000 + '"'])
+def test_values_without_end_are_refused(read: Callable[[str | bytes], Config], value: str) -> None:
+    assert "characters in line 2" in refusal(read, f"joints: []\nseed: {value}")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("joints: [hip", "a: b: c", "\tjoints: []", "seed: *nowhere", "{}\n---\n{}", "? [1, 2]\n: 3", "<<: 3"),
+        *("[" * 3000, b"\xff\xfe\x00", b"\x00\x01\x02", b"\x89PNG\r\n\x1a\n", b"seed: \xff"),
+    ],
+    ids=lambda text: repr(text)[:20],
+)
+def test_what_is_not_yaml_is_refused(read: Callable[[str | bytes], Config], text: str | bytes) -> None:
+    assert refusal(read, text).startswith("is not YAML")
+
+
+def test_a_huge_file_is_refused_unread(read: Callable[[str | bytes], Config]) -> None:
+    assert refusal(read, "#" * (2 << 20)) == "is larger than 1 MiB, which no configuration is"
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(ConfigError, match="cannot be read"):
+            read_config(path)
+
+
+def test_bounds_turn_as_urdf_says(read: Callable[[str], Config]) -> None:
+    (bound,) = read(
+        "bounding_ellipsoids: {a: [{semi_axes: [1, 2, 3], rpy: [0, 0, 1.5707963267948966]}]}"
+    ).bounding_ellipsoids["a"]
+    np.testing.assert_allclose(bound.ellipsoid().Q_s, np.diag([4, 1, 9]), atol=1e-12)
