@@ -235,6 +235,16 @@ class Config(Record):
     simulation: Simulation = Simulation()
     seed: int = 0
 
+    def without_friction_values(self) -> Config:
+        """The same with the terms that friction has, but not their values."""
+
+        def terms(friction: Friction) -> Friction:
+            return Friction(**{name: term is not False for name, term in friction})
+
+        friction = self.friction
+        plain = terms(friction) if isinstance(friction, Friction) else {j: terms(f) for j, f in friction.items()}
+        return self.model_copy(update={"friction": plain})
+
     def friction_of(self, joint: str) -> Friction:
         """The friction terms of one joint; a joint that is not named has the default ones."""
         return self.friction if isinstance(self.friction, Friction) else self.friction.get(joint, Friction())

@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from idtool.config import Config
 from idtool.effects import build_effects
-from idtool.exceptions import ConfigError, LogError
+from idtool.exceptions import ConfigError, LogError, ModelError
 from idtool.logs import read_log
 from idtool.model import Model, build_model
 from idtool.reduction import Reduction, empty, reduce_blocks
@@ -131,14 +134,15 @@ def prepare(
     """
     if not 0 <= holdout < 1:
         raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
-    if not logs:
-        raise LogError("logs", "none given")
+    if not logs and not validate:
+        raise LogError("logs", "none given; name at least one MCAP or CSV file")
     options = config.log
     fitted, kept = (
         [read_log(path, topic=options.topic, columns=options.columns, scale=options.scale) for path in paths]
         for paths in (logs, validate)
     )
-    common = [name for name in fitted[0].joints if all(name in log.joints for log in (*fitted, *kept))]
+    every = (*fitted, *kept)
+    common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
     equation = LinearModel(model.names, build_effects(model, config))
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
@@ -159,3 +163,30 @@ def _split(signals: Signals, share: float) -> Run:
         if part.stop > cut:
             held_out.append(slice(cut, part.stop))
     return Run(signals, tuple(train), tuple(held_out))
+
+
+def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> NDArray[np.float64]:
+    """Another URDF's coefficients in the order of an experiment's, shape (p,).
+
+    Parameters
+    ----------
+    robot
+        From the other URDF.
+    config
+        Its configuration; its choice of joints gives way to the experiment's.
+    experiment
+        Whose torque equation the coefficients are for; what the other model lacks is zero.
+
+    Raises
+    ------
+    ModelError
+        If it is not a URDF of the same robot.
+    """
+    joints = experiment.equation.joints
+    config = config.model_copy(update={"joints": joints})
+    model = build_model(robot, config, joints)
+    coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
+    values = {(c.effect, c.owner, c.name): c.prior for c in coefficients}
+    if {body.name for body in model.bodies} != {body.name for body in experiment.model.bodies}:
+        raise ModelError(robot.path, "has not the same bodies as the model; compare URDFs of one robot")
+    return np.array([values.get((c.effect, c.owner, c.name), 0.0) for c in experiment.equation.coefficients])

@@ -107,7 +107,7 @@ def choose_sets(bodies: tuple[Body, ...], name: str | None) -> tuple[tuple[Const
     """
     known = constraint_sets()
     wanted = known[name] if name else tightest()
-    unbounded = list(s for s in known.values() if not s.bounded)[-1]
+    unbounded = [s for s in known.values() if not s.bounded][-1]
     lacking = [body.name for body in bodies if wanted.bounded and not body.ellipsoids]
     sets = tuple(unbounded if body.name in lacking else wanted for body in bodies)
     remark = f"no bounding ellipsoid, only full consistency is demanded: {', '.join(lacking)}"

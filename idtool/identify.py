@@ -33,8 +33,7 @@ Array = NDArray[np.float64]
 
 _INTERIOR = 1e-7  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 _GAP = 1e-6  # relative duality gap above which a solution is refused
-_REWEIGHTED = 0.02  # relative change of the joints' noise below which the weights have settled
-_MOST_PASSES = 5
+_RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _LEAST_NOISE = 1e-6  # of a joint's torque, so that data without noise have finite weights
 
 
@@ -187,16 +186,11 @@ def identify(
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
     active = model.active()
-    noise = np.array([_free_noise(factor) for factor in reduction])
-    for _ in range(_MOST_PASSES):
-        problem = build_problem(model, bodies, reduction, sets, regularization, noise)
-        x, certificate = solve(problem)
-        theta = problem.scale * (problem.S @ x)
-        residual = np.array([_noise(f, theta[columns]) for f, columns in zip(reduction, active, strict=True)])
-        settled = np.abs(residual / noise - 1).max() < _REWEIGHTED
-        noise = residual
-        if settled:
-            break
+    problem = build_problem(model, bodies, reduction, sets, regularization, free_noise(model, reduction))
+    x, certificate = solve(problem)
+    theta = problem.scale * (problem.S @ x)
+    share = freedom(reduction, int(np.linalg.matrix_rank(weighted_rows(model, reduction, np.ones(len(reduction))))))
+    noise = np.array([_noise(f, theta[columns], share) for f, columns in zip(reduction, active, strict=True)])
     by_part = [(part.body.name, part.scales * x[SIZE * k : SIZE * (k + 1)]) for k, part in enumerate(problem.parts)]
     parts = tuple(np.array([pi for name, pi in by_part if name == body.name]) for body in bodies)
     return Estimate(theta, parts, noise, certificate)
@@ -208,20 +202,31 @@ def _floor(factor: Factor) -> float:
     return _LEAST_NOISE * tau or 1.0
 
 
-def _noise(factor: Factor, theta: Array) -> float:
-    """Residual noise of a joint, the degrees of freedom that the fit took away given back."""
-    free = max(factor.independent - np.linalg.matrix_rank(factor.R[:, :-1]), 0.5 * factor.independent, 1.0)
-    share = free / max(factor.independent, 1.0)
+def _noise(factor: Factor, theta: Array, share: float = 1.0) -> float:
+    """Residual noise of a joint; ``share`` of the samples' freedom is left after the fit."""
     return max(float(np.sqrt(factor.squares(theta) / max(factor.rows, 1) / share)), _floor(factor))
 
 
-def _free_noise(factor: Factor) -> float:
-    """The noise that a joint's own least squares would leave; its torque where there are too few rows to tell."""
-    columns = factor.R.shape[1] - 1
-    if factor.independent < 2 * columns:
-        return max(float(np.linalg.norm(factor.R[:, -1]) / np.sqrt(max(factor.rows, 1))), _floor(factor))
-    theta = np.linalg.lstsq(factor.R[:, :-1], factor.R[:, -1], rcond=None)[0]
-    return _noise(factor, theta)
+def freedom(reduction: Reduction, rank: int) -> float:
+    """Share of the independent samples that are left when a fit has taken ``rank`` of them, at least a half."""
+    independent = sum(factor.independent for factor in reduction)
+    return max(1 - rank / max(independent, 1.0), 0.5)
+
+
+def free_noise(model: LinearModel, reduction: Reduction) -> Array:
+    """What plain least squares leaves of each joint's torque, all joints alike and nothing constrained; shape (nv,).
+
+    Weights from a first fit without weights, as in the two-step weighted least squares that is usual in robot
+    identification (Gautier 1997). With fewer than two independent samples for each parameter that they determine, the
+    torques themselves are the weights.
+    """
+    rows = weighted_rows(model, reduction, np.ones(len(reduction)))
+    size = np.linalg.norm(rows[:, :-1], axis=0)
+    size[size == 0] = 1.0
+    theta, _, rank, _ = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=_RANK)
+    theta = theta / size if sum(factor.independent for factor in reduction) >= 2 * rank else np.zeros_like(theta)
+    share = freedom(reduction, int(rank))
+    return np.array([_noise(f, theta[columns], share) for f, columns in zip(reduction, model.active(), strict=True)])
 
 
 def build_problem(

@@ -1,9 +1,9 @@
 """Motion of every body of the tree, for a whole batch of samples at once.
 
-Letters, all in the body's own frame, component first: w angular velocity [rad/s] and alpha its derivative [rad/s²], acc
-acceleration of the frame's origin less gravity [m/s²], each (3, N); for the k coordinates that move the body, S_w and S_v
-its angular and linear velocity per unit of that coordinate's, each (3, k, N). q, v, a are (nv, N). A last axis of length
-1 stands for all samples.
+Letters, all in the body's own frame, component first: w angular velocity [rad/s] and alpha its derivative [rad/s²],
+acc acceleration of the frame's origin less gravity [m/s²], each (3, N); for the k coordinates that move the body, S_w
+and S_v its angular and linear velocity per unit of that coordinate's, each (3, k, N). q, v, a are (nv, N). A last axis
+of length 1 stands for all samples.
 """
 
 from __future__ import annotations
@@ -70,10 +70,9 @@ def _step(body: Body, parent: BodyMotion, q: Array, v: Array, a: Array) -> BodyM
     moved = np.flatnonzero(body.ratios)
     ratios = body.ratios[moved]
     phi, dphi, ddphi = ratios @ q[moved] + body.offset, ratios @ v[moved], ratios @ a[moved]
+    p = body.mount.p[:, None]
     if body.prismatic:
-        p = body.mount.p[:, None] + (body.mount.R @ body.axis)[:, None] * phi
-    else:
-        p = body.mount.p[:, None]
+        p = p + (body.mount.R @ body.axis)[:, None] * phi
     acc = parent.acc + cross(parent.alpha, p) + cross(parent.w, cross(parent.w, p))
     S_v = parent.S_v + cross(parent.S_w, p[:, None])
     # One rotation for everything: columns are w, alpha, acc, then the Jacobian's.

@@ -210,7 +210,7 @@ class _Builder:
         if not chosen:
             raise ModelError(
                 self.robot.path,
-                f"no actuated joint of the URDF is in the logs; the URDF has {', '.join(list(actuated)[:8]) or 'none'}, "
+                f"no actuated joint of it is in the logs; the URDF has {', '.join(list(actuated)[:8]) or 'none'}, "
                 f"the logs have {', '.join(self.logged[:8])}",
             )
         strangers = [name for name in self.logged if name not in self.robot.joints]

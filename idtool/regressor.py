@@ -16,7 +16,7 @@ from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]
 
-_UNDEFINED = 0.1  # share of a filtered sample's weight that may come from samples where a column is not defined
+_UNDEFINED = 0.3  # share of a filtered sample's weight that may come from samples where a column is not defined
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class LinearModel:
     def block(self, batch: Batch) -> list[Array]:
         """Filtered columns and torque in the band; per joint (m_j + 1, n), the torque last.
 
-        Samples that owe more than a tenth of their weight to moments where a column is not defined, such as the sign of
+        Samples that owe more than 30 % of their weight to moments where a column is not defined, such as the sign of
         a velocity of zero, are left out of that joint's block.
         """
         kept = self._defined(batch)

@@ -13,7 +13,6 @@ from idtool.config import Config
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.model import Body
-from idtool.sets import tightest
 from idtool.urdf import JointDynamics
 from idtool.validate import Evaluation
 

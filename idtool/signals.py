@@ -1,9 +1,9 @@
 """`Log` → `Motion`: positions, velocities, accelerations and torques of the model's joints, batch after batch.
 
-The torque equation is linear in its unknowns, so a low-pass on every column and on the torque alike keeps it exact, where
-one on the signals alone does not. Here the signals get a wide zero-phase filter against differentiated noise; `LowPass`
-is then applied to the columns. Both are symmetric kernels of finite length, so that a log taken in batches gives what
-the whole gives, and nothing reaches across a gap.
+The torque equation is linear in its unknowns, so a low-pass on every column and on the torque alike keeps it exact,
+where one on the signals alone does not. Here the signals get a wide zero-phase filter against differentiated noise;
+`LowPass` is then applied to the columns. Both are symmetric kernels of finite length, so that a log taken in batches
+gives what the whole gives, and nothing reaches across a gap.
 
 Shapes: nv joints, N samples at the logged rate, n samples after decimation. Units: rad or m, s, N·m or N.
 """
@@ -36,6 +36,7 @@ _LAGS = 0.25  # samples of lag of a measured velocity that are worth a word
 _AGREES = 0.8  # share of a measured velocity's power that dq/dt must explain for their lag to be believed
 _QUIETER = 0.5  # a measured velocity is used where its noise is below this share of the differentiated one's
 _STILL = 3e-3  # rad/s or m/s: least velocity whose sign is believed
+_SIGN_WIDTH = 1.25  # tanh(v / (1.25 sigma)) is nearest to the mean of the true v's sign under noise of sigma
 _AROUND = 10  # samples to either side that tell the speed at which a sample was taken
 _SAMPLES_FOR_CHOICE = 1 << 16
 # Maximally flat central difference, 4 samples to each side: within 1 % up to a fifth of the sampling rate.
@@ -301,9 +302,9 @@ class Signals:
         return kept
 
     def _stillness(self) -> Array:
-        """Speed below which the sign is noise."""
+        """Speed at which the sign of v is as good as lost in its noise."""
         v = self._kinematics(self._longest(self.ranges))[1]
-        return np.asarray(np.maximum(_STILL, 3 * _noise(v, self.every_sample)))
+        return np.asarray(np.maximum(_STILL, _SIGN_WIDTH * _noise(v, self.every_sample)))
 
     def batches(self, ranges: Sequence[slice] | None = None, every_sample: bool = False) -> Iterator[Batch]:
         """The log in batches of bounded size.
@@ -388,7 +389,7 @@ class Signals:
         return self._smooth(tau), tau[:, m : m + part.stop - part.start]
 
     def _controller_torque(self, part: slice) -> Array:
-        """kp (qcmd − q) + kd (vcmd − v), the command late by the controller's delay (contract section 2)."""
+        """Kp (qcmd − q) + kd (vcmd − v), the command late by the controller's delay (contract section 2)."""
         controller = self.controller
         if controller is None:
             raise AssertionError  # ruled out by _check_torque

@@ -1,6 +1,6 @@
 """An estimate into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
 
-The file is edited by byte positions that expat reports, so that comments, order, quoting and indentation stay as they are.
+The file is edited at byte positions that expat reports, so that comments, order, quoting and indentation stay.
 """
 
 from __future__ import annotations
@@ -54,9 +54,7 @@ def _is_realizable(pi: Array) -> bool:
     return bool(np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0)
 
 
-def rewrite(
-    text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]
-) -> bytes:
+def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
     """The URDF with other inertials and joint dynamics.
 
     Parameters
@@ -112,7 +110,9 @@ def _elements(text: bytes) -> list[_Element]:
         element = stack.pop()
         at = parser.CurrentByteIndex
         # An empty-element tag ends where it began; else the end tag begins here.
-        element.stop = text.index(b">", max(at, element.start)) + 1 if text[at : at + 2] == b"</" else _tag_end(text, at)
+        element.stop = (
+            text.index(b">", max(at, element.start)) + 1 if text[at : at + 2] == b"</" else _tag_end(text, at)
+        )
         if len(stack) == 1 and tag in ("link", "joint"):
             found.append(element)
         elif len(stack) == 2 and tag in ("inertial", "dynamics"):
@@ -185,7 +185,9 @@ def _dynamics(old: bytes, dynamics: JointDynamics) -> bytes:
     return b"<dynamics " + b" ".join(attributes) + b"/>" if attributes else old
 
 
-def identified_urdf(robot: Robot, bodies: Mapping[str, tuple[Body, Array]], joints: Mapping[str, JointDynamics]) -> bytes:
+def identified_urdf(
+    robot: Robot, bodies: Mapping[str, tuple[Body, Array]], joints: Mapping[str, JointDynamics]
+) -> bytes:
     """The robot's URDF with identified bodies and friction.
 
     Parameters

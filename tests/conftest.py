@@ -8,6 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
+from robots import leg_urdf
+
+from idtool.config import Config, parse_config, read_config
+from idtool.exceptions import ConfigError
+from idtool.model import Model, build_model
+from idtool.robot import Robot, read_robot
 
 settings.register_profile("idtool", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("idtool")
@@ -29,3 +35,44 @@ def written(tmp_path: Path) -> Callable[[str | bytes, str], Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def robot_of(written: Callable[[str | bytes, str], Path]) -> Callable[[str | bytes], Robot]:
+    """Reads a robot from its URDF's text."""
+    return lambda text: read_robot(written(text, "robot.urdf"))
+
+
+@pytest.fixture
+def build(robot_of: Callable[[str | bytes], Robot]) -> Callable[..., Model]:
+    """The model of a URDF, a configuration and the joints logged."""
+    return lambda text, logged, **config: build_model(robot_of(text), parse_config(config, "robot.yaml"), logged)
+
+
+@pytest.fixture
+def leg(rng: np.random.Generator) -> str:
+    """The leg of `leg_urdf`."""
+    return leg_urdf(rng)
+
+
+@pytest.fixture
+def read(written: Callable[[str | bytes, str], Path]) -> Callable[[str | bytes], Config]:
+    """Reads a configuration from its text."""
+    return lambda text: read_config(written(text, "robot.yaml"))
+
+
+@pytest.fixture
+def refusal(read: Callable[[str | bytes], Config]) -> Callable[[str | bytes], str]:
+    """The error that a configuration's text gives, checked to be one line that names the file."""
+
+    def refused(text: str | bytes) -> str:
+        with pytest.raises(ConfigError) as caught:
+            read(text)
+        where, file, message = str(caught.value).partition("robot.yaml: ")
+        assert where
+        assert file
+        assert "\n" not in message
+        assert len(message) < 200
+        return message
+
+    return refused

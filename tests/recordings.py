@@ -126,7 +126,7 @@ class Proto:
         joint.field.add(name="name", number=7, label=3, type=9)
         for number, name in enumerate(("position", "velocity", "effort"), 20):
             joint.field.add(name=name, number=number, label=3, type=self.number).options.packed = self.packed
-        for number, (name, kind) in enumerate(self.extra.items(), 1):
+        for number, (name, kind) in enumerate(self.extra.items(), 8):
             joint.field.add(name=name, number=number, label=1, type=kind)
         header = files.file.add(name="header.proto", package="robot", syntax="proto3")
         stamp = header.message_type.add(name="Time")
@@ -159,6 +159,7 @@ class Channel:
     payloads: Sequence[bytes]
     encoding: str = "cdr"
     schema: tuple[str, str, bytes] = (NAME, "ros2msg", ROS2.encode())
+    metadata: dict[str, str] = field(default_factory=dict)
 
 
 def ros2(items: Sequence[State], topic: str = "/joint_states") -> Channel:
@@ -185,7 +186,9 @@ def write_mcap(path: Path, *channels: Channel, **options: Any) -> Path:
         writer = Writer(file, **options)
         writer.start()
         ids = [
-            writer.register_channel(channel.topic, channel.encoding, writer.register_schema(*channel.schema))
+            writer.register_channel(
+                channel.topic, channel.encoding, writer.register_schema(*channel.schema), channel.metadata
+            )
             for channel in channels
         ]
         for i in range(max(len(channel.times) for channel in channels)):

@@ -160,7 +160,22 @@ def test_sources_that_take_turns(tmp_path: Path) -> None:
     both = sorted([*arm, *gripper], key=lambda state: state.stamp)
     log = read_log(write_mcap(tmp_path / "log", ros2(both), chunk_size=3000))
     check(log, arm)
-    assert "kept the 100 samples of abad, hip, knee; left out q_finger, v_finger, tau_finger" in log.warnings[0]
+    assert log.warnings[0].endswith(
+        "kept the 100 samples of abad, hip, knee, left out 20 samples, q_finger, v_finger, tau_finger"
+    )
+
+
+def test_a_source_that_speaks_seldom(tmp_path: Path) -> None:
+    arm = states(100)
+    items = [
+        replace(s, names=[*s.names, "finger"], position=[*s.position, 1.0], velocity=[*s.velocity, 0.0], effort=())
+        if i % 10 == 5
+        else replace(s, effort=())
+        for i, s in enumerate(arm)
+    ]
+    log = read_log(write_mcap(tmp_path / "log", ros2(items)))
+    check(log, [replace(s, effort=()) for s in arm])
+    assert log.warnings[0].endswith("left out q_finger, v_finger")
 
 
 def test_two_publishers_of_one_topic(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Every term of the torque equation. A new effect is one new file in this folder that nothing else has to know about."""
+"""Every term of the torque equation. A new effect is one new file in this folder that nothing else knows about."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
     ConfigError
         If the configuration names an effect or joint that is not known, or gives a parameter that the effect has not.
     """
-    terms: dict[tuple[str, int], float] = {}
+    terms: dict[tuple[str, int], dict[str, float]] = {}
     for j, joint in enumerate(model.joints):
         for effect, prior in _friction(joint, config.friction_of(joint.name)).items():
-            terms[effect, j] = prior
+            terms[effect, j] = {known_effects()[effect].name: prior}
     for entry in config.effects:
-        effect, j, prior = _entry(entry, model)
-        terms[effect, j] = prior
-    return (
-        RigidBodies(model),
-        *(known_effects()[effect](model, j, prior) for (effect, j), prior in terms.items()),
-    )
+        terms[_entry(entry, model)] = _parameters(entry)
+    effects: list[Effect] = [RigidBodies(model)]
+    for (effect, j), parameters in terms.items():
+        kind = known_effects()[effect]
+        effects.append(kind(model, j, parameters[kind.name], {name: parameters[name] for name in kind.held}))
+    return tuple(effects)
 
 
 def _friction(joint: Joint, friction: Friction) -> dict[str, float]:
@@ -64,20 +64,23 @@ def _friction(joint: Joint, friction: Friction) -> dict[str, float]:
     }
 
 
-def _entry(entry: EffectEntry, model: Model) -> tuple[str, int, float]:
-    """Id, joint and coefficient of an entry under `effects`."""
-    known = known_effects()
+def _entry(entry: EffectEntry, model: Model) -> tuple[str, int]:
+    """Id and joint of an entry under `effects`."""
+    where, known = f"effects: {entry.effect}", known_effects()
     if entry.effect not in known:
-        raise ConfigError(
-            f"effects: {entry.effect}", f"is not an effect of this version; {nearest(entry.effect, known)}"
-        )
+        raise ConfigError(where, f"is not an effect of this version; {nearest(entry.effect, known)}")
     if entry.joint not in model.names:
-        raise ConfigError(f"effects: {entry.effect}", f"joint {entry.joint}: {nearest(str(entry.joint), model.names)}")
-    name = known[entry.effect].name
-    if set(entry.parameters) != {name}:
-        raise ConfigError(f"effects: {entry.effect}", f"needs the parameter {name}, and no other")
+        raise ConfigError(where, f"{entry.joint} is no moving joint; {nearest(str(entry.joint), model.names)}")
+    return entry.effect, model.names.index(entry.joint)
+
+
+def _parameters(entry: EffectEntry) -> dict[str, float]:
+    """Values of an entry's parameters."""
+    where, kind = f"effects: {entry.effect}", known_effects()[entry.effect]
+    names = (kind.name, *kind.held)
+    if set(entry.parameters) != set(names):
+        raise ConfigError(where, f"needs the parameters {', '.join(names)}, and no other")
     try:
-        value = Uncertain.model_validate(entry.parameters[name]).value
+        return {name: Uncertain.model_validate(entry.parameters[name]).value for name in names}
     except ValueError:
-        raise ConfigError(f"effects: {entry.effect}: {name}", "is not a number") from None
-    return entry.effect, model.names.index(entry.joint), value
+        raise ConfigError(where, "has a parameter that is not a number") from None

@@ -13,6 +13,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
+_FAST = 0.1  # widths a sample above which the sign changes within it
 _SURE = 3.0  # widths of the rounded sign beyond which it is ±1 to half a percent
 
 
@@ -36,8 +37,16 @@ class CoulombFriction(JointTerm):
     unit = ("N·m", "N")
 
     def column(self, motion: Motion) -> Array:
-        """The direction of motion."""
-        return np.asarray(np.tanh(motion.v[self.joint] / motion.still[self.joint]))
+        """The direction of motion, the mean over the time from half a sample before to half a sample after."""
+        x = motion.v[self.joint] / motion.still[self.joint]
+        between = 0.5 * (x[1:] + x[:-1])
+        edge = np.concatenate([x[:1], between, x[-1:]])
+        change = np.diff(edge)
+        mean = np.tanh(x)
+        fast = np.abs(change) > _FAST
+        integral = np.logaddexp(edge, -edge)  # of tanh
+        mean[fast] = np.diff(integral)[fast] / change[fast]
+        return mean
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the joint rests: friction there can be anything up to c."""

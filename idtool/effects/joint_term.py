@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ class JointTerm(Effect):
         For a revolute joint, and for a prismatic one.
     lower
         The least value that physics allows.
+    held
+        Names of the effect's other parameters, on which its column depends.
 
     Parameters
     ----------
@@ -35,15 +37,19 @@ class JointTerm(Effect):
         Index of the joint.
     prior
         The coefficient before any data.
+    shape
+        Values of the parameters in ``held``.
     """
 
     id: str
     name: str
     unit: tuple[str, str]
     lower: float = 0.0
+    held: tuple[str, ...] = ()
 
-    def __init__(self, model: Model, joint: int, prior: float = 0.0) -> None:
+    def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
         self.joint = joint
+        self.shape = dict(shape or {})
         owner = model.joints[joint]
         unit = self.unit[owner.kind == "prismatic"]
         self.coefficients = (Coefficient(self.id, owner.name, self.name, unit, prior, lower=self.lower),)

@@ -38,6 +38,7 @@ __all__ = [
 
 _MOST = 1 << 17  # samples that statistics are taken from
 _STRETCH = 1 << 14  # samples
+_SHORTEST = 64  # samples of a stretch, where there are longer ones
 _LONGEST_GAPS = 5
 _SHORT = 0.5  # s
 
@@ -55,6 +56,11 @@ def inspect_log(log: Log) -> Inspection:
     Inspection
         Figures per log and per joint, and the findings.
     """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # values beyond all sense are no crash
+        return _inspected(log)
+
+
+def _inspected(log: Log) -> Inspection:
     stretches = _stretches(log.segments)
     spans = {name: span(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
@@ -84,13 +90,14 @@ def inspect_log(log: Log) -> Inspection:
 
 
 def _stretches(segments: tuple[slice, ...]) -> list[slice]:
-    """Stretches of the segments, evenly spread over the log, that hold about `_MOST` samples in all."""
+    """Stretches of the segments, evenly spread over the log, that hold at most about `_MOST` samples in all."""
     cut = [slice(a, min(a + _STRETCH, s.stop)) for s in segments for a in range(s.start, s.stop, _STRETCH)]
     total = sum(s.stop - s.start for s in segments)
     if total <= _MOST:
-        return list(segments)
-    keep = np.linspace(0, len(cut) - 1, max(len(cut) * _MOST // total, 1)).astype(int)
-    return [cut[i] for i in keep]
+        cut = list(segments)
+    cut = [s for s in cut if s.stop - s.start >= _SHORTEST] or cut
+    keep = np.linspace(0, len(cut) - 1, min(max(len(cut) * _MOST // total, 1), len(cut), _MOST // _SHORTEST))
+    return [cut[i] for i in keep.astype(int)]
 
 
 def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:

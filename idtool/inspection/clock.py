@@ -16,6 +16,7 @@ from idtool.logs.log import Log
 
 Array = NDArray[np.float64]
 
+_AROUND = 9  # stamps to either side of a gap
 _FEWEST = 200  # samples that tell the time, for a statement
 _UNCERTAIN = 0.1  # standard error of a step, in samples, above which it does not tell the time
 _SKIP = 1.6  # steps longer than this skip a sample
@@ -49,10 +50,14 @@ def gaps(log: Log) -> tuple[Gap, ...]:
     """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
     found, first = [], float(log.t[np.isfinite(log.t)][0])
     for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
-        start = float(log.t[before.stop - 1])
-        lost = float(log.t[after.start]) - start - log.dt * (after.start - before.stop + 1)
+        # several stamps to either side, extrapolated to the gap: a single one may be off
+        k = np.arange(_AROUND)
+        left, right = log.t[before][: -_AROUND - 1 : -1], log.t[after][:_AROUND]
+        end = float(np.median(left + log.dt * k[: len(left)]))
+        start = float(np.median(right - log.dt * k[: len(right)]))
+        lost = start - end - log.dt * (after.start - before.stop + 1)
         if lost > 0.5 * log.dt:
-            found.append(Gap(start - first, lost))
+            found.append(Gap(end - first, lost))
     return tuple(sorted(found, key=lambda gap: -gap.lost))
 
 
@@ -94,7 +99,7 @@ def sample_steps(q: Array, v: Array, dt: float) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.sum(step * expected * weight, axis=1) / information
         rest = (step - steps[:, None] * expected) ** 2 * weight
-        variance = np.nanmean(rest) * q.shape[1] / (q.shape[1] - 1)
+        variance = np.nansum(rest) / max(np.isfinite(rest).sum(), 1) * q.shape[1] / (q.shape[1] - 1)
         error = np.sqrt(variance / information)
     return steps, error
 

@@ -30,14 +30,14 @@ BAND = 5.0  # times the velocity's band: about what a fit's filter lets through
 STUCK = 0.005  # share of samples while moving
 STILL = 0.5  # share of the time
 TURNS = 8 * np.pi  # rad: four turns are degrees, or a wheel
-FAST = 0.2  # of the sampling rate: above it, derivatives are wrong by 10 % and more
+FAST = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
 
 _RANK: dict[Severity, int] = {"problem": 0, "warning": 1, "note": 2}
 _OVER_STEPS = "q differentiated from sample to sample is noisy: keep `velocity: measured` where v is logged"
 
 
 def find(dt: float, duration: float, samples: int, stamps: Stamps, joints: Mapping[str, Joint]) -> tuple[Finding, ...]:
-    """All findings, problems first.
+    """All findings, problems first, those with the same meaning side by side.
 
     Parameters
     ----------
@@ -55,15 +55,20 @@ def find(dt: float, duration: float, samples: int, stamps: Stamps, joints: Mappi
     found = [*_clock(dt, stamps), *_rows(duration, samples, stamps)]
     for name, joint in joints.items():
         found += [*_presence(name, joint), *_motion(name, joint, dt), *_torque(name, joint)]
-        if joint.velocity:
+        if joint.velocity and not _spoilt(joint):
             found += _velocity(name, joint.velocity, joint.band_hz or 0.0, dt)
         for signal, figures in joint.signals.items():
             found += _signal(name, signal, figures, joint, dt)
-    return tuple(sorted(found, key=lambda finding: _RANK[finding.severity]))
+    first = {finding.meaning: i for i, finding in reversed(list(enumerate(found)))}
+    return tuple(sorted(found, key=lambda finding: (_RANK[finding.severity], first[finding.meaning])))
 
 
 def _often(share: float) -> Severity:
     return "warning" if share > OFTEN else "note"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("s" if number != 1 else "")
 
 
 def _clock(dt: float, stamps: Stamps) -> Iterator[Finding]:
@@ -75,7 +80,7 @@ def _clock(dt: float, stamps: Stamps) -> Iterator[Finding]:
     elif told and told.jitter_ms > limit:
         what = f"by the joints' motion the samples were taken {told.jitter_ms:.3g} ms rms off the stamps' even clock"
         yield Finding("warning", None, what, "the stamps were rounded or made up; " + _OVER_STEPS)
-    if told and told.skipped > REPEATED and told.jitter_ms < limit:
+    if told and told.skipped - stamps.repeated > REPEATED and told.jitter_ms < limit:
         what = f"by the joints' motion {told.skipped:.1%} of the steps took the time of two samples or more"
         yield Finding(_often(told.skipped), None, what, "samples were lost without a gap in the stamps; " + _OVER_STEPS)
     if stamps.repeated > REPEATED:
@@ -87,18 +92,18 @@ def _rows(duration: float, samples: int, stamps: Stamps) -> Iterator[Finding]:
     if stamps.gaps:
         longest = stamps.longest_gaps[0]
         what = (
-            f"{stamps.gaps} gaps, {stamps.lost:.3g} s in all; the longest, {1e3 * longest.lost:.3g} ms, "
-            f"at {longest.start:.3f} s"
+            f"{_count(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
+            f"{longest.start:.3f} s into the log"
         )
         severity: Severity = "warning" if stamps.lost > LOST * duration or stamps.short > SHORT else "note"
         meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
         yield Finding(severity, None, what, meaning)
     if stamps.duplicates:
-        what = f"{stamps.duplicates} stamps equal the one before"
-        meaning = "they are taken as jitter; name the sensor's own time in `log.columns: {t: ...}` if it is logged"
+        what = f"{_count(stamps.duplicates, 'stamp')} equal to the one before"
+        meaning = "a coarse clock, or rows written twice; name the sensor's own time in `log.columns` if it is logged"
         yield Finding(_often(stamps.duplicates / samples), None, what, meaning)
     if stamps.backward:
-        what = f"{stamps.backward} stamps lie before the one before"
+        what = f"{_count(stamps.backward, 'stamp')} earlier than the one before"
         meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
         yield Finding("warning", None, what, meaning)
 
@@ -119,6 +124,8 @@ def _presence(name: str, joint: Joint) -> Iterator[Finding]:
 
 
 def _motion(name: str, joint: Joint, dt: float) -> Iterator[Finding]:
+    if "q" not in joint.signals:
+        return
     if not joint.moves:
         meaning = "its friction and inertia can't be seen; leave it out of `joints`, and lock it in `locked_joints`"
         yield Finding("warning", name, "the joint does not move", meaning)
@@ -127,7 +134,7 @@ def _motion(name: str, joint: Joint, dt: float) -> Iterator[Finding]:
         what = f"the joint stands still {joint.standstill:.0%} of the time"
         yield Finding("note", name, what, "samples at rest tell gravity within static friction, and little else")
     if joint.jumps:
-        what = f"q jumps {joint.jumps} times" + (" by about a full turn" if joint.wraps else "")
+        what = _count(joint.jumps, "jump") + " of q" + (" by about a full turn" if joint.wraps else "")
         meaning = "velocity and acceleration are wrong around each jump; unwrap q, or cut the log there"
         yield Finding("problem", name, what, meaning)
     if joint.band_hz is not None and joint.band_hz > FAST / dt:
@@ -167,27 +174,32 @@ def _torque(name: str, joint: Joint) -> Iterator[Finding]:
 def _signal(name: str, signal: str, x: Signal, joint: Joint, dt: float) -> Iterator[Finding]:
     if x.not_finite:
         meaning = "the rows are left out, and each run of them splits the log"
-        yield Finding("warning", name, f"{x.not_finite} samples of {signal} are not finite", meaning)
+        yield Finding("warning", name, f"{_count(x.not_finite, 'sample')} of {signal} not finite", meaning)
     if not joint.moves:
         return
     if x.constant and signal in ("v", "tau"):
         instead = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
         what = f"{signal} is {x.minimum:.4g} throughout while q moves"
         yield Finding("problem", name, what, f"the channel was not filled; {instead}")
-    if x.stale is not None and x.stale > STALE and signal in ("q", "v", "tau"):
+    if x.stuck > STUCK and signal in ("v", "tau"):
+        what = f"{signal} sits at its extremes, {x.minimum:.4g} and {x.maximum:.4g}, in {x.stuck:.1%} of the samples"
+        meaning = "what lies beyond was cut off and pulls the fit; excite less, or raise the limit"
+        yield Finding("warning", name, what, meaning)
+    elif x.stale is not None and x.stale > STALE and signal in ("q", "v", "tau"):
         what = f"{x.stale:.1%} of {signal}'s samples repeat the one before while it changes"
         meaning = "the channel is read too seldom, and is late by half its period; check the bus"
         yield Finding(_often(x.stale), name, what, meaning)
-    if x.stuck > STUCK and signal in ("v", "tau"):
-        what = f"{signal} sits at its extremes, {x.minimum:.4g} and {x.maximum:.4g}, in {x.stuck:.1%} of the samples"
-        meaning = f"{signal} saturates: what lies beyond was cut off and pulls the fit; excite less, or raise the limit"
-        yield Finding("warning", name, what, meaning)
     noise = _rounding(signal, x, joint, dt)
     if noise > COARSE:
         of = "velocity" if signal == "q" else signal
         what = f"{signal} comes in steps of {x.step:.3g}, which make {noise:.0%} of noise in the {of}"
         instead = {"q": "set `velocity: measured`", "v": "set `velocity: differentiated`"}.get(signal, "excite more")
         yield Finding("warning", name, what, f"too coarse: {instead}, or lower `filter.cutoff_hz`")
+
+
+def _spoilt(joint: Joint) -> bool:
+    """Whether q or v repeats values, so that lag and gain are that defect's doing."""
+    return any(joint.signals[s].stuck > STUCK or (joint.signals[s].stale or 0) > STALE for s in ("q", "v"))
 
 
 def _rounding(signal: str, x: Signal, joint: Joint, dt: float) -> float:

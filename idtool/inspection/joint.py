@@ -26,6 +26,7 @@ _MOVES = 10.0  # range of q over its noise or resolution
 _STANDSTILL = 0.02  # of the fastest motion
 _SMOOTH = 0.05  # s over which the speed is averaged to tell standstill
 _CLOCK = 50  # samples over which the stamps are smoothed into a rate
+_BEYOND = 1.02  # speed over the v that is stuck
 _JUMP = 10.0  # times what all but 1 in 200 steps of q stay below
 _TURN = 0.5  # rad off a full turn that a jump may be
 
@@ -61,7 +62,7 @@ def inspect_joint(
     finest = max(steps.get("q") or 0.0, noise.get("q", 0.0))
     moves = "q" in changing and bool(spans["q"].high[i] - spans["q"].low[i] > _MOVES * finest)
     source, derivatives = ("v", 0) if "v" in changing else ("q", 1)
-    speed = _speed(runs[source], derivatives, log.dt)
+    speed = _speed(runs[source], derivatives, log.dt) if source in runs else np.zeros(len(fresh))
     moving = moves & (speed > _STANDSTILL * np.percentile(speed, 99.5))
     signals = {}
     for name in names:
@@ -69,6 +70,8 @@ def inspect_joint(
         x, m = np.concatenate(runs[name])[fresh], moving[fresh]
         stale = stale_share(x, m, steps[name], noise[name])
         stuck = stuck_share(x[m], low, high, steps[name])
+        if name == "v" and stuck and not _exceeds(runs, low, high, log.dt):
+            stuck = 0.0
         signals[name] = Signal(low, high, rms, int(bad), steps[name], noise[name], stale, stuck)
     jumps, wraps = _jumps(runs["q"]) if moves else (0, False)
     joint = Joint(
@@ -102,6 +105,14 @@ def _speed(runs: Sequence[Array], derivatives: int, dt: float) -> Array:
     return np.concatenate([np.abs(uniform_filter1d(np.gradient(x) / dt if derivatives else x, width)) for x in runs])
 
 
+def _exceeds(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: float) -> bool:
+    """Whether the derivative of q goes on where v is at an extreme; else v is just constant there."""
+    v = np.concatenate(runs["v"])
+    speed = np.concatenate([uniform_filter1d(np.gradient(x) / dt, max(int(_SMOOTH / dt), 1)) for x in runs["q"]])
+    at = (v <= low) | (v >= high)
+    return bool(np.median(np.abs(speed[at])) > _BEYOND * np.median(np.abs(v[at])))
+
+
 def _jumps(runs: Sequence[Array]) -> tuple[int, bool]:
     """Number of steps of q far beyond all others, and whether they are about a full turn."""
     step = np.concatenate([np.abs(np.diff(x)) for x in runs])
@@ -119,7 +130,7 @@ def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence
         one = velocity_agreement(q, v * rate, log.dt)
         if not np.isnan(one.agreement):
             found.append(one)
-            power.append(float(v @ v))
+            power.append(float(v @ v) + np.finfo(float).tiny)
     if not found:
         return None
     lag, gain, agreement, error = np.array(found).T

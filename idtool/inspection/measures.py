@@ -12,6 +12,7 @@ from scipy.signal import detrend, welch
 Array = NDArray[np.float64]
 
 _BLOCK = 1 << 14  # rows
+_FEWEST = 100  # samples that a share is taken of
 _FEWEST_LEVELS = 16  # fewer are believed only where most samples repeat one
 _ON_GRID = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
 _ON_GRID_SHARE = 0.95
@@ -157,7 +158,7 @@ def stale_share(x: Array, moving: NDArray[np.bool_], step: float | None, noise: 
         return None
     change = np.abs(x[2 * half :] - x[: -2 * half]) / (2 * half)
     on_its_way = moving[half:-half] & (change > (2 * step + 3 * noise if step else 0.0))
-    if on_its_way.sum() < 100:
+    if on_its_way.sum() < _FEWEST:
         return None
     return float(np.mean((x[half:-half] == x[half - 1 : -half - 1])[on_its_way]))
 
@@ -168,7 +169,7 @@ def stuck_share(x: Array, low: float, high: float, step: float | None) -> float:
     A turning point gathers samples too, but its neighbourhood gathers nearly as many: the extreme value has to hold
     five times what the next step, or thousandth of the range, holds.
     """
-    if not len(x) or not low < high:
+    if len(x) < _FEWEST or not low < high:
         return 0.0
     total = 0.0
     width = max(step or 0.0, 1e-3 * (high - low))

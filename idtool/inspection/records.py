@@ -1,8 +1,9 @@
-"""What an inspection finds: plain frozen records, so that `dataclasses.asdict` makes them JSON."""
+"""What an inspection finds: plain frozen records that turn into JSON."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -226,7 +227,7 @@ class Inspection:
     joints
         By name, in the log's order.
     findings
-        Problems first, then warnings, then notes.
+        Problems first, then warnings, then notes; those with the same meaning side by side.
     warnings
         What the reader had to say.
     """
@@ -245,4 +246,12 @@ class Inspection:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, finite or None, as JSON takes them."""
-        return dataclasses.asdict(self)
+        return {name: _plain(value) for name, value in dataclasses.asdict(self).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(x) for key, x in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -21,8 +21,10 @@ _POOR = 1e-2  # an acceleration this close to a line in q and v makes any torque
 _NOISELESS = 1e-5  # of tau's deviation: no sensor is that quiet
 _SAME_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
 _OWN_NOISE = 0.7
+_DROWNED = 2.0  # fast changes over noise
 _HELD = 0.3  # share of repeated values
-_FEWEST = 32  # samples of a stretch
+_FEWEST = 256  # samples of a stretch
+_WINDOW = 50  # samples
 _RESOLUTION = 1.5 / np.sqrt(12)  # noise below this many steps may be the rounding's
 
 
@@ -40,6 +42,8 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
     tau
         The summary of the torque.
     """
+    if max(len(x) for x in runs["tau"]) < _FEWEST:
+        return TorqueSource("unknown", "no stretch without a gap is long enough to tell")
     law = _law(runs, tau)
     if law is not None:
         return TorqueSource("commanded", law)
@@ -50,6 +54,9 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         return TorqueSource("commanded", "it carries no noise, as only a computed torque can")
     if tau.step is not None and tau.noise < _RESOLUTION * tau.step:
         return TorqueSource("unknown", f"it carries no noise beyond its resolution of {tau.step:.3g}")
+    fast = 1.4826 * float(np.median(np.abs(np.concatenate([np.diff(x, 2) for x in runs["tau"]])))) / np.sqrt(6)
+    if fast > _DROWNED * tau.noise:
+        return TorqueSource("unknown", "it changes too fast from sample to sample to show its noise")
     share = _shared_noise(runs)
     if share > _SAME_NOISE:
         return TorqueSource("commanded", f"{share:.0%} of its noise is that of q and v, as under feedback")
@@ -61,11 +68,13 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
 def _law(runs: Runs, tau: Signal) -> str | None:
     """The control law that tau follows to the last digit, in words; None if it follows none."""
     names = [name for name in ("q", "v", "qcmd", "vcmd") if name in runs]
+    if _poorly_excited(runs):
+        return None
     for delay in _DELAYS:
         rows = _rows(runs, names, delay)
         free = (rows[:, -1] > tau.minimum) & (rows[:, -1] < tau.maximum)  # a law is cut off at the drive's limits
         columns, torque = rows[free, :-1], rows[free, -1]
-        if len(torque) < 10 * len(names) or _poorly_excited(runs):
+        if len(torque) < _FEWEST:
             return None
         gains, rest = _line(columns, torque)
         rounding = 0.4 * (tau.step or 0.0)
@@ -102,13 +111,20 @@ def _poorly_excited(runs: Runs) -> bool:
 
 
 def _shared_noise(runs: Runs) -> float:
-    """Share of the power of tau's second differences that those of q and v, now and a sample or two ago, explain."""
+    """Share of tau's fast changes that those of q and v, now and a sample or two ago, explain: of their power.
+
+    Second differences, in windows so short that the gain of any feedback is as good as constant; the median window, as
+    dry friction jumps in some.
+    """
     names = [name for name in ("q", "v") if name in runs]
-    columns, torque = [], []
+    shares = []
     for *signals, tau in zip(*(runs[name] for name in names), runs["tau"], strict=True):
-        if len(tau) > _FEWEST:
-            changes = [np.diff(x, 2) for x in signals]
-            columns.append(np.stack([x[2 - d : len(x) - d] for x in changes for d in _DELAYS], axis=1))
-            torque.append(np.diff(tau, 2)[2:])
-    _, rest = _line(np.concatenate(columns), np.concatenate(torque))
-    return 1 - rest**2
+        change = [np.diff(x, 2) for x in (*signals, tau)]
+        columns = [x[2 - d : len(x) - d] for x in change[:-1] for d in _DELAYS] + [change[-1][2:]]
+        count = len(columns[0]) // _WINDOW
+        windows = np.stack(columns, axis=1)[: count * _WINDOW].reshape(count, _WINDOW, len(columns))
+        Q, _ = np.linalg.qr(windows[:, :, :-1])
+        explained = np.sum(np.einsum("wsc,ws->wc", Q, windows[:, :, -1]) ** 2, axis=1)
+        shares.append(explained / np.maximum(np.sum(windows[:, :, -1] ** 2, axis=1), np.finfo(float).tiny))
+    chance = (len(columns) - 1) / _WINDOW
+    return float((np.median(np.concatenate(shares)) - chance) / (1 - chance))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from idtool.exceptions import LogError
 from idtool.logs.log import SIGNALS
-from idtool.logs.names import nearest, some
+from idtool.logs.names import nearest, shown, some
 
 _TIMES = ("t", "time", "__time", "timestamp")
 _FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -76,7 +76,7 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Ma
     if time is None:
         time = next((_place(path, header, name) for name in _TIMES if name in free.values()), None)
     if not signals and time is None:
-        raise LogError(path, f"is no log: its first line names no joint signal, but {some([*map(repr, header)])}")
+        raise LogError(path, f"is no log: its first line names no joint signal, but {some(header)}")
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")
     joints = tuple(dict.fromkeys(joint for (_, joint), _ in sorted(signals.items(), key=lambda item: item[1])))
@@ -93,15 +93,17 @@ def _canonical(path: Path, name: str) -> Signal | str:
     """Key of a canonical name: itself for the time, else signal and joint."""
     match = _CANONICAL.fullmatch(name)
     if not match and name != "t":
-        raise LogError(path, f"log.columns: {name} is no canonical name; use t or <signal>_<joint> ({some(SIGNALS)})")
+        raise LogError(
+            path, f"log.columns: {shown(name)} is no canonical name; use t or <signal>_<joint> ({some(SIGNALS)})"
+        )
     return (match[1], match[2]) if match else name
 
 
 def _place(path: Path, header: Sequence[str], column: str) -> int:
     if column not in header:
-        raise LogError(path, f"has no column {column!r}; {nearest(column, header)}")
+        raise LogError(path, f"has no column {shown(column)}; {nearest(column, header)}")
     if header.count(column) > 1:
-        raise LogError(path, f"has {header.count(column)} columns {column!r}; rename all but one")
+        raise LogError(path, f"has {header.count(column)} columns {shown(column)}; rename all but one")
     return header.index(column)
 
 
@@ -145,8 +147,9 @@ def _topics(stems: set[str]) -> list[str]:
 
 def _clash(first: str, second: str, key: Signal) -> str:
     if first == second:
-        return f"has two columns {first!r}; rename or remove one"
+        return f"has two columns {shown(first)}; rename or remove one"
+    both = f"columns {shown(first)} and {shown(second)}"
     if first.startswith("/") and second.startswith("/"):
-        return f"columns {first!r} and {second!r} are of different topics; set log.topic to the one to read"
-    name = "_".join(key)
-    return f"columns {first!r} and {second!r} both hold {name}; set log.columns: {{{name}: <one of them>}}"
+        return f"{both} are of different topics; set log.topic to the one to read"
+    name = shown("_".join(key))
+    return f"{both} both hold {name}; set log.columns: {{{name}: <one of them>}}"

@@ -1,4 +1,4 @@
-"""Logs in which sources take turns, so that no sample holds every joint and signal: the commonest kind of sample.
+"""Logs in which sources take turns, so that no sample holds every signal: the largest part that fits together.
 
 An arm and a gripper that publish on one topic are such a log, and so are two topics exported into one table.
 """
@@ -25,8 +25,8 @@ def log_of(
 ) -> Log:
     """The log that `make_log` makes, without what keeps its samples from being complete.
 
-    Where fewer than two samples hold every joint and signal, those of the commonest kind that holds a position
-    are kept, and a warning names what they lack.
+    Where no two samples in a row hold every joint and signal, those that one kind of sample holds are kept: the kind
+    that holds a position, and most values over all. A warning names what is left out.
 
     Parameters and errors are those of `make_log`.
     """
@@ -34,26 +34,30 @@ def log_of(
         return make_log(path, t, joints, signals, warnings)
     filled = np.stack([~np.isnan(array) for array in signals.values()], axis=1)  # (N, ns, nj)
     _, kind = np.unique(np.packbits(filled.reshape(len(t), -1), axis=1), axis=0, return_inverse=True)
-    with_position = kind.ravel()[filled[:, list(signals).index("q")].any(axis=1)]
-    rows = kind.ravel() == (np.bincount(with_position).argmax() if len(with_position) else -1)
-    kept, present = filled[rows].any(axis=0), filled.any(axis=0)
+    values = filled.sum(axis=(1, 2)) * filled[:, list(signals).index("q")].any(axis=1)
+    kept = filled[np.argmax(kind.ravel() == np.bincount(kind.ravel(), values).argmax())]  # (ns, nj)
+    rows = (filled | ~kept).all(axis=(1, 2))
     held = kept.any(axis=0)
     names = np.array([[f"{name}_{joint}" for joint in joints] for name in signals])
+    lost = [f"{(~rows).sum()} samples"] * (not rows.all()) + names[filled.any(axis=0) & ~kept].tolist()
+    few = tuple(np.array(joints)[held].tolist())
     warnings += (
-        f"no two samples hold every signal, as where several sources take turns: kept the {rows.sum()} samples of "
-        f"{some(list(np.array(joints)[held]))}; left out {some(list(names[present & ~kept]))}",
+        "no two samples in a row hold every signal, as where several sources take turns; "
+        f"kept the {rows.sum()} samples of {some(few)}, left out {some(lost)}",
     )
-    signals = {name: array[rows][:, held] for name, array in signals.items()}
-    return make_log(path, t[rows], tuple(np.array(joints)[held].tolist()), signals, warnings)
+    fitting = {
+        name: np.where(has, array[rows], np.nan)[:, held]
+        for (name, array), has in zip(signals.items(), kept, strict=True)
+    }
+    return make_log(path, t[rows], few, fitting, warnings)
 
 
 def _complete(signals: Mapping[str, Array]) -> bool:
-    """Whether two samples or more hold every joint and signal that any sample holds."""
+    """Whether two samples in a row hold every joint and signal that any sample holds."""
     columns = [column for array in signals.values() for column in array.T if not np.isnan(column).all()]
-    count = 0
     for start in range(0, len(signals["q"]), _BLOCK):
-        rows = slice(start, start + _BLOCK)
-        count += int(np.logical_and.reduce([~np.isnan(column[rows]) for column in columns]).sum()) if columns else 0
-        if count >= 2:
+        rows = slice(start, start + _BLOCK + 1)
+        whole = ~np.logical_or.reduce([np.isnan(column[rows]) for column in columns])
+        if np.any(whole[1:] & whole[:-1]):
             return True
-    return False
+    return not columns

@@ -85,7 +85,7 @@ def write(file: BinaryIO, log: Log) -> None:
     """
     from mcap.writer import Writer
 
-    if not (np.abs(log.t) < 2**31).all():
+    if not (np.abs(log.t) < 2**31 - 1).all():
         raise ValueError("holds times that do not fit a header stamp, which has 32 bits for the seconds")
     writer = Writer(file)
     writer.start(profile="ros2", library="idtool")

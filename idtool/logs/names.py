@@ -1,21 +1,28 @@
-"""Names in messages: a few of many, and the one that was probably meant."""
+"""Names in messages. They come from files of strangers, so they are made to fit a line of a terminal."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Collection
 
-_SHOWN = 6
+_LONGEST = 60
+_MOST = 6
+
+
+def shown(name: str) -> str:
+    """The name, cut to a length that can be read, and without characters that cannot be printed."""
+    short = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}…"
+    return short if short.isprintable() else ascii(short)[1:-1]
 
 
 def some(names: Collection[str]) -> str:
     """The first few of ``names``, and how many more there are."""
-    shown = ", ".join(list(names)[:_SHOWN])
-    more = len(names) - _SHOWN
-    return f"{shown} and {more} more" if more > 0 else shown
+    few = ", ".join(map(shown, list(names)[:_MOST])) or "none"
+    more = len(names) - _MOST
+    return f"{few} and {more} more" if more > 0 else few
 
 
 def nearest(name: str, known: Collection[str]) -> str:
     """What to write in place of ``name``: the name most like it, or those that there are."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"there are: {some(known) or 'none'}"
+    return f"did you mean {shown(close[0])}?" if close else f"there are: {some(known)}"

@@ -26,6 +26,8 @@ SCHEMA, CHANNEL, MESSAGE, CHUNK = map(int, (Opcode.SCHEMA, Opcode.CHANNEL, Opcod
 _MOST_BYTES = 1 << 28  # of a chunk or a message
 _MOST_EXPANSION = 256  # of a file, by its chunks' compression
 _BATCH = 4096  # messages decoded together
+_PAGE = 1 << 16  # bytes looked at together, from the end
+_FEWEST_ZEROS = 1024  # that are not the end of a message
 _LOOSE_BYTES = 1 << 20  # of records outside chunks, taken together
 
 RECORD = struct.Struct("<BQ")
@@ -90,10 +92,10 @@ class Records:
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path = path
         self._file = file
-        self._size = file.seek(0, 2)
+        self._size = _written(file)
         self._expanded = 0
         file.seek(max(0, self._size - len(MAGIC)))
-        self.cut = file.read() != MAGIC or self._size < 2 * len(MAGIC)
+        self.cut = file.read(len(MAGIC)) != MAGIC or self._size < 2 * len(MAGIC)
 
     def __iter__(self) -> Iterator[Batch]:
         for start, buffer, whole in self._buffers():
@@ -130,7 +132,7 @@ class Records:
             there = min(length, self._size - at)
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 break
-            if (there < length or opcode == 0) and not self.cut:
+            if opcode == 0 or (there < length and not self.cut):
                 raise self._damaged(at)
             if opcode == CHUNK:
                 if loose:
@@ -140,7 +142,7 @@ class Records:
             elif opcode in (SCHEMA, CHANNEL, MESSAGE) and there == length:
                 self._bound(at, length)
                 loose += head + self._file.read(length)
-            if there < length or opcode == 0:  # zeros are what a file system leaves of what was not written
+            if there < length:
                 break
             at = self._file.seek(at + length)
             if len(loose) >= _LOOSE_BYTES:
@@ -190,6 +192,17 @@ class Records:
 
     def _damaged(self, at: int) -> LogError:
         return LogError(self._path, f"is damaged near byte {at}; try 'mcap recover' on it")
+
+
+def _written(file: BinaryIO) -> int:
+    """The file's size without the zeros at its end, which are what a file system leaves of what was not written."""
+    size = file.seek(0, 2)
+    start, held = size, 0
+    while start and not held:
+        stop, start = start, max(0, start - _PAGE)
+        file.seek(start)
+        held = len(file.read(stop - start).rstrip(b"\0"))
+    return start + held if size - start - held >= _FEWEST_ZEROS else size  # a last value may be zero, too
 
 
 def expand(compression: bytes, data: bytes, size: int) -> bytes:

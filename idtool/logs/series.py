@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from idtool.exceptions import LogError
 from idtool.logs.log import Array
 
 _MOST_JOINTS = 512  # a joint takes room in every sample, so a file must not name them without end
-_SPARE_BYTES = 1 << 21  # room to grow into, per array
+_SPARE_BYTES = 1 << 21  # room to grow into, per array, of a long log
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,9 @@ class Series:
             array[start : self._size] = np.nan
         for piece, rows in zip(pieces, _places(pieces, start), strict=True):
             self._t[rows] = piece.t
-            columns = [self._columns[joint] for joint in piece.joints]
-            if columns == list(range(len(self._columns))):
-                block = rows
-            else:
+            block: Any = rows
+            if piece.joints != tuple(self._columns):
+                columns = np.array([self._columns[joint] for joint in piece.joints])
                 block = (rows, columns) if isinstance(rows, slice) else np.ix_(rows, columns)
             for name, values in piece.signals.items():
                 self._signals[name][block] = values
@@ -112,7 +112,7 @@ class Series:
 
     def _reserve(self, size: int) -> None:
         if size > len(self._t):
-            spare = _SPARE_BYTES // (8 * max(1, len(self._columns)))
+            spare = min(size, _SPARE_BYTES // (8 * len(self._columns)))
             self._resize(size + max(spare, size >> 6))
 
     def _resize(self, size: int) -> None:

@@ -16,9 +16,11 @@ import numpy as np
 
 from idtool.exceptions import LogError
 from idtool.logs.log import Array
+from idtool.logs.names import shown
 
 _PIECE_BYTES = 1 << 22
 _LONGEST_LINE = 1 << 20  # bytes
+_RECENT_BYTES = 1 << 16  # that a last line is compared with
 
 
 class Table:
@@ -76,20 +78,20 @@ class Table:
             if len(rest) > _LONGEST_LINE:
                 raise LogError(self._path, f"a line is longer than {_LONGEST_LINE >> 20} MiB; this is no CSV log")
             yield from self._parsed(lines + newline, columns)
-            recent = lines[-_LONGEST_LINE:] or recent
+            recent = lines[-_RECENT_BYTES:] or recent
         if rest.strip():
             self.cut = not self._whole(rest, recent)
             if not self.cut:
                 yield from self._parsed(rest, columns)
 
     def _whole(self, line: bytes, before: bytes) -> bool:
-        """Whether a last line without a line end looks like those before it, down to its last digit."""
+        """Whether a last line without a line end has all its cells, and a last one no shorter than those before."""
         mark = self._mark.encode()
-        if line.count(mark) != len(self.header) - 1:
-            return line.count(mark) >= len(self.header)
-        cells = [row.rpartition(mark)[2].strip().lstrip(b"-+") for row in before.split(b"\n")[1:] if row.strip()]
-        last = line.rpartition(mark)[2].strip().lstrip(b"-+")
-        return not cells or (len(last) >= min(map(len, cells)) and not any(b"e" in cell.lower() for cell in cells))
+        if line.count(mark) < len(self.header) - 1:
+            return False
+        shortest = min(len(row.rpartition(mark)[2].strip(b"-\r")) for row in before.split(b"\n"))
+        last = line.rpartition(mark)[2]
+        return len(last.strip(b"-\r")) >= shortest and _is_number(last.decode(errors="replace"))
 
     def _parsed(self, text: bytes, columns: Sequence[int]) -> Iterator[Array]:
         if text.strip():
@@ -133,7 +135,7 @@ class Table:
                     raise LogError(self._path, f"{where} has {len(row)} cells; the first line names {len(self.header)}")
                 for name, cell in ((self.header[i], row[i]) for i in columns):
                     if not _is_number(cell):
-                        raise LogError(self._path, f"{where}, column {name!r}: {cell[:40]!r} is no number")
+                        raise LogError(self._path, f"{where}, column {shown(name)}: '{shown(cell)}' is no number")
         except csv.Error as error:
             raise LogError(self._path, f"line {self._line + reader.line_num}: {error}") from None
 

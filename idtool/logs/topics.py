@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from idtool.exceptions import LogError
-from idtool.logs.names import nearest, some
+from idtool.logs.names import nearest, shown, some
 from idtool.logs.payloads import decoder_for
 from idtool.logs.payloads.base import Decoder, PayloadError
 from idtool.logs.records import HEAD, MESSAGE_FIELDS, RECORD, SCHEMA, Batch
@@ -97,7 +97,7 @@ class Topics:
             kinds = [f"{name} ({topic.kind})" for name, topic in self._topics.items() if topic.messages]
             raise LogError(
                 self._path,
-                f"no topic carries joint states (sensor_msgs/msg/JointState); there are: {some(kinds) or 'none'}",
+                f"no topic carries joint states (sensor_msgs/msg/JointState); there are: {some(kinds)}",
             )
         if self._wanted is None and len(candidates) > 1:
             raise LogError(
@@ -119,7 +119,7 @@ class Topics:
             return f"has no topic {name}; {nearest(name, self._candidates() or list(self._topics))}"
         topic = self._topics[name]
         if not topic.joints:
-            return f"topic {name} carries {topic.kind}, not joint states; {nearest(name, self._candidates())}"
+            return f"topic {name} carries {shown(topic.kind)}, not joint states; {nearest(name, self._candidates())}"
         return f"topic {name} holds no messages"
 
     def _follows(self, name: str) -> bool:
@@ -159,7 +159,7 @@ class Topics:
             samples = decoder(batch.buffer, starts, heads["length"].astype(np.intp) - MESSAGE_FIELDS)
         except PayloadError as error:
             number = self._topics[name].messages + error.index + 1
-            raise LogError(self._path, f"message {number} of {name} {error}") from None
+            raise LogError(self._path, f"message {number} of {shown(name)} {error}") from None
         seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
         logged = seconds + nanoseconds / 1e9
         return [

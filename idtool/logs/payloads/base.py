@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.logs.log import Array
+from idtool.logs.names import shown
 from idtool.logs.series import Samples
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -48,7 +49,7 @@ class State:
 def check_names(joints: Sequence[str]) -> None:
     """Raise ValueError for names of joints that cannot be told apart or printed."""
     if len(set(joints)) < len(joints):
-        raise ValueError(f"names joint {next(name for name in joints if joints.count(name) > 1)} twice")
+        raise ValueError(f"names joint {shown(next(name for name in joints if joints.count(name) > 1))} twice")
     if not "".join(joints).isprintable():
         raise ValueError("names a joint in characters that cannot be printed")
 

@@ -92,7 +92,7 @@ class _Cursor:
         try:
             return text.decode()
         except UnicodeDecodeError:
-            raise ValueError(f"has a name that is not UTF-8: {text!r}") from None
+            raise ValueError(f"has a name that is not UTF-8: {text[:40]!r}") from None
 
 
 def lay_out(message: bytes) -> Layout:

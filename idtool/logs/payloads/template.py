@@ -89,4 +89,4 @@ def decode_alike(
             alike = layout.fits(messages)
             samples.append(layout.samples(index[alike], messages if alike.all() else messages[alike]))
             index, messages = index[~alike], messages[~alike]
-    return samples, rest
+    return samples, sorted(rest)

@@ -1,0 +1,193 @@
+"""What a person sees in the terminal: tables, and a progress bar on what takes more than two seconds."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from idtool.fit import Fit
+from idtool.inspection import Inspection
+from idtool.regression import Outcome
+
+_PLAIN_WIDTH = 200  # characters
+_PATIENCE = 2.0  # s before a progress bar appears
+_STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim"}
+
+
+class Terminal:
+    """Where a command prints to.
+
+    Parameters
+    ----------
+    quiet
+        Print nothing but errors and what `json` asks for.
+    as_json
+        Print the result as JSON on standard output, everything else on standard error.
+    """
+
+    def __init__(self, quiet: bool, as_json: bool) -> None:
+        self.as_json = as_json
+        self.console = _console(quiet, sys.stderr if as_json else sys.stdout)
+        self.errors = _console(quiet, sys.stderr)
+
+    def say(self, text: str, style: str | None = None) -> None:
+        """One line of plain text."""
+        self.console.print(escape(text), style=style, soft_wrap=True)
+
+    def show(self, table: Table) -> None:
+        """A table."""
+        self.console.print(table)
+
+    def warn(self, warnings: Sequence[str]) -> None:
+        """What a user should know, at the end."""
+        for warning in warnings:
+            self.say(f"note: {warning}", "yellow")
+
+    def result(self, result: dict[str, Any]) -> None:
+        """The result as JSON, if it was asked for."""
+        if self.as_json:
+            sys.stdout.write(json.dumps(result, indent=2, allow_nan=False) + "\n")
+
+    @contextmanager
+    def progress(self) -> Iterator[Callable[[str, float], None]]:
+        """A function to be told the stage and its share done; shows a bar once two seconds have gone by."""
+        bar = Progress(
+            TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=self.errors, transient=True
+        )
+        started = time.monotonic()
+        tasks: list[TaskID] = []
+
+        def tell(stage: str, share: float) -> None:
+            if not self.errors.is_terminal or time.monotonic() - started < _PATIENCE:
+                return
+            if not tasks:
+                bar.start()
+                tasks.append(bar.add_task(stage, total=1.0))
+            bar.update(tasks[0], description=escape(stage), completed=share)
+
+        try:
+            yield tell
+        finally:
+            if tasks:
+                bar.stop()
+
+
+def _console(quiet: bool, file: TextIO) -> Console:
+    """A console; one that is no terminal has lines as long as they need."""
+    return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _PLAIN_WIDTH)
+
+
+def _table(title: str, *columns: str) -> Table:
+    """A table whose first column is text and whose others are figures."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    table.add_column(columns[0])
+    for column in columns[1:]:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _figure(x: float | None) -> str:
+    return "-" if x is None else f"{x:.4g}"
+
+
+def show_fit(terminal: Terminal, fit: Fit, report: dict[str, Any], folder: Path) -> None:
+    """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
+    rms = report["rms"]
+    table = _table(f"RMS torque error, N·m or N, below {report['band_hz']:g} Hz", "joint", "prior", "train", "held out")
+    for name in (*report["joints"], "overall"):
+        held_out = [(rms[key] or {}).get(name) for key in ("prior_validation", "validation")]
+        table.add_row(escape(name), _figure(held_out[0]), _figure(rms["train"][name]), _figure(held_out[1]))
+    terminal.show(table)
+    table = _table("Bodies", "body", "prior kg", "mass kg", "± se", "determined", "realizable")
+    for name, body in report["bodies"].items():
+        table.add_row(
+            escape(name),
+            _figure(body["prior"][0]),
+            _figure(body["mass"]),
+            _figure(body["standard_error"][0]),
+            f"{sum(body['identifiable'])}/10",
+            "yes" if body["realizable"] else "NO",
+        )
+    terminal.show(table)
+    table = _table("Friction", "joint", "viscous", "± se", "Coulomb", "± se", "offset", "± se")
+    for name, friction in report["friction"].items():
+        pairs = [(friction[key], friction["standard_error"][key]) for key in ("viscous", "coulomb", "offset")]
+        table.add_row(escape(name), *(_figure(x) for pair in pairs for x in pair))
+    terminal.show(table)
+    solver = report["solver"]
+    terminal.say(f"optimum certified to a relative duality gap of {abs(solver['duality_gap']):.1e}")
+    terminal.warn(fit.warnings)
+    terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html")
+
+
+def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:
+    """The result of a validation."""
+    models = list(report["rms"])
+    columns = [*models, "raw", "of torque", "bound"]
+    table = _table(f"RMS torque error, N·m or N, below {report['band_hz']:g} Hz", "joint", *columns)
+    for name in (*report["joints"], "overall"):
+        bound = report["bound"].get(name)
+        met = "" if bound is None else " ok" if report["ok"][name] else " NOT MET"
+        share = report["nrms"].get(name)
+        table.add_row(
+            escape(name),
+            *(_figure(report["rms"][model][name]) for model in models),
+            _figure(report["rms_raw"]["model"][name]),
+            "" if share is None else f"{share:.1%}",
+            "" if bound is None else f"{bound:g}{met}",
+        )
+    terminal.show(table)
+    terminal.warn(report["warnings"])
+    terminal.say(f"written: {folder}/validation.json, validation.html")
+
+
+def show_regression(terminal: Terminal, outcomes: Sequence[Outcome]) -> None:
+    """Every case against its bounds."""
+    table = _table("Regression: RMS torque error in the band, N·m or N", "case", "joint", "prior", "fit", "bound", "")
+    for o in outcomes:
+        met = "ok" if o.ok else "NOT MET"
+        table.add_row(escape(o.case), escape(o.joint), _figure(o.prior), _figure(o.rms), _figure(o.bound), met)
+    terminal.show(table)
+
+
+def show_inspection(terminal: Terminal, inspection: Inspection) -> None:
+    """What is in a log, and the findings."""
+    terminal.say(
+        f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "
+        f"{inspection.segments} stretches without a gap"
+    )
+    table = _table(
+        "Joints", "joint", "signals", "from", "to", "v rms", "tau rms", "band Hz", "at rest", "v lag ms", "tau"
+    )
+    for name, joint in inspection.joints.items():
+        q, tau, v = joint.signals.get("q"), joint.signals.get("tau"), joint.velocity
+        table.add_row(
+            escape(name),
+            " ".join(joint.signals),
+            _figure(q.minimum if q else None),
+            _figure(q.maximum if q else None),
+            _figure(joint.speed_rms),
+            _figure(tau.rms if tau else None),
+            _figure(joint.band_hz),
+            f"{joint.standstill:.0%}",
+            _figure(v.lag_ms if v else None),
+            joint.torque.kind if joint.torque else "-",
+        )
+    terminal.show(table)
+    for meaning, group in itertools.groupby(inspection.findings, key=lambda finding: finding.meaning):
+        for finding in group:
+            where = f"{finding.joint}: " if finding.joint else ""
+            terminal.say(f"{finding.severity}: {where}{finding.what}", _STYLE[finding.severity])
+        terminal.say(f"    {meaning}")
+    terminal.warn(inspection.warnings)

@@ -1,0 +1,120 @@
+"""URDFs as they are read, and URDFs that are wrong or hostile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin  # type: ignore[import-untyped]
+import pytest
+from robots import chain, inertial, joint, link
+from scipy.spatial.transform import Rotation
+
+from idtool.exceptions import ModelError
+from idtool.robot import Robot, read_robot
+
+Read = Callable[[str | bytes], Robot]
+
+
+def test_the_urdf_is_read_as_written(robot_of: Read) -> None:
+    text = chain(
+        '<joint name="j1" type="prismatic"><parent link="l0"/><child link="l1"/>'
+        '<origin xyz="1 2 3" rpy="0.1 0.2 0.3"/><axis xyz="0 3 4"/><dynamics damping="0.4" friction="0.5"/>'
+        '<limit lower="-1" upper="2" velocity="3" effort="4"/></joint>',
+        '<joint name="j2" type="continuous"><parent link="l1"/><child link="l2"/></joint>',
+    )
+    first, second = robot_of("<?xml version='1.0'?><!-- a comment -->" + text).joints.values()
+    np.testing.assert_allclose(first.R, Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix())
+    np.testing.assert_allclose(first.p, [1, 2, 3])
+    np.testing.assert_allclose(first.axis, [0, 0.6, 0.8])
+    limits = first.damping, first.friction, first.lower, first.upper, first.velocity, first.effort
+    assert limits == (0.4, 0.5, -1.0, 2.0, 3.0, 4.0)
+    np.testing.assert_array_equal(second.axis, [1, 0, 0])
+    assert (second.lower, second.upper, second.effort, second.damping) == (-np.inf, np.inf, np.inf, 0.0)
+
+
+def test_an_inertial_frame_is_turned_into_the_links(robot_of: Read, rng: np.random.Generator) -> None:
+    text = chain(link(1)).replace('<link name="l1"/>', f'<link name="l1">{inertial(rng)}</link>')
+    (expected,) = [i.toDynamicParameters() for i in list(pin.buildModelFromXML(text).inertias)[1:]]
+    pi = robot_of(text).links["l1"]
+    assert pi is not None
+    np.testing.assert_allclose(pi, expected, atol=1e-12)
+
+
+def test_what_is_not_needed_is_not_read(robot_of: Read) -> None:
+    """Visuals, plugins and transmissions, however strange, and a name in another alphabet."""
+    strange = '<visual><geometry><mesh filename="package://x.dae" scale="big"/></geometry></visual>'
+    text = chain(link(1)).replace('<link name="l0"/>', f'<link name="l0">{strange}</link>').replace("j1", "膝")
+    extra = "<gazebo><plugin name='x'/></gazebo><transmission/><material/><?php none?></robot>"
+    assert list(robot_of(text.replace("</robot>", extra)).joints) == ["膝"]
+
+
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+ENTITIES = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 10))
+INERTIAL = '<inertial><mass value="{}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+PAIR = '<robot name="r"><link name="l0"/><link name="l1">{}</link>{}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "is not XML"),
+        ("joint: hip", "is not XML"),
+        (b"\x00\x01\x02", "is not XML"),
+        (chain(link(1))[:-9], "is not XML"),
+        ("<a>" * 2000 + "</a>" * 2000, "is not XML"),
+        ("<html/>", "its root element is <html>, not <robot>"),
+        (f"<!DOCTYPE robot>{chain(link(1))}", "declares a document type"),
+        ('<!DOCTYPE r [<!ENTITY e SYSTEM "file:///etc/passwd">]><robot name="r"><a>&e;</a></robot>', "declares a doc"),
+        (
+            f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="r"><a>&e9;</a></robot>',
+            "is not XML",
+        ),
+        (f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="&e9;"/>', "is not XML"),
+        (f'<robot {XACRO} name="r"><xacro:leg name="l"/></robot>', "run xacro"),
+        (f'<robot {XACRO} name="r"><xacro:property name="x" value="1"/><link name="${{x}}"/></robot>', "run xacro"),
+        ('<robot name="r"/>', "no root link"),
+        (chain(link(1)).replace("</robot>", '<link name="x"/></robot>'), "has 2 root links (l0, x)"),
+        (chain(link(1)).replace("</robot>", joint("j2", "fixed", "l1", "l0") + "</robot>"), "no root link"),
+        (chain(link(1), joint("j2", "fixed", "l2", "l2")), "loop"),
+        (chain(link(1), link(2), joint("j3", "fixed", "l0", "l2")), "link l2 is the child of two joints"),
+        (chain(link(1), joint("j1", "fixed", "l1", "l2")), "have the same name"),
+        (chain(link(1)).replace("</robot>", '<link name="l0"/></robot>'), "have the same name"),
+        (chain(joint("j1", "fixed", "l0", "thigh")), "names link thigh, which the URDF does not define"),
+        (chain(link(1, kind="floating")), "type floating is not supported"),
+        (chain(link(1)).replace('type="revolute"', ""), "type None is not supported"),
+        (chain(link(1)).replace('<child link="l1"/>', ""), "joint j1: has no child link"),
+        (chain(link(1)).replace('<parent link="l0"/>', "<parent/>"), "joint j1: has no parent link"),
+        (chain(link(1)).replace('name="j1"', ""), "has no name"),
+        (chain(link(1)).replace('<link name="l1"/>', "<link/>"), "has no name"),
+        (chain(link(1, axis="0 0 0")), "joint j1: its axis is zero"),
+        (chain(link(1, axis="0 0 nan")), "not made of three finite numbers"),
+        (chain(link(1, axis="0 1")), "not made of three finite numbers"),
+        (chain(link(1, '<origin xyz="0 0 inf"/>')), "not made of three finite numbers"),
+        (chain(link(1, '<origin rpy="nan 0 0"/>')), "not made of three finite numbers"),
+        (chain(link(1, '<origin xyz="0 0"/>')), "is not a well-formed URDF"),
+        (chain(link(1, '<origin xyz="0 0 up"/>')), "is not a well-formed URDF"),
+        (
+            chain(link(1, '<dynamics damping="nan"/>')),
+            "joint j1: its dynamics or mimic holds a value that is not a fin",
+        ),
+        (chain(link(1), link(2, '<mimic joint="j1" multiplier="inf"/>')), "joint j2: its dynamics or mimic holds"),
+        (PAIR.format(INERTIAL.format("nan"), link(1)), "link l1: its inertial holds a value that is not a finite"),
+        (PAIR.format(INERTIAL.format("heavy"), link(1)), "is not a well-formed URDF"),
+        (PAIR.format(INERTIAL.format("1").replace('iyy="1" ', ""), link(1)), "link l1: its inertia lacks iyy"),
+    ],
+)
+def test_a_urdf_that_makes_no_robot(robot_of: Read, text: str | bytes, expected: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        robot_of(text)
+    message = str(caught.value)
+    assert expected in message
+    assert "robot.urdf: " in message
+    assert "\n" not in message
+
+
+def test_a_urdf_that_is_not_there(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.urdf", tmp_path):
+        with pytest.raises(ModelError, match="cannot be read"):
+            read_robot(path)
