@@ -84,7 +84,7 @@ class LogOptions(Record):
 
     topic: str | None = None
     columns: dict[str, str] = {}
-    scale: dict[Literal["q", "v", "tau", "qcmd", "vcmd"], dict[str, Finite]] = {}
+    scale: Mapping[Literal["q", "v", "tau", "qcmd", "vcmd"], dict[str, Finite]] = {}
 
 
 class Origin(Record):

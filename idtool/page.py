@@ -59,7 +59,8 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
         The command line that made it.
     """
     units = {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in fit.experiment.model.joints}
-    held_out = report["rms"]["validation"] is not None
+    own, prior = report["rms"]["validation"], report["rms"]["prior_validation"]
+    held_out = own is not None
     return _render(
         f"{Path(report['urdf']).stem}: identified dynamics",
         _FIT,
@@ -67,6 +68,7 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
         groups=by_unit(units),
         curves=curves(fit.validation if held_out else fit.train, "identified", units),
         data="the held-out data" if held_out else "the data that the model was fitted to",
+        worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
         determined=fit.uncertainty.identifiable,
         closest=fit.estimate.certificate.where,
         command=command,
@@ -196,6 +198,16 @@ def with_error(x: float | None, error: float | None) -> tuple[str, str]:
     return f"{x:.{decimals}f}", f"{error:.{decimals}f}"
 
 
+def metres(x: float) -> str:
+    """A length to a tenth of a millimetre."""
+    return f"{round(x, 4) + 0:.4f}" if abs(x) < 1000 else number(x)
+
+
+def percent(x: float | None) -> str:
+    """A share in percent."""
+    return "–" if x is None else f"{number(100 * x, 2)} %"
+
+
 def _render(title: str, sections: Sequence[tuple[str, str]], **context: object) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("idtool"),
@@ -204,7 +216,7 @@ def _render(title: str, sections: Sequence[tuple[str, str]], **context: object) 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(number=number, with_error=with_error)
+    environment.filters.update(number=number, with_error=with_error, metres=metres, percent=percent)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     plotly = Markup(get_plotlyjs())  # noqa: S704 the library's own text
     html = environment.get_template("page.html").render(title=title, sections=sections, plotly=plotly, **context)

@@ -71,4 +71,4 @@ def _triangle(rows: Array) -> Array:
     """The R of a QR decomposition, without Q; fewer rows than columns stay as they are."""
     if len(rows) <= rows.shape[1]:
         return rows
-    return np.linalg.qr(rows, mode="r")
+    return np.asarray(np.linalg.qr(rows, mode="r"))

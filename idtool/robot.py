@@ -80,6 +80,8 @@ class Robot:
     ----------
     path
         The URDF.
+    text
+        Its bytes.
     root
         The link that has no parent.
     links
@@ -89,6 +91,7 @@ class Robot:
     """
 
     path: Path
+    text: bytes
     root: str
     links: dict[str, Array | None]
     joints: dict[str, Joint]
@@ -109,6 +112,8 @@ def read_robot(path: Path) -> Robot:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
     if len(data) > _MOST_BYTES:
         raise ModelError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no URDF is")
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise ModelError(path, "is in UTF-16; save it as UTF-8")
     try:
         with np.errstate(all="ignore"):  # numbers that are not finite are found below
             text = io.BytesIO(_reduced(path, data))
@@ -122,7 +127,7 @@ def read_robot(path: Path) -> Robot:
     if len(links) != len(urdf.links) or len({joint.name for joint in joints}) != len(joints):
         raise ModelError(path, "two links or two joints have the same name; rename one")
     root, ordered = _tree(path, links, joints)
-    return Robot(path, root, links, ordered)
+    return Robot(path, data, root, links, ordered)
 
 
 def parse_xml(path: Path, data: bytes) -> etree._Element:

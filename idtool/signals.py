@@ -34,6 +34,7 @@ _RESAMPLED = 0.01  # rms of the stamps' jitter, in samples, above which the sign
 _JITTERY = 0.1  # rms of the stamps' jitter, in samples, above which differentiating q is not trusted
 _LAGS = 0.25  # samples of lag of a measured velocity that are worth a word
 _AGREES = 0.8  # share of a measured velocity's power that dq/dt must explain for their lag to be believed
+_SURE = 0.2  # samples, or share of the lag, that its standard error may be
 _QUIETER = 0.5  # a measured velocity is used where its noise is below this share of the differentiated one's
 _STILL = 3e-3  # rad/s or m/s: least velocity whose sign is believed
 _SIGN_WIDTH = 1.25  # tanh(v / (1.25 sigma)) is nearest to the mean of the true v's sign under noise of sigma
@@ -253,16 +254,22 @@ class Signals:
         return bool(error[0] < error[1])
 
     def _velocity_lags(self) -> Array:
-        """How late each measured velocity is [s], 0 where it cannot be told; shape (nv,)."""
-        lags = np.zeros(len(self.joints))
-        part = self._longest(self.log.segments)
-        for j, name in enumerate(self.joints):
-            if not self.log.has("v", name):
-                continue
-            found = velocity_agreement(self._signal("q", part)[j], self._signal("v", part)[j], self.log.dt)
-            if found.agreement > _AGREES and found.lag_error < 0.2 * self.log.dt:
-                lags[j] = found.lag
-        return lags
+        """How late each measured velocity is [s], 0 where it cannot be told; shape (nv,).
+
+        Joints whose own lag is not sure share the mean of the others', as drives of one robot filter alike.
+        """
+        part = self._longest([slice(s.start, s.start + self._count(s)) for s in self.log.segments])
+        measured = np.array([self.log.has("v", name) for name in self.joints])
+        if not measured.any():
+            return np.zeros(len(self.joints))
+        q, v = self._signal("q", part), self._signal("v", part)
+        found = [velocity_agreement(q[j], v[j], self.log.dt) for j in range(len(self.joints))]
+        lag, error, agreement = (np.array([getattr(f, k) for f in found]) for k in ("lag", "lag_error", "agreement"))
+        sure = measured & (agreement > _AGREES) & (error < np.maximum(_SURE * self.log.dt, _SURE * np.abs(lag)))
+        if not sure.any():
+            return np.zeros(len(self.joints))
+        shared = float(np.average(lag[sure], weights=error[sure] ** -2))
+        return np.where(sure, lag, np.where(measured, shared, 0.0))
 
     def _choose_velocity(self, config: Config) -> NDArray[np.bool_]:
         missing = np.array([not self.log.has("v", name) for name in self.joints])

@@ -84,12 +84,11 @@ def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str,
 
 @dataclass
 class _Element:
-    """A link or joint, or one of the children that are replaced: its bytes, and where its content begins."""
+    """A link or joint, or one of the children that are replaced, and its place in the text."""
 
     tag: str
     name: str
     start: int
-    content: int = 0
     stop: int = 0
     children: dict[str, _Element] = field(default_factory=dict)
 
@@ -101,18 +100,13 @@ def _elements(text: bytes) -> list[_Element]:
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        at = parser.CurrentByteIndex
-        if stack and not stack[-1].content:
-            stack[-1].content = at
-        stack.append(_Element(tag, attributes.get("name", ""), at))
+        stack.append(_Element(tag, attributes.get("name", ""), parser.CurrentByteIndex))
 
     def end(tag: str) -> None:
         element = stack.pop()
-        at = parser.CurrentByteIndex
-        # An empty-element tag ends where it began; else the end tag begins here.
-        element.stop = (
-            text.index(b">", max(at, element.start)) + 1 if text[at : at + 2] == b"</" else _tag_end(text, at)
-        )
+        opening = _tag_end(text, element.start)
+        empty = text[opening - 2 : opening] == b"/>"
+        element.stop = opening if empty else text.index(b">", parser.CurrentByteIndex) + 1
         if len(stack) == 1 and tag in ("link", "joint"):
             found.append(element)
         elif len(stack) == 2 and tag in ("inertial", "dynamics"):
@@ -193,7 +187,7 @@ def identified_urdf(
     Parameters
     ----------
     robot
-        Where the URDF is.
+        From the URDF.
     bodies
         Body name to the body and its parameters, shape (10,).
     joints
@@ -202,4 +196,4 @@ def identified_urdf(
     links: dict[str, Array | None] = {}
     for body, pi in bodies.values():
         links.update(link_parameters(body, pi))
-    return rewrite(robot.path.read_bytes(), links, joints)
+    return rewrite(robot.text, links, joints)

@@ -76,10 +76,13 @@ class State:
         }
 
 
-def states(count: int, names: Sequence[str] = ("abad", "hip", "knee"), start: int = 10**18, step: int = 10**6) -> list[State]:
+def states(
+    count: int, names: Sequence[str] = ("abad", "hip", "knee"), start: int = 10**18, step: int = 10**6
+) -> list[State]:
     """States with random values at a constant rate."""
     values = np.random.default_rng(count).normal(size=(count, 3, len(names))).tolist()
-    return [State(start + i * step, names, *values[i], logged=start + i * step + 5) for i in range(count)]
+    stamps = range(start, start + count * step, step)
+    return [State(stamp, names, three[0], three[1], three[2], "", stamp + 5) for stamp, three in zip(stamps, values, strict=True)]
 
 
 def cdr(items: Sequence[State]) -> list[bytes]:
@@ -89,7 +92,7 @@ def cdr(items: Sequence[State]) -> list[bytes]:
     schema = writer.register_msgdef(NAME, ROS2)
     for i, state in enumerate(items):
         writer.write_message("/x", schema, _namespace(state.fields), log_time=i)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
     return [message.data for _, _, message in make_reader(BytesIO(stream.getvalue())).iter_messages()]
 
 

@@ -103,7 +103,7 @@ def test_names_with_dots_and_slashes(written: Written, header: str, joints: tupl
 def test_topic_chooses_among_prefixes(written: Written) -> None:
     header = "t,/states/left/hip/position,/commands/left/hip/position,/states/left/hip/effort"
     path = written(f"{header}\n{ROWS}", "log.csv")
-    with pytest.raises(LogError, match="are of different topics; set log.topic"):
+    with pytest.raises(LogError, match=r"are of different topics; set log\.topic"):
         read_log(path)
     for topic in ("/states", "states/"):
         log = read_log(path, topic=topic)
@@ -215,7 +215,9 @@ def test_cut_off_in_the_last_line(written: Written, rng: np.random.Generator) ->
         whole = size >= len(text) - 1
         assert len(log) == (40 if whole else 39)
         np.testing.assert_allclose(log.signals["q"], values[: len(log), 1:], atol=6e-7)
-        cut = () if whole or size == last else (f"the file was cut off in mid-write; kept: 39 samples, up to t = 0.380 s",)
+        cut = (
+            () if whole or size == last else ("the file was cut off in mid-write; kept: 39 samples, up to t = 0.380 s",)
+        )
         assert log.warnings == cut
 
 

@@ -29,7 +29,9 @@ def kept(path: Path, data: bytes, full: Log) -> int:
     np.testing.assert_array_equal(log.t, full.t[: len(log)])
     for signal in full.signals:
         np.testing.assert_array_equal(log.signals[signal], full.signals[signal][: len(log)])
-    assert log.warnings == (f"the file was cut off in mid-write; kept: {len(log)} samples, up to t = {log.t[-1]:.3f} s",)
+    assert log.warnings == (
+        f"the file was cut off in mid-write; kept: {len(log)} samples, up to t = {log.t[-1]:.3f} s",
+    )
     return len(log)
 
 
@@ -110,7 +112,7 @@ def test_damage_is_no_cut(tmp_path: Path) -> None:
     length = (len(channel.payloads[20]) + 22).to_bytes(8, "little")
     for name, layout in (("loose", {"use_chunking": False}), ("chunk", {"compression": COMPRESSIONS["none"]})):
         path = write_mcap(tmp_path / name, channel, **layout)
-        with pytest.raises(LogError, match="damaged near byte [0-9]+; try 'mcap recover'"):
+        with pytest.raises(LogError, match=r"damaged near byte \d+; try 'mcap recover'"):
             read_log(damaged(path, b"\5" + length, b"\5" + (10**12).to_bytes(8, "little")))
     with pytest.raises(LogError, match="damaged near byte"):
         read_log(damaged(path, b"\5" + (10**12).to_bytes(8, "little"), b"\5" + (3).to_bytes(8, "little")))

@@ -176,9 +176,11 @@ def test_a_file_stays_when_writing_fails(tmp_path: Path, time: float) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("binary", [b"", b"\x89MCAP", b"\x89PNG\r\n\x1a\n", b"\0" * 5000, b"PK\3\4", "t,q_ü\n0,1\n".encode("latin1")])
+@pytest.mark.parametrize(
+    "binary", [b"", b"\x89MCAP", b"\x89PNG\r\n\x1a\n", b"\0" * 5000, b"PK\3\4", "t,q_ü\n0,1\n".encode("latin1")]
+)
 def test_what_is_no_log(written: Written, binary: bytes) -> None:
-    with pytest.raises(LogError, match="is empty|unknown version|is no log that can be read: .csv or .mcap"):
+    with pytest.raises(LogError, match=r"is empty|unknown version|is no log that can be read: \.csv or \.mcap"):
         read_log(written(binary, "log.csv"))
 
 

@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 from mcap_ros2._cdr import CdrReader, CdrWriter, EncapsulationKind
 from mcap_ros2.decoder import DecoderFactory
 from recordings import (
     COMPRESSIONS,
-    NAME,
-    ROS2,
     UNINDEXED,
     Channel,
     State,
@@ -29,7 +26,7 @@ from recordings import (
 )
 
 from idtool.exceptions import LogError
-from idtool.logs import Log, make_log, read_log, write_log
+from idtool.logs import Log, read_log
 
 NAMES = ("abad", "hip", "knee")
 FIELDS = {"q": "position", "v": "velocity", "tau": "effort"}
@@ -122,9 +119,13 @@ def test_padding_is_not_looked_at(tmp_path: Path) -> None:
     items = states(40, ("a", "b"))
     channel = ros2(items)
     first = np.frombuffer(channel.payloads[0], np.uint8)
-    padding = first.size - first[::-1].tobytes().find(b"\0a") - 2  # the byte that closes the name, which padding follows
-    payloads = [data[: padding + 2] + bytes([i, i, i])[: -(padding + 2) % 4] + data[padding + 2 :][-(padding + 2) % 4 :]
-                for i, data in enumerate(channel.payloads)]
+    padding = (
+        first.size - first[::-1].tobytes().find(b"\0a") - 2
+    )  # the byte that closes the name, which padding follows
+    payloads = [
+        data[: padding + 2] + bytes([i, i, i])[: -(padding + 2) % 4] + data[padding + 2 :][-(padding + 2) % 4 :]
+        for i, data in enumerate(channel.payloads)
+    ]
     assert len(set(map(len, payloads))) == 1
     check(read_log(write_mcap(tmp_path / "log", replace(channel, payloads=payloads))), items)
 
@@ -217,7 +218,7 @@ def test_other_topics_are_passed_over(tmp_path: Path) -> None:
 def test_several_topics(tmp_path: Path) -> None:
     left, right = states(20), states(25, ("wrist",))
     path = write_mcap(tmp_path / "log", ros2(left, "/left/joint_states"), json_channel(right, "/right/joint_states"))
-    with pytest.raises(LogError, match="set log.topic to one of /left/joint_states, /right/joint_states"):
+    with pytest.raises(LogError, match=r"set log\.topic to one of /left/joint_states, /right/joint_states"):
         read_log(path)
     check(read_log(path, topic="/left/joint_states"), left)
     check(read_log(path, topic="/right/joint_states"), right)

@@ -15,6 +15,7 @@ from test_logs_mcap import check
 from idtool.exceptions import LogError
 from idtool.logs import read_log
 from idtool.logs.payloads import wire
+from idtool.logs.payloads.template import Layout
 
 PROTOS = {
     "doubles": Proto(),
@@ -40,16 +41,18 @@ def test_protobuf(tmp_path: Path, kind: str) -> None:
 
 
 def test_protobuf_floats(tmp_path: Path) -> None:
-    items = [replace(s, position=np.float32(s.position).tolist(), velocity=(), effort=()) for s in states(30)]
+    items = [replace(s, position=np.array(s.position, np.float32).tolist(), velocity=(), effort=()) for s in states(30)]
     check(read_log(write_mcap(tmp_path / "log", proto_channel(items, Proto(number=2)))), items)
 
 
 def test_protobuf_is_read_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     laid_out = []
-    lay_out = wire.lay_out
-    monkeypatch.setattr(
-        "idtool.logs.payloads.protobuf.lay_out", lambda *args: laid_out.append(args) or lay_out(*args)
-    )
+
+    def counted(message: bytes, plan: wire.Plan) -> Layout | None:
+        laid_out.append(message)
+        return wire.lay_out(message, plan)
+
+    monkeypatch.setattr("idtool.logs.payloads.protobuf.lay_out", counted)
     items = states(2000, step=1_000_003)
     proto = PROTOS["more fields"]
     check(read_log(write_mcap(tmp_path / "log", proto_channel(items, proto, **extra(proto, 2000)))), items)
@@ -88,7 +91,9 @@ def test_protobuf_that_cannot_be_read(tmp_path: Path, payload: bytes, said: str)
         read_log(path)
 
 
-@pytest.mark.parametrize("schema", [b"", b"position", b"\n\x0c\n\nposition.x", Proto().files().file[0].SerializeToString()])
+@pytest.mark.parametrize(
+    "schema", [b"", b"position", b"\n\x0c\n\nposition.x", Proto().files().file[0].SerializeToString()]
+)
 def test_schemas_that_are_none(tmp_path: Path, schema: bytes) -> None:
     channel = replace(proto_channel(states(3), Proto()), schema=("robot.JointState", "protobuf", schema))
     with pytest.raises(LogError, match=r"no topic carries joint states .*/joint_states \(robot.JointState, protobuf\)"):

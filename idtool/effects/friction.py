@@ -26,7 +26,7 @@ class ViscousFriction(JointTerm):
 
     def column(self, motion: Motion) -> Array:
         """The velocity."""
-        return motion.v[self.joint]
+        return np.asarray(motion.v[self.joint])
 
 
 class CoulombFriction(JointTerm):
@@ -42,7 +42,7 @@ class CoulombFriction(JointTerm):
         between = 0.5 * (x[1:] + x[:-1])
         edge = np.concatenate([x[:1], between, x[-1:]])
         change = np.diff(edge)
-        mean = np.tanh(x)
+        mean: Array = np.tanh(x)
         fast = np.abs(change) > _FAST
         integral = np.logaddexp(edge, -edge)  # of tanh
         mean[fast] = np.diff(integral)[fast] / change[fast]

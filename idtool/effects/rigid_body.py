@@ -37,7 +37,7 @@ class RigidBodies(Effect):
         self.active = tuple(
             (np.flatnonzero(support[:, j])[:, None] * SIZE + np.arange(SIZE)).ravel() for j in range(support.shape[1])
         )
-        self._first_row = np.cumsum(support, axis=0) - support  # of each body within a joint's columns, in bodies
+        self._first_row: NDArray[np.intp] = np.cumsum(support, axis=0) - support  # of each body within a joint's columns, in bodies
 
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         """See `Effect.write`."""

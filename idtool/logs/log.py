@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
-_RECOVERY = 20  # samples within which a late stamp must have caught up not to count as a gap
+_RECOVERY = 20  # samples before and after a long step that tell whether it is a gap
 _BLOCK = 1 << 15  # samples looked at together
 
 
@@ -131,8 +131,8 @@ def _incomplete(t: Array, signals: Mapping[str, Array]) -> tuple[NDArray[np.bool
 def _clock(step: Array) -> tuple[float, float]:
     """Nominal sample time, and the longest step that is no gap [s].
 
-    Where samples are lost, a step is a multiple of the sample time. Stamps that jitter fill the room in between too: then
-    a step is only a gap where it is longer than jitter makes it.
+    Where samples are lost, a step is a multiple of the sample time. Stamps that jitter fill the room in between too:
+    then a step is only a gap where it is longer than jitter makes it.
     """
     middle = float(np.median(step))
     between = np.count_nonzero((step > 1.2 * middle) & (step < 1.8 * middle))
@@ -161,9 +161,11 @@ def _segments(t: Array, dt: float, longest: float, bad: NDArray[np.bool_]) -> tu
 
 
 def _late(t: Array, dt: float, suspect: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether the stamps after a long step catch up again, so that it lost no time."""
-    ahead = np.arange(1, _RECOVERY + 1)
-    following = suspect[:, None] + ahead
-    lateness = t[np.minimum(following, len(t) - 1)] - t[suspect, None] - dt * ahead
+    """Whether the stamps after a long step are in time with those before it, so that it lost no time."""
+    count = np.arange(_RECOVERY + 1)
+    before = suspect[:, None] - count
+    expected = np.where(before >= 0, t[np.maximum(before, 0)] + dt * count, np.nan)  # of the sample before the step
+    following = suspect[:, None] + count[1:]
+    lateness = t[np.minimum(following, len(t) - 1)] - np.nanmedian(expected, axis=1)[:, None] - dt * count[1:]
     caught_up = (lateness < 0.5 * dt) & (following < len(t))
     return np.asarray(caught_up.any(axis=1) & (t[suspect + 1] > t[suspect]))

@@ -120,8 +120,10 @@ class Table:
     def _filled(self, text: bytes) -> bytes:
         """The text with nan in its empty cells."""
         mark = self._mark.encode()
-        for empty in (mark + mark, mark + mark, b"\n" + mark, mark + b"\n"):  # a,,,b needs two rounds
-            if empty in text:
+        characters = np.frombuffer(text, np.uint8)
+        ends = (characters == ord(mark)) | (characters == ord("\n"))
+        if (ends[1:] & ends[:-1]).any():
+            for empty in (mark + mark, mark + mark, b"\n" + mark, mark + b"\n"):  # a,,,b needs two rounds
                 text = text.replace(empty, empty[:1] + b"nan" + empty[1:])
         return (b"nan" if text.startswith(mark) else b"") + text + (b"nan" if text.endswith(mark) else b"")
 
