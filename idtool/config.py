@@ -84,7 +84,7 @@ class LogOptions(Record):
 
     topic: str | None = None
     columns: dict[str, str] = {}
-    scale: Mapping[Literal["q", "v", "tau", "qcmd", "vcmd"], dict[str, Finite]] = {}
+    scale: dict[Annotated[str, Field(pattern="^(q|v|tau|qcmd|vcmd)$")], dict[str, Finite]] = {}
 
 
 class Origin(Record):

@@ -356,14 +356,14 @@ def _gap(
 ) -> float:
     """Relative duality gap from the solver's dual variables, these first made feasible.
 
-    With slope_l = Σ over a part's inequalities of ⟨G, Z⟩ the dual function is the minimum over y of f(y) − slope · y plus
-    the interior's share, a least-squares problem in y; parts of one body must have the same slope, and how far the
+    With slope_l = Σ over a part's inequalities of ⟨G, Z⟩ the dual function is the minimum over y of f(y) − slope · y
+    plus the interior's share, a least-squares problem in y; parts of one body must have the same slope, and how far the
     solver's differ is charged to the gap.
     """
     slope = friction.copy()
-    interior = float(friction[SIZE * len(problem.parts) :] @ np.where(np.isfinite(problem.lower), problem.lower, 0.0))
-    for (k, G, _), dual in zip(labels, duals, strict=True):
-        values, vectors = np.linalg.eigh(0.5 * (dual + dual.T))
+    interior = float(friction[SIZE * len(problem.parts) :] @ np.nan_to_num(problem.lower, neginf=0.0))
+    for (k, G, _), returned in zip(labels, duals, strict=True):
+        values, vectors = np.linalg.eigh(0.5 * (returned + returned.T))
         Z = (vectors * np.maximum(values, 0)) @ vectors.T
         slope[k : k + SIZE] += np.einsum("kij,ij->k", G, Z)
         interior += _INTERIOR * float(np.trace(Z))
@@ -374,5 +374,5 @@ def _gap(
     # min over y of ‖A y − b‖² − mean · y is at A y = b + ½ A⁻ᵀ mean.
     half = 0.5 * np.linalg.lstsq(problem.A.T, mean, rcond=None)[0]
     unreached = float(np.abs((problem.A.T @ half - 0.5 * mean) * (S @ x)).sum())
-    dual = problem.constant - float(half @ half) - 2 * float(half @ problem.b) + interior
-    return (primal - dual + mismatch + unreached) / max(primal, np.finfo(float).tiny)
+    dual = problem.constant - float(half @ (half + 2 * problem.b)) + interior
+    return (primal - dual + mismatch + unreached) / max(primal, float(np.finfo(float).tiny))

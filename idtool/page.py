@@ -190,7 +190,7 @@ def with_error(x: float | None, error: float | None) -> tuple[str, str]:
     if x is None:
         return "–", ""
     if error is None:
-        return number(x, 4), "not determined by the data"
+        return number(x, 4), "not determined"
     size = math.floor(math.log10(error)) if error else -9
     if not -9 < size < 6:
         return number(x, 4), number(error, 2)

@@ -341,7 +341,7 @@ class Signals:
 
     def _count(self, segment: slice) -> int:
         """Samples of a segment on the uniform clock, never more than were logged."""
-        count = segment.stop - segment.start
+        count = int(segment.stop - segment.start)
         if self._resampled:
             count = min(count, int((self.log.t[segment.stop - 1] - self.log.t[segment.start]) / self.log.dt) + 1)
         return count

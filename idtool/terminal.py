@@ -46,8 +46,11 @@ class Terminal:
         self.console.print(escape(text), style=style, soft_wrap=True)
 
     def show(self, table: Table) -> None:
-        """A table."""
+        """A table under its title, which may be wider than the table."""
+        self.say(str(table.title), "bold")
+        table.title = None
         self.console.print(table)
+        self.console.print()
 
     def warn(self, warnings: Sequence[str]) -> None:
         """What a user should know, at the end."""
@@ -90,7 +93,7 @@ def _console(quiet: bool, file: TextIO) -> Console:
 
 def _table(title: str, *columns: str) -> Table:
     """A table whose first column is text and whose others are figures."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    table = Table(title=title, box=None, pad_edge=False, header_style="dim")
     table.add_column(columns[0])
     for column in columns[1:]:
         table.add_column(column, justify="right")

@@ -82,7 +82,10 @@ def states(
     """States with random values at a constant rate."""
     values = np.random.default_rng(count).normal(size=(count, 3, len(names))).tolist()
     stamps = range(start, start + count * step, step)
-    return [State(stamp, names, three[0], three[1], three[2], "", stamp + 5) for stamp, three in zip(stamps, values, strict=True)]
+    return [
+        State(stamp, names, three[0], three[1], three[2], "", stamp + 5)
+        for stamp, three in zip(stamps, values, strict=True)
+    ]
 
 
 def cdr(items: Sequence[State]) -> list[bytes]:

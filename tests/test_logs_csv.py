@@ -157,6 +157,7 @@ def test_rows_of_other_topics_are_passed_over(written: Written) -> None:
     log = read_log(written(text, "log.csv"))
     assert log.t.tolist() == [0, 0.1, 0.2]
     assert log.segments == (slice(0, 3),)
+    assert log.warnings[1:] == ("2 rows that hold no joint signal were passed over",)
 
 
 def test_rows_of_two_topics_that_take_turns(written: Written) -> None:
@@ -236,6 +237,7 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
         ("\n\n", "is no log: its first line names no joint signal, but none"),
         ("Lorem ipsum\ndolor\n", "is no log: its first line names no joint signal, but Lorem ipsum"),
         ("0,1\n1,2\n", "is no log: its first line names no joint signal, but 0, 1"),
+        ("t,angle\n0,1\n", "is no log: its first line names no joint signal, but t, angle"),
         ("q_hip\n1\n", "has no time column; name it t, or set log.columns: {t: <its name>}"),
         ("t,v_hip\n0,1\n1,2\n", "no joint positions found"),
         ("t,q_hip,q_hip\n0,1,2\n", "has two columns q_hip; rename or remove one"),

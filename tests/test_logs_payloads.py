@@ -121,6 +121,10 @@ def test_json_mixed_shapes(tmp_path: Path) -> None:
         ("x", JSON, True),
         ("sensor_msgs/msg/JointState", {"type": "object"}, True),
         ("foxglove.JointState", {"properties": {"name": {"type": "string"}, "position": {"type": "number"}}}, False),
+        ("my.JointState", None, True),
+        ("x", {"properties": {"name": {}, "position": {"items": {"type": "number"}}}}, True),
+        ("JointState", {"properties": {"name": 1, "position": 2}}, False),
+        ("JointState", {"properties": [1]}, False),
         ("x", {}, False),
         ("x", [1], False),
     ],
@@ -128,7 +132,10 @@ def test_json_mixed_shapes(tmp_path: Path) -> None:
 def test_json_schemas(tmp_path: Path, name: str, schema: object, reads: bool) -> None:
     items = states(5)
     path = write_mcap(
-        tmp_path / "log", replace(json_channel(items), schema=(name, "jsonschema", json.dumps(schema).encode()))
+        tmp_path / "log",
+        replace(
+            json_channel(items), schema=(name, "jsonschema", json.dumps(schema).encode() if schema is not None else b"")
+        ),
     )
     if reads:
         check(read_log(path), items)

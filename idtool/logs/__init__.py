@@ -66,10 +66,8 @@ def read_log(
     """
     path = Path(path)
     try:
-        if path.is_dir():
-            raise LogError(path, "is a folder; name a file in it")
-        if not path.exists():
-            raise LogError(path, "there is no such file")
+        if not path.is_file():
+            raise LogError(path, "is a folder; name a file in it" if path.is_dir() else "there is no such file")
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
         if not head:

@@ -75,7 +75,7 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Ma
     time = given.get("t")
     if time is None:
         time = next((_place(path, header, name) for name in _TIMES if name in free.values()), None)
-    if not signals and time is None:
+    if not signals:
         raise LogError(path, f"is no log: its first line names no joint signal, but {some(header)}")
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")

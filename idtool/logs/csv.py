@@ -50,23 +50,26 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
         used = [found.time, *(i for places in found.signals.values() for i in places if i is not None)]
         # a joint that lacks a signal gets it from one more column, at the end, of NaN
         places = {name: [used.index(i) if i is not None else -1 for i in of] for name, of in found.signals.items()}
-        series = Series(path)
+        series, others = Series(path), 0
         for rows in table.rows(used):
-            held = rows[~np.isnan(rows[:, 1:]).all(axis=1)]  # the others are those of another topic
+            held = rows[~np.isnan(rows[:, 1:]).all(axis=1)]
+            others += len(rows) - len(held)
             wide = np.pad(held, ((0, 0), (0, 1)), constant_values=np.nan)
             signals = {name: wide[:, of] for name, of in places.items()}
             series.append([Samples(np.arange(len(held)), held[:, 0], found.joints, signals)])
     if not len(series):
         raise LogError(path, "has no samples after its first line")
+    t, joints, arrays = series.arrays()
     warnings = []
     if found.unused:
         warnings.append(f"columns that hold no joint signal were ignored: {some(found.unused)}")
-    if table.cut:
-        warnings.append(f"the file was cut off in mid-write; kept: {len(series)} samples, up to t = {series.end:.3f} s")
-    t, joints, arrays = series.arrays()
+    if others:
+        warnings.append(f"{others} rows that hold no joint signal were passed over")
     if unit := _unit(t[:_BLOCK]):
         t /= _UNITS[unit]
         warnings.append(f"its times are in {unit}; they were converted to seconds")
+    if table.cut:
+        warnings.append(f"the file was cut off in mid-write; kept: {len(t)} samples, up to t = {t[-1]:.3f} s")
     return log_of(path, t, joints, arrays, tuple(warnings))
 
 

@@ -55,9 +55,11 @@ def log_of(
 def _complete(signals: Mapping[str, Array]) -> bool:
     """Whether two samples in a row hold every joint and signal that any sample holds."""
     columns = [column for array in signals.values() for column in array.T if not np.isnan(column).all()]
-    for start in range(0, len(signals["q"]), _BLOCK):
+    if not columns:
+        return True
+    for start in range(0, len(columns[0]), _BLOCK):
         rows = slice(start, start + _BLOCK + 1)
-        whole = ~np.logical_or.reduce([np.isnan(column[rows]) for column in columns])
-        if np.any(whole[1:] & whole[:-1]):
+        whole = ~np.any([np.isnan(column[rows]) for column in columns], axis=0)
+        if (whole[1:] & whole[:-1]).any():
             return True
-    return not columns
+    return False

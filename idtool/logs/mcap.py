@@ -50,11 +50,11 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     if records.cut and not len(topics):
         raise LogError(path, "was cut off before its first message")
     states, commands = topics.chosen()
-    warnings: list[str] = []
-    if records.cut:
-        kept = f"{len(states)} samples, up to t = {states.end:.3f} s" if len(states) else "no samples"
-        warnings.append(f"the file was cut off in mid-write; kept: {kept}")
     t, joints, signals = states.arrays()
+    warnings = []
+    if records.cut:
+        kept = f"{len(t)} samples, up to t = {t[-1]:.3f} s" if len(t) else "no samples"
+        warnings.append(f"the file was cut off in mid-write; kept: {kept}")
     if commands:
         try:
             signals |= _aligned(commands, t, joints)

@@ -57,7 +57,7 @@ class Batch:
     definitions
         Where the schemas and channels begin.
     messages
-        Where the messages begin, shape (k,), k > 0.
+        Where the messages begin, shape (k,).
     """
 
     buffer: bytes
@@ -66,7 +66,7 @@ class Batch:
 
     @property
     def heads(self) -> NDArray[np.void]:
-        """What stands before the contents of the messages, shape (k,), of type `HEAD`."""
+        """What stands before the contents of the messages, shape (k,), k > 0, of type `HEAD`."""
         places = np.ndarray(len(self.buffer) - HEAD.itemsize + 1, HEAD, self.buffer, strides=(1,))
         return places[self.messages]
 
@@ -141,13 +141,14 @@ class Records:
                 yield at, self._chunk(at, there, there == length), there == length
             elif opcode in (SCHEMA, CHANNEL, MESSAGE) and there == length:
                 self._bound(at, length)
+                start = start if loose else at
                 loose += head + self._file.read(length)
             if there < length:
                 break
             at = self._file.seek(at + length)
             if len(loose) >= _LOOSE_BYTES:
                 yield start, bytes(loose), True
-                loose, start = bytearray(), at
+                loose.clear()
         if loose:
             yield start, bytes(loose), True
 

@@ -27,7 +27,7 @@ class Samples:
     Attributes
     ----------
     index
-        Their places among the samples that were read together, shape (k,).
+        Their places among the samples that were read together, ascending, shape (k,).
     t
         Time [s], shape (k,).
     joints
@@ -60,11 +60,6 @@ class Series:
 
     def __len__(self) -> int:
         return self._size
-
-    @property
-    def end(self) -> float:
-        """Time of the last sample [s]."""
-        return float(self._t[self._size - 1])
 
     def append(self, pieces: Sequence[Samples]) -> None:
         """Add samples that were read together.

@@ -27,14 +27,18 @@ ENCODING = "json"
 
 
 def decoder(schema: Schema) -> Decoder | None:
-    """Of messages whose schema has lists of names and positions, or, where it lists no fields, is called JointState."""
+    """Of messages whose schema has lists of names and positions, or, where it names no fields, is called JointState."""
     try:
         properties = json.loads(schema.data).get("properties")
-        lists = properties and all("array" in properties[field]["type"] for field in ("name", "position"))
-    except (ValueError, RecursionError, AttributeError, KeyError, TypeError):
+    except (ValueError, RecursionError, AttributeError):
+        properties = None
+    if not properties:
+        return _decode if schema.name.endswith("JointState") else None
+    try:
+        lists = all("array" in properties[field].get("type", "array") for field in ("name", "position"))
+    except (AttributeError, KeyError, TypeError):
         return None
-    named = schema.name.endswith("JointState")
-    return _decode if lists or (named and not properties) else None
+    return _decode if lists else None
 
 
 def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:

@@ -1,0 +1,43 @@
+# Set-up is part of every target: a fresh machine needs Python 3.11 to 3.13 and make, nothing else.
+PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3,$(shell \
+	$(p) -c 'import sys; (3, 11) <= sys.version_info < (3, 14) and print("$(p)")' 2>/dev/null)))
+BIN := .venv/bin
+READY := .venv/.ready
+JOBS ?= 2
+
+.PHONY: demo test test-slow benchmarks samples lock clean
+
+demo: $(READY)  ## the main job on the sample logs
+	$(BIN)/idtool inspect sample_logs/leg_train.mcap
+	$(BIN)/idtool fit sample_logs/leg.urdf sample_logs/leg_train.mcap --validate sample_logs/leg_validate.mcap
+	$(BIN)/idtool validate leg_idtool/identified.urdf sample_logs/leg_validate.csv --prior sample_logs/leg.urdf
+
+test: $(READY)  ## style, types and tests
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n $(JOBS) -m "not slow"
+
+test-slow: $(READY)  ## what takes longer than CI allows
+	$(BIN)/pytest -n $(JOBS) -m slow
+
+benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
+	for script in benchmarks/*.py; do $(BIN)/python $$script; done
+
+samples: $(READY)  ## make the sample logs anew in MuJoCo
+	$(BIN)/python sample_logs/make.py
+
+lock: $(READY)  ## the newest versions that fit, for all supported Pythons
+	$(BIN)/pip install --quiet uv
+	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --generate-hashes --quiet --upgrade \
+		--no-emit-index-url --no-annotate --output-file .ci/requirements.txt
+
+$(READY): .ci/requirements.txt pyproject.toml
+	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; set PYTHON=/path/to/python" >&2; exit 2; }
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+clean:
+	rm -rf .venv *_idtool
