@@ -237,6 +237,8 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
         ("\n\n", "is no log: its first line names no joint signal, but none"),
         ("Lorem ipsum\ndolor\n", "is no log: its first line names no joint signal, but Lorem ipsum"),
         ("0,1\n1,2\n", "is no log: its first line names no joint signal, but 0, 1"),
+        ("t,q_hip" + "x" * 140_000 + "\n0,1\n", "line 1 cannot be read as names of columns in UTF-8"),
+        ("t,q_hip\n0,1\n1," + "x" * 140_000 + "\n", "line 3: field larger than field limit"),
         ("t,angle\n0,1\n", "is no log: its first line names no joint signal, but t, angle"),
         ("q_hip\n1\n", "has no time column; name it t, or set log.columns: {t: <its name>}"),
         ("t,v_hip\n0,1\n1,2\n", "no joint positions found"),

@@ -129,6 +129,38 @@ def test_damage_in_a_chunk(tmp_path: Path, compression: str) -> None:
         read_log(path)
 
 
+def test_damage_in_the_last_chunk_of_a_file_that_was_cut(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "whole", ros2(states(40)), chunk_size=1500)
+    full, data = read_log(path), path.read_bytes()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary
+    last = summary.chunk_indexes[3].chunk_start_offset
+    before = kept(tmp_path / "cut", data[:last], full)
+    assert 0 < before == kept(tmp_path / "cut", data[: last + 53] + b"\0\1\2\3" * 8, full)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [(28, 500), (36, 1 << 20)]
+)  # lengths of the compression's name, and the data
+def test_lengths_within_a_chunk(tmp_path: Path, field: int, value: int) -> None:
+    path = write_mcap(tmp_path / "log", ros2(states(40)))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary
+    at = summary.chunk_indexes[0].chunk_start_offset + 9 + field
+    data = path.read_bytes()
+    path.write_bytes(data[:at] + value.to_bytes(4, "little") + data[at + 4 :])
+    with pytest.raises(LogError, match="damaged near byte"):
+        read_log(path)
+
+
+def test_a_channel_that_cannot_be_read(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "log", ros2(states(40)), use_chunking=False)
+    with pytest.raises(LogError, match="a schema or channel cannot be read"):
+        read_log(damaged(path, b"/joint_states", b"\xff"))
+
+
 def test_a_chunk_shorter_than_it_says(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log", ros2(states(100)))
     size = path.stat().st_size

@@ -56,9 +56,32 @@ def test_every_container(tmp_path: Path, compression: str, options: dict[str, An
 
 
 def test_many_messages(tmp_path: Path) -> None:
-    items = states(9000, NAMES[:1])
+    items = states(12_000, NAMES[:1])  # more than are decoded together, or taken together outside chunks
     check(read_log(write_mcap(tmp_path / "log", ros2(items), use_chunking=False)), items)
     check(read_log(write_mcap(tmp_path / "log", ros2(items))), items)
+
+
+def records(path: Path, *opcodes: int) -> bytes:
+    """Whole records of an MCAP file, as they stand there."""
+    data, at, found = path.read_bytes(), 8, b""
+    while data[at] != 0x0F:
+        end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        found += data[at:end] if data[at] in opcodes else b""
+        at = end
+    return found
+
+
+def test_messages_in_chunks_and_outside(tmp_path: Path) -> None:
+    items = states(90)
+    loose = records(write_mcap(tmp_path / "loose", ros2(items[:30]), use_chunking=False), 3, 4, 5)
+    chunks = records(write_mcap(tmp_path / "chunks", ros2(items[30:60]), chunk_size=900), 6)
+    more = records(write_mcap(tmp_path / "more", ros2(items[60:]), use_chunking=False), 3, 4, 5)
+    end = b"\x0f" + (4).to_bytes(8, "little") + bytes(4)
+    magic = b"\x89MCAP0\r\n"
+    (tmp_path / "log").write_bytes(magic + loose + chunks + more + end + magic)
+    log = read_log(tmp_path / "log")
+    check(log, items)
+    assert log.warnings == ()
 
 
 def test_reads_what_the_decoder_decodes(tmp_path: Path) -> None:
@@ -183,6 +206,12 @@ def test_two_publishers_of_one_topic(tmp_path: Path) -> None:
     items = states(40)
     path = write_mcap(tmp_path / "log", ros2(items[::2]), ros2(items[1::2]))
     check(read_log(path), items)
+
+
+def test_nothing_but_nan(tmp_path: Path) -> None:
+    items = [replace(state, position=[np.nan] * 3, velocity=(), effort=()) for state in states(10)]
+    with pytest.raises(LogError, match="no joint positions found"):
+        read_log(write_mcap(tmp_path / "log", ros2(items)))
 
 
 def test_missing_signals(tmp_path: Path) -> None:

@@ -91,6 +91,25 @@ def test_protobuf_that_cannot_be_read(tmp_path: Path, payload: bytes, said: str)
         read_log(path)
 
 
+def test_unpacked_protobuf_that_cannot_be_read(tmp_path: Path) -> None:
+    items = states(9)
+    items[5] = replace(items[5], velocity=(1.0, 2.0))
+    with pytest.raises(LogError, match="message 6 of /joint_states has 3 names and 2 values of velocity"):
+        read_log(write_mcap(tmp_path / "log", proto_channel(items, Proto(packed=False))))
+
+
+def test_protobuf_fields_that_come_twice(tmp_path: Path) -> None:
+    items = states(9, ("a", "b"))
+    channel = proto_channel([replace(s, velocity=(), effort=()) for s in items], Proto())
+    values = [(np.array(s.position[:1]).tobytes(), np.array(s.position[1:]).tobytes()) for s in items]
+    payloads = [
+        channel.payloads[i][:-19] + b"\xa2\x01\x08" + first + b"\xa2\x01\x08" + second
+        for i, (first, second) in enumerate(values)
+    ]
+    log = read_log(write_mcap(tmp_path / "log", replace(channel, payloads=payloads)))
+    check(log, [replace(s, velocity=(), effort=()) for s in items])
+
+
 @pytest.mark.parametrize(
     "schema", [b"", b"position", b"\n\x0c\n\nposition.x", Proto().files().file[0].SerializeToString()]
 )

@@ -87,5 +87,6 @@
   addEventListener("afterprint", () => {
     root.classList.remove("paper");
     redraw();
+    drawn().forEach(Plotly.Plots.resize);
   });
 })();
