@@ -175,7 +175,7 @@ def inspect_command(
     options = (read_config(config) if config else Config()).log
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        record = read_log(log, topic=options.topic, columns=options.columns, scale=options.scale)
+        record = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
         progress("inspecting", 0.0)
         inspection = inspect_log(record)
     show_inspection(terminal, inspection)
@@ -214,7 +214,7 @@ def _config(urdf: Path, given: Path | None) -> Config:
 def _bounds(given: list[str], experiment: Experiment) -> dict[str, float]:
     """Bounds by joint or ``overall`` from the options."""
     from idtool.exceptions import ConfigError
-    from idtool.model import nearest
+    from idtool.names import nearest
 
     bounds = {}
     for text in given:

@@ -8,9 +8,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-import yaml
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -25,10 +24,8 @@ from pydantic import (
 
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError
+from idtool.safe_yaml import read_yaml
 
-_MOST_BYTES = 1 << 20  # a configuration is written by hand or by idtool; more is not one
-_MOST_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up
-_MOST_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of their length to read
 _LATER = ("known", "mirror")  # keys and kinds of the contract that this version does not have
 _LATER_KINDS = ("entropic", "pullback")
 
@@ -79,12 +76,22 @@ class Uncertain(Record):
         return data if isinstance(data, Mapping) else {"value": data}
 
 
+class Scale(Record):
+    """SI per logged unit, by joint."""
+
+    q: dict[str, Finite] = {}
+    v: dict[str, Finite] = {}
+    tau: dict[str, Finite] = {}
+    qcmd: dict[str, Finite] = {}
+    vcmd: dict[str, Finite] = {}
+
+
 class LogOptions(Record):
     """How to read the logs."""
 
     topic: str | None = None
     columns: dict[str, str] = {}
-    scale: dict[Annotated[str, Field(pattern="^(q|v|tau|qcmd|vcmd)$")], dict[str, Finite]] = {}
+    scale: Scale = Scale()
 
 
 class Origin(Record):
@@ -250,62 +257,6 @@ class Config(Record):
         return self.friction if isinstance(self.friction, Friction) else self.friction.get(joint, Friction())
 
 
-def read_yaml(path: Path) -> Any:
-    """The contents of a YAML file from a stranger.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, is too large, is not YAML, or repeats a key.
-    """
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(path, f"cannot be read ({error.strerror})") from None
-    if len(data) > _MOST_BYTES:
-        raise ConfigError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no configuration is")
-    try:
-        root = yaml.compose(data, Loader=yaml.SafeLoader)
-        _check_nodes(path, root)
-        return yaml.safe_load(data)
-    except yaml.MarkedYAMLError as error:
-        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(path, f"is not YAML{line}: {error.problem}") from None
-    except ConfigError:
-        raise
-    except Exception as error:  # the parser has no error of its own for a tag that belies its value
-        raise ConfigError(path, f"is not YAML: {error}") from None
-
-
-def _check_nodes(path: Path, root: yaml.Node | None) -> None:
-    """Refuse repeated keys, values without end, and aliases that nest into more than they look."""
-    sizes: dict[int, int] = {}
-
-    def size(node: yaml.Node) -> int:
-        if id(node) in sizes:
-            return sizes[id(node)]
-        sizes[id(node)] = _MOST_NODES  # an alias to a node that holds itself
-        children: list[yaml.Node] = []
-        if isinstance(node, yaml.MappingNode):
-            seen: set[str] = set()
-            for key, value in node.value:
-                if key.value in seen if isinstance(key, yaml.ScalarNode) else False:
-                    line = key.start_mark.line + 1
-                    raise ConfigError(path, f"key '{key.value}' stands twice, again in line {line}; keep one")
-                seen.add(str(key.value))
-                children += [key, value]
-        elif isinstance(node, yaml.SequenceNode):
-            children = list(node.value)
-        elif len(node.value) > _MOST_CHARACTERS:
-            raise ConfigError(path, f"holds a value of {len(node.value)} characters in line {node.start_mark.line + 1}")
-        sizes[id(node)] = 1 + sum(map(size, children))
-        return sizes[id(node)]
-
-    if root is not None and size(root) >= _MOST_NODES:
-        raise ConfigError(path, f"holds more than {_MOST_NODES} values, aliases written out; no configuration does")
-
-
 def parse_config(data: Any, where: str) -> Config:
     """A configuration from plain data.
 
@@ -321,8 +272,22 @@ def parse_config(data: Any, where: str) -> Config:
     for key in _LATER:
         if key in data:
             raise ConfigError(f"{where}: {key}", "is not in this version of idtool; take it out")
+    return checked(Config, data, where)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def checked(kind: type[R], data: Any, where: str) -> R:
+    """A record from plain data.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value does not fit; the message names the key.
+    """
     try:
-        return Config.model_validate(data)
+        return kind.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if part not in ("by joint", "alike", "[key]"))

@@ -138,7 +138,7 @@ def prepare(
         raise LogError("logs", "none given; name at least one MCAP or CSV file")
     options = config.log
     fitted, kept = (
-        [read_log(path, topic=options.topic, columns=options.columns, scale=options.scale) for path in paths]
+        [read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale)) for path in paths]
         for paths in (logs, validate)
     )
     every = (*fitted, *kept)

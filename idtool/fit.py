@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.body import Body
 from idtool.exceptions import LogError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify
 from idtool.inertia import SIZE
-from idtool.model import Body
 from idtool.sets import ConstraintSet, constraint_sets, tightest
 from idtool.uncertainty import Uncertainty, uncertainty
 from idtool.validate import Evaluation, evaluate

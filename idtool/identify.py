@@ -22,10 +22,10 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.body import Body
 from idtool.config import Regularization
 from idtool.exceptions import SolverError
 from idtool.inertia import SIZE
-from idtool.model import Body
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
 from idtool.sets import ConstraintSet, Inequality

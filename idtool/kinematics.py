@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.body import Body
 from idtool.inertia import skew
-from idtool.model import Body, Model
+from idtool.model import Model
 
 Array = NDArray[np.float64]
 

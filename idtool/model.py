@@ -5,99 +5,28 @@ Every body, link or rotor, hangs on its parent by one axis, along or about which
     phi = ratios · q + offset,
 
 one entry of `ratios` for a plain joint, a multiple for a mimic joint, the gear ratio for a rotor, several for a belt or
-differential. Links on fixed or locked joints are lumped into the body that carries them. Letters: q joint coordinates
-(nv,) [rad or m], pi inertia parameters (10,), R (3, 3) and p (3,) [m] a frame's place in another.
+differential. Links on fixed or locked joints are lumped into the body that carries them. Letters as in `body`.
 """
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.body import Body, Frame, Member
 from idtool.config import Bounding, Config
 from idtool.config import Rotor as RotorConfig
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError, ModelError
-from idtool.inertia import SIZE, from_mass_com_inertia, symmetric, transformation
+from idtool.inertia import SIZE, from_mass_com_inertia, symmetric
+from idtool.names import nearest
 from idtool.robot import Joint, Robot
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A place: rotation R (3, 3) and position p (3,) [m] in a body's frame; body −1 is the root link."""
-
-    body: int
-    R: Array
-    p: Array
-
-    def then(self, R: Array, p: Array) -> Frame:
-        """The frame that sits at R, p in this one."""
-        return Frame(self.body, self.R @ R, self.p + self.R @ p)
-
-
-@dataclass(frozen=True)
-class Member:
-    """A URDF link that is part of a body: its own parameters (10,) and where it sits in the body's frame."""
-
-    link: str
-    pi: Array
-    frame: Frame
-
-    @property
-    def pi_in_body(self) -> Array:
-        """Its parameters in the body's frame, shape (10,)."""
-        return transformation(self.frame.R, self.frame.p) @ self.pi
-
-
-@dataclass(frozen=True)
-class Body:
-    """A rigid body and how it moves.
-
-    Attributes
-    ----------
-    name
-        The carrying link's name, or the rotor's.
-    kind
-        Link or rotor.
-    pi
-        Prior inertia parameters in the body's frame, all members together, shape (10,).
-    ellipsoids
-        Bounding ellipsoids in the body's frame; several are their union, none is no bound.
-    mount
-        The body's frame, at phi = 0, in its parent's.
-    axis
-        Unit vector of the motion in the body's frame, shape (3,).
-    prismatic
-        Whether it moves along the axis rather than about it.
-    ratios, offset
-        phi = ratios · q + offset; shape (nv,), [rad or m].
-    members
-        The URDF links it is made of, the one that gives the name first; none for a rotor that the URDF has not.
-    """
-
-    name: str
-    kind: Literal["link", "rotor"]
-    pi: Array
-    ellipsoids: tuple[Ellipsoid, ...]
-    mount: Frame
-    axis: Array
-    prismatic: bool
-    ratios: Array
-    offset: float = 0.0
-    members: tuple[Member, ...] = ()
-
-    @property
-    def lumped(self) -> tuple[str, ...]:
-        """Links with mass that are part of this body under another name."""
-        return tuple(member.link for member in self.members[1:] if member.pi.any())
 
 
 @dataclass(frozen=True)
@@ -159,13 +88,6 @@ def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> Model:
         If no joint of the URDF was logged.
     """
     return _Builder(robot, config, tuple(logged)).build()
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint for a name that is not known: the one that was perhaps meant."""
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known[:12])}"
 
 
 @dataclass
@@ -280,7 +202,7 @@ class _Builder:
         if pi is not None:
             self.members.setdefault(frame.body, []).append(Member(link, pi, frame))
         for bounding in bounds:
-            self.ellipsoids.setdefault(frame.body, []).append(_moved(bounding.ellipsoid(), frame))
+            self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
 
     def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a rotor's angle; no ratios where all that drives it is locked."""
@@ -375,8 +297,3 @@ class _Builder:
             members = (own, *members)
         pi = np.sum([member.pi_in_body for member in members], axis=0)
         return replace(body, pi=pi, members=members, ellipsoids=tuple(self.ellipsoids.get(index, ())))
-
-
-def _moved(ellipsoid: Ellipsoid, frame: Frame) -> Ellipsoid:
-    """An ellipsoid given in a link's frame, in the frame of the body that carries the link."""
-    return Ellipsoid.along(frame.p + frame.R @ ellipsoid.center, ellipsoid.semi_axes, frame.R @ ellipsoid.rotation)

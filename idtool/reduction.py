@@ -1,7 +1,8 @@
 """Blocks → their triangular factors. Factors merge, so a log of any length becomes a small matrix.
 
 For rows A = [Y, tau], the factor R of A = QR has ‖A x‖ = ‖R x‖ for every x, so that with x = [theta; −1] the sum of
-squared residuals of any theta is that of R's few rows. QR, not the normal equations, which would square the condition number.
+squared residuals of any theta is that of R's few rows. QR, not the normal equations, which would square the condition
+number.
 """
 
 from __future__ import annotations

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from idtool.config import Config, Positive, Record, read_config, read_yaml
+from idtool.config import Config, Positive, Record, checked, read_config
 from idtool.exceptions import ConfigError
 from idtool.experiment import Progress, prepare
 from idtool.fit import fit
 from idtool.robot import read_robot
+from idtool.safe_yaml import read_yaml
 
 
 class Case(Record):
@@ -54,12 +55,7 @@ def read_manifest(path: Path) -> tuple[Case, ...]:
     cases = data.get("cases") if isinstance(data, dict) else None
     if not isinstance(cases, list) or not cases:
         raise ConfigError(path, "holds no cases; list them under cases")
-    try:
-        return tuple(Case.model_validate(case) for case in cases)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise ConfigError(f"{path}: {key}" if key else path, first["msg"].removeprefix("Value error, ")) from None
+    return tuple(checked(Case, case, f"{path}: case {number}") for number, case in enumerate(cases, start=1))
 
 
 def run_case(case: Case, folder: Path, progress: Progress) -> list[Outcome]:

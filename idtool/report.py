@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool import __version__
+from idtool.body import Body
 from idtool.config import Config
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
-from idtool.model import Body
 from idtool.urdf import JointDynamics
 from idtool.validate import Evaluation
 

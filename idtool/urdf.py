@@ -6,15 +6,15 @@ The file is edited at byte positions that expat reports, so that comments, order
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.body import Body
 from idtool.inertia import mass_com_inertia, pseudo_inertia, six
-from idtool.model import Body
 from idtool.robot import Robot
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class JointDynamics:
     friction: float | None = None
 
 
-def link_parameters(body: Body, pi: Array) -> dict[str, Array | None]:
+def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, Array | None]:
     """New inertials of a body's links, in the links' frames, which together are the body's.
 
     The carrying link takes the difference between what was identified and what the URDF gives the links lumped into it.
@@ -40,14 +40,18 @@ def link_parameters(body: Body, pi: Array) -> dict[str, Array | None]:
         The body.
     pi
         Its identified parameters, shape (10,).
+    links
+        Names of the URDF's links; a rotor that is locked and none of them stays in the configuration.
     """
     if not body.members:
         return {}
     first, *others = body.members
-    rest = pi - sum((member.pi_in_body for member in others), np.zeros(len(pi)))
+    lumped = [member for member in others if member.link in links]
+    own = pi - sum((member.pi_in_body for member in others if member.link not in links), np.zeros(len(pi)))
+    rest = own - sum((member.pi_in_body for member in lumped), np.zeros(len(pi)))
     if _is_realizable(rest):
         return {first.link: rest}
-    return {first.link: pi, **{member.link: None for member in others}}
+    return {first.link: own, **{member.link: None for member in lumped}}
 
 
 def _is_realizable(pi: Array) -> bool:
@@ -195,5 +199,5 @@ def identified_urdf(
     """
     links: dict[str, Array | None] = {}
     for body, pi in bodies.values():
-        links.update(link_parameters(body, pi))
+        links.update(link_parameters(body, pi, robot.links))
     return rewrite(robot.text, links, joints)

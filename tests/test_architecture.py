@@ -18,9 +18,10 @@ PACKAGE = ROOT / "idtool"
 
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
-    *("exceptions", "inertia", "ellipsoid", "config", "robot", "logs", "inspection", "model", "signals", "kinematics"),
-    *("effects", "regressor", "reduction", "sets", "identify", "uncertainty", "urdf", "experiment", "validate", "fit"),
-    *("regression", "outputs", "report", "page", "terminal", "cli"),
+    *("exceptions", "names", "safe_yaml", "inertia", "ellipsoid", "config", "robot", "logs", "inspection"),
+    *("body", "model", "signals", "kinematics", "effects", "regressor", "reduction", "sets", "identify"),
+    *("uncertainty", "urdf", "experiment", "validate", "fit", "regression", "outputs", "report", "page"),
+    *("terminal", "cli"),
 )
 
 WALLS = {

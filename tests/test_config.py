@@ -56,7 +56,7 @@ def test_the_contracts_example(read: Read) -> None:
     assert config.gravity == (0.0, 0.0, -9.81)
     assert config.log.topic == "/joint_states"
     assert config.log.columns == {"t": "time"}
-    assert config.log.scale == {"tau": {"hip": 0.118}}
+    assert config.log.scale.tau == {"hip": 0.118}
     (bound,) = config.bounding_ellipsoids["thigh"]
     assert bound.ellipsoid().center == (0.0, 0.0, -0.17)
     assert bound.ellipsoid().semi_axes == (0.08, 0.08, 0.25)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto
 from recordings import JSON, Channel, Proto, json_channel, proto_channel, ros2, states, write_mcap
 from test_logs_mcap import check
 
@@ -89,6 +90,23 @@ def test_protobuf_that_cannot_be_read(tmp_path: Path, payload: bytes, said: str)
     path = write_mcap(tmp_path / "log", replace(channel, times=[1, 2, 3], payloads=[*channel.payloads, payload]))
     with pytest.raises(LogError, match=said):
         read_log(path)
+
+
+def test_protobuf_without_a_stamp(tmp_path: Path) -> None:
+    items, files = states(9), Proto().files()
+    del files.file[0].message_type[0].field[0]
+    schema = ("robot.JointState", "protobuf", files.SerializeToString())
+    log = read_log(write_mcap(tmp_path / "log", replace(proto_channel(items, Proto()), schema=schema)))
+    check(log, [replace(s, stamp=s.logged) for s in items])
+
+
+def test_protobuf_of_one_joint_is_none(tmp_path: Path) -> None:
+    files = Proto().files()
+    files.file[0].message_type[0].field[2].label = FieldDescriptorProto.LABEL_OPTIONAL
+    files.file[0].message_type[0].field[2].ClearField("options")
+    schema = ("robot.JointState", "protobuf", files.SerializeToString())
+    with pytest.raises(LogError, match="no topic carries joint states"):
+        read_log(write_mcap(tmp_path / "log", replace(proto_channel(states(3), Proto()), schema=schema)))
 
 
 def test_unpacked_protobuf_that_cannot_be_read(tmp_path: Path) -> None:
@@ -187,6 +205,7 @@ def test_json_null_is_missing(tmp_path: Path) -> None:
         (b'{"name":["hip"],"header":{"stamp":{"sec":"1"}}}', "is no joint state"),
         (b'{"name":["hip"],"header":{"stamp":{"sec":1' + b"0" * 400 + b"}}}", "is no joint state"),
         (b'{"name":["hip"],"position":["x"]}', "message 3 of /joint_states holds values that are no numbers"),
+        (b'{"name":["hip"],"position":["x"],"velocity":[1],"effort":[1]}', "message 3 of /joint_states holds values"),
         (b'{"name":["hip"],"position":[[1]]}', "holds values that are no numbers"),
         (b'{"name":["hip"],"position":[1' + b"0" * 400 + b"]}", "holds values that are no numbers"),
         (b'{"name":["hip"],"position":[1,2]}', "has 1 names and 2 values of position"),

@@ -12,7 +12,8 @@ from idtool.effects.base import Coefficient, Effect
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.rigid_body import RigidBodies
 from idtool.exceptions import ConfigError
-from idtool.model import Model, nearest
+from idtool.model import Model
+from idtool.names import nearest
 from idtool.robot import Joint
 
 __all__ = ["Coefficient", "Effect", "JointTerm", "RigidBodies", "build_effects", "known_effects"]

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.body import Body
 from idtool.effects.base import Coefficient, Effect
 from idtool.inertia import NAMES, SIZE, UNITS, mass_com_inertia
 from idtool.kinematics import BodyMotion, body_motions, cross
-from idtool.model import Body, Model
+from idtool.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
@@ -37,7 +38,9 @@ class RigidBodies(Effect):
         self.active = tuple(
             (np.flatnonzero(support[:, j])[:, None] * SIZE + np.arange(SIZE)).ravel() for j in range(support.shape[1])
         )
-        self._first_row: NDArray[np.intp] = np.cumsum(support, axis=0) - support  # of each body within a joint's columns, in bodies
+        self._first_row: NDArray[np.intp] = (
+            np.cumsum(support, axis=0) - support
+        )  # of each body within a joint's columns, in bodies
 
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         """See `Effect.write`."""

@@ -16,7 +16,7 @@ from typing import BinaryIO, Protocol, cast
 
 from idtool.exceptions import LogError
 from idtool.logs.log import SIGNALS, Log, make_log
-from idtool.logs.names import nearest
+from idtool.names import nearest
 
 __all__ = ["SIGNALS", "Log", "make_log", "read_log", "write_log"]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from idtool.exceptions import LogError
 from idtool.logs.log import SIGNALS
-from idtool.logs.names import nearest, shown, some
+from idtool.names import nearest, shown, some
 
 _TIMES = ("t", "time", "__time", "timestamp")
 _FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}

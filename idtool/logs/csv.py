@@ -15,9 +15,9 @@ from idtool.exceptions import LogError
 from idtool.logs.columns import find_columns
 from idtool.logs.interleaved import log_of
 from idtool.logs.log import SIGNALS, Array, Log
-from idtool.logs.names import some
 from idtool.logs.series import Samples, Series
 from idtool.logs.table import Table
+from idtool.names import some
 
 SUFFIXES = (".csv",)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from idtool.logs.log import Array, Log, make_log
-from idtool.logs.names import some
+from idtool.names import some
 
 _BLOCK = 1 << 14  # samples looked at together
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from idtool.exceptions import LogError
 from idtool.logs.log import Array
-from idtool.logs.names import shown
+from idtool.names import shown
 
 _PIECE_BYTES = 1 << 22
 _LONGEST_LINE = 1 << 20  # bytes

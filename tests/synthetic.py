@@ -1,0 +1,102 @@
+"""Data for the identification that idtool had no part in: Pinocchio's rows of random trees whose bodies are points of mass.
+
+Letters: nv joints, n samples, p coefficients; Y (nv, n, p) rows, tau (nv, n) torque [N·m or N], theta (p,) the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from reference import Reference
+from robots import actuated
+
+from idtool.config import parse_config
+from idtool.effects import build_effects
+from idtool.ellipsoid import Ellipsoid
+from idtool.model import Body, Model, build_model
+from idtool.reduction import Factor, Reduction
+from idtool.regressor import LinearModel
+from idtool.robot import Robot
+
+Array = NDArray[np.float64]
+
+FRICTION = {"viscous": lambda v: v, "coulomb": np.sign, "offset": np.ones_like}
+
+
+@dataclass(frozen=True)
+class Synthetic:
+    """A robot, its true coefficients, and the rows of a motion in which no sample knows of the others."""
+
+    model: Model
+    linear: LinearModel
+    Y: Array
+    theta: Array
+
+    @property
+    def tau(self) -> Array:
+        """Torque without noise."""
+        return np.asarray(self.Y @ self.theta)
+
+    def reduction(self, tau: Array) -> Reduction:
+        """The rows and a torque as R-factors."""
+        return tuple(
+            Factor.of(np.vstack([Y.T[columns], row]))
+            for Y, row, columns in zip(self.Y, tau, self.linear.active(), strict=True)
+        )
+
+
+def synthetic(rng: np.random.Generator, robot: Robot, count: int, config: Mapping[str, Any] | None = None) -> Synthetic:
+    """Random states of a robot whose bodies are, in truth, points of mass within their ellipsoids."""
+    everything: dict[str, Any] = {"gravity": [0.0, 0.0, -9.81], **(config or {})}
+    parsed = parse_config(everything, "")
+    model = build_model(robot, parsed, actuated(robot))
+    linear = LinearModel(model.names, build_effects(model, parsed))
+    reference = Reference(robot.text.decode(), model.names, everything)
+    q, v, a = rng.normal(size=(3, count, len(model.names))) * np.array([1.0, 3.0, 20.0])[:, None, None]
+    names = [body.name for body in model.bodies]
+    rigid = np.stack([reference.regressor(names, *state) for state in zip(q, v, a, strict=True)], axis=1)
+    others = [c for c in linear.coefficients if c.effect != "rigid_body"]
+    friction = np.zeros((*rigid.shape[:2], len(others)))
+    for k, coefficient in enumerate(others):
+        j = model.names.index(coefficient.owner)
+        friction[j, :, k] = FRICTION[coefficient.name](v[:, j])
+    truth = np.concatenate([*(true_body(rng, body) for body in model.bodies), rng.uniform(0.2, 2, len(others))])
+    return Synthetic(model, linear, np.concatenate([rigid, friction], axis=2), truth)
+
+
+def true_body(rng: np.random.Generator, body: Body) -> Array:
+    """Parameters of six points of mass in each of a body's ellipsoids, or around its own frame."""
+    parts = [points_in(rng, ellipsoid, 6) for ellipsoid in body.ellipsoids] or [0.1 * rng.normal(size=(6, 3))]
+    return np.sum([point_parameters(rng.uniform(0.05, 0.3, len(part)), part) for part in parts], axis=0)
+
+
+def point_parameters(masses: Array, places: Array) -> Array:
+    """The ten parameters of points of mass (n,) at places (n, 3), written out from their definition."""
+    x, y, z = places.T
+    moments = [y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
+    return np.array([np.sum(masses * f) for f in [np.ones_like(x), x, y, z, *moments]])
+
+
+def points_in(rng: np.random.Generator, ellipsoid: Ellipsoid, count: int) -> Array:
+    """Points spread evenly over an ellipsoid, shape (count, 3)."""
+    directions = rng.normal(size=(count, 3))
+    radii = rng.uniform(size=count) ** (1 / 3) / np.linalg.norm(directions, axis=1)
+    return np.asarray(directions * radii[:, None] * ellipsoid.semi_axes @ ellipsoid.rotation.T + ellipsoid.center)
+
+
+def random_bound(rng: np.random.Generator) -> dict[str, Any]:
+    """A bounding ellipsoid as the configuration gives it, at any angle."""
+    return {
+        "center": rng.uniform(-0.2, 0.2, 3).tolist(),
+        "semi_axes": rng.uniform(0.05, 0.3, 3).tolist(),
+        "rpy": rng.uniform(-3, 3, 3).tolist(),
+    }
+
+
+def bounds(rng: np.random.Generator, robot: Robot, each: int = 1) -> dict[str, Any]:
+    """The configuration with as many ellipsoids for every link."""
+    return {"bounding_ellipsoids": {link: [random_bound(rng) for _ in range(each)] for link in robot.links}}
