@@ -312,10 +312,10 @@ def test_a_joint_no_better_than_the_prior_is_named(fitted: Fit, report: dict[str
     assert levels(page)[0] == "note"
 
 
-def test_a_body_that_cannot_exist_is_named(fitted: Fit, report: dict[str, Any]) -> None:
+def test_an_unrealizable_body_is_named(fitted: Fit, report: dict[str, Any]) -> None:
     report["bodies"][BODY]["realizable"] = False
     page = Page(fit_page(fitted, report, "idtool fit"))
-    assert f"1 of 2 bodies cannot exist: {BODY}." in page.text
+    assert f"1 of 2 bodies are not: {BODY}." in page.text
     assert levels(page)[1] == "bad"
     assert page.table("prior mass [kg]")[BODY]["realizable"] == "NO"
 

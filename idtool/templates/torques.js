@@ -8,24 +8,22 @@
   const touch = matchMedia("(pointer: coarse)").matches; // there, a finger on a plot scrolls the page
   const printed = 680; // px
 
-  const line = (log, name, y, axis, color, style) => ({
-    x: log.t, y, name, yaxis: axis, type: "scatter", mode: "lines", hoverinfo: "x+y+name",
-    line: { color, shape: "linear", ...style },
+  const line = (x, joint, name, yaxis, style) => ({
+    x, y: joint[name], name, yaxis, type: "scatter", mode: "lines", hoverinfo: "x+y+name", line: style,
   });
 
   function traces(log, joint, color) {
     const drawn = [
-      line(log, "measured", joint.measured, "y", color("measured"), { width: 4 }),
-      line(log, "predicted", joint.predicted, "y", color("predicted"), { width: 1.3 }),
-      line(log, "residual", joint.residual, "y2", color("residual"), { width: 1 }),
+      line(log.t, joint, "measured", "y", { color: color("measured"), width: 4 }),
+      line(log.t, joint, "predicted", "y", { color: color("predicted"), width: 1.3 }),
+      line(log.t, joint, "residual", "y2", { color: color("residual"), width: 1 }),
     ];
-    if (prior && prior.checked)
-      drawn.push(line(log, "prior", joint.prior, "y", color("prior"), { width: 1.3, dash: "dot" }));
+    if (prior && prior.checked) drawn.push(line(log.t, joint, "prior", "y", { color: color("prior"), width: 1.3, dash: "dot" }));
     return drawn;
   }
 
   function layout(log, joint, color, range) {
-    const axis = { gridcolor: color("line"), zerolinecolor: color("line"), linecolor: color("line"), automargin: true };
+    const axis = { gridcolor: color("line"), zerolinecolor: color("line"), linecolor: color("line") };
     const start = log.start ? ` − ${log.start}` : "";
     return {
       width: root.classList.contains("paper") ? printed : undefined, height: 340,
@@ -64,8 +62,8 @@
     log.range = whole ? undefined : [change["xaxis.range[0]"], change["xaxis.range[1]"]];
     const others = drawn().filter((other) => other !== plot && other.dataset.log === plot.dataset.log);
     following = true;
-    Promise.all(others.map((other) => Plotly.relayout(other, whole ? { "xaxis.autorange": true } : { "xaxis.range": [...log.range] })))
-      .finally(() => { following = false; });
+    const same = () => (whole ? { "xaxis.autorange": true } : { "xaxis.range": [...log.range] });
+    Promise.all(others.map((other) => Plotly.relayout(other, same()))).finally(() => { following = false; });
   }
 
   const watch = new IntersectionObserver(
