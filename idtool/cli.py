@@ -147,7 +147,7 @@ def validate_command(
             own = _config(prior, None) if prior.with_suffix(".yaml").is_file() else settings.without_friction_values()
             models["prior"] = coefficients_of(read_robot(prior), own, experiment)
         evaluation = evaluate(experiment, models, held_out=True, progress=progress)
-        report = validation_report(evaluation, experiment.equation.joints, experiment.band_hz, bounds)
+        report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds)
         report["warnings"] = list(experiment.warnings)
         write_all(
             out or Path(f"{urdf.stem}_idtool"),

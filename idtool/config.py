@@ -26,12 +26,13 @@ from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError
 from idtool.safe_yaml import read_yaml
 
+_MOST = 1e12  # SI, of any number: powers of what is larger are not finite
 _LATER = ("known", "mirror")  # keys and kinds of the contract that this version does not have
 _LATER_KINDS = ("entropic", "pullback")
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-_MOST, le=_MOST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Constraints = Literal["none", "semi", "full", "com_ellipsoid", "ellipsoid"]
 

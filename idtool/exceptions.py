@@ -17,9 +17,14 @@ class IdtoolError(Exception):
     """
 
     def __init__(self, where: object, what: str) -> None:
-        self.where = str(where)
-        self.what = " ".join(what.split())
+        self.where = _one_line(str(where))
+        self.what = _one_line(" ".join(what.split()))
         super().__init__(f"{self.where}: {self.what}")
+
+
+def _one_line(text: str) -> str:
+    """The text, characters that cannot be printed escaped: names of files, keys and joints are a stranger's."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class ConfigError(IdtoolError):

@@ -9,6 +9,7 @@ of length 1 stands for all samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,18 @@ class BodyMotion:
     S_v: Array
     coordinates: NDArray[np.intp]
 
+    @cached_property
+    def M(self) -> Array:  # noqa: N802
+        """A point x of the body has the acceleration acc + M x: M = S(alpha) + S(w)², shape (3, 3, N) [1/s²]."""
+        w, alpha = self.w, self.alpha
+        M = w[:, None] * w
+        square = M[0, 0] + M[1, 1] + M[2, 2]
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            M[i, i] -= square
+            M[i, j] -= alpha[k]
+            M[j, i] += alpha[k]
+        return M
+
 
 def cross(a: Array, b: Array) -> Array:
     """Cross product along the first axis; much faster than numpy's for long last axes."""
@@ -61,69 +74,50 @@ def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]
     none = np.zeros((3, 0, 1))
     base = BodyMotion(still, still, -model.gravity[:, None], none, none, np.zeros(0, dtype=np.intp))
     motions: list[BodyMotion] = []
-    for body in model.bodies:
+    for body, moved in zip(model.bodies, model.support(), strict=True):
         parent = base if body.mount.body < 0 else motions[body.mount.body]
-        motions.append(_step(body, parent, q, v, a))
+        own = np.stack([body.ratios @ x for x in (q, v, a)])
+        motions.append(_step(body, parent, own, np.flatnonzero(moved)))
     return motions
 
 
-def _step(body: Body, parent: BodyMotion, q: Array, v: Array, a: Array) -> BodyMotion:
-    moved = np.flatnonzero(body.ratios)
-    ratios = body.ratios[moved]
-    phi, dphi, ddphi = ratios @ q[moved] + body.offset, ratios @ v[moved], ratios @ a[moved]
+def _step(body: Body, parent: BodyMotion, own: Array, coordinates: NDArray[np.intp]) -> BodyMotion:
+    """A body's motion from its parent's and its own along its axis, ``own`` = phi less its offset, dphi, ddphi."""
+    phi, dphi, ddphi = own
+    phi = phi + body.offset
+    axis = body.axis[:, None]
     p = body.mount.p[:, None]
     if body.prismatic:
-        p = p + (body.mount.R @ body.axis)[:, None] * phi
-    acc = parent.acc + cross(parent.alpha, p) + cross(parent.w, cross(parent.w, p))
-    S_v = parent.S_v + cross(parent.S_w, p[:, None])
-    # One rotation for everything: columns are w, alpha, acc, then the Jacobian's.
-    inherited = _into(body, phi, _side_by_side(parent.w, parent.alpha, acc, parent.S_w, S_v))
-    k = len(parent.coordinates)
-    w, alpha, acc = inherited[:, 0], inherited[:, 1], inherited[:, 2]
-    S_w, S_v = inherited[:, 3 : 3 + k], inherited[:, 3 + k :]
-    axis = body.axis[:, None]
-    coordinates = np.union1d(parent.coordinates, moved)
+        p = p + (body.mount.R @ axis) * phi
+    R = _rotation(body, phi)
+    w, alpha, acc = (_times(R, x) for x in (parent.w, parent.alpha, parent.acc + _times(parent.M, p)))
+    inherited = np.searchsorted(coordinates, parent.coordinates)
+    S_w, S_v = np.zeros((2, 3, len(coordinates), len(phi)))
+    S_w[:, inherited] = _times(R, parent.S_w)
+    S_v[:, inherited] = _times(R, parent.S_v + cross(parent.S_w, p[:, None]))
+    by_coordinate = axis[:, :, None] * body.ratios[coordinates, None]
     if body.prismatic:
         acc = acc + 2 * cross(w, axis * dphi) + axis * ddphi
-        S_v = _with_axis(S_v, parent.coordinates, coordinates, body)
-        S_w = _spread(S_w, parent.coordinates, coordinates)
+        S_v += by_coordinate
     else:
         spin = axis * dphi
         alpha = alpha + axis * ddphi + cross(w, spin)
         w = w + spin
-        S_w = _with_axis(S_w, parent.coordinates, coordinates, body)
-        S_v = _spread(S_v, parent.coordinates, coordinates)
+        S_w += by_coordinate
     return BodyMotion(w, alpha, acc, S_w, S_v, coordinates)
 
 
-def _side_by_side(w: Array, alpha: Array, acc: Array, S_w: Array, S_v: Array) -> Array:
-    length = max(x.shape[-1] for x in (w, alpha, acc, S_w, S_v))
-    parts = [w[:, None], alpha[:, None], acc[:, None], S_w, S_v]
-    return np.concatenate([np.broadcast_to(x, (3, x.shape[1], length)) for x in parts], axis=1)
-
-
-def _into(body: Body, phi: Array, x: Array) -> Array:
-    """Rotate vectors (3, m, N) from the parent's frame into the body's (Rodrigues' formula, backwards)."""
-    x = np.tensordot(body.mount.R.T, x, axes=1)
+def _rotation(body: Body, phi: Array) -> Array:
+    """From the parent's frame into the body's (Rodrigues' formula, backwards), shape (3, 3, N) or (3, 3, 1)."""
+    fixed = body.mount.R.T
     if body.prismatic:
-        return x
+        return fixed[:, :, None]
     S = skew(body.axis)
-    # exp(−S phi) = 1 − S sin(phi) + S² (1 − cos(phi))
-    R = np.eye(3)[:, :, None] - S[:, :, None] * np.sin(phi) + (S @ S)[:, :, None] * (1 - np.cos(phi))
-    return np.stack([R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2] for i in range(3)])
+    # exp(−S phi) = 1 + S² − S sin(phi) − S² cos(phi)
+    terms = np.stack([fixed + S @ S @ fixed, -S @ fixed, -S @ S @ fixed], axis=-1)
+    return np.tensordot(terms, np.stack([np.ones_like(phi), np.sin(phi), np.cos(phi)]), axes=1)
 
 
-def _spread(S: Array, coordinates: NDArray[np.intp], wider: NDArray[np.intp]) -> Array:
-    """Jacobian columns for more coordinates, zero where new."""
-    if len(coordinates) == len(wider):
-        return S
-    out = np.zeros((3, len(wider), S.shape[-1]))
-    out[:, np.searchsorted(wider, coordinates)] = S
-    return out
-
-
-def _with_axis(S: Array, coordinates: NDArray[np.intp], wider: NDArray[np.intp], body: Body) -> Array:
-    """The same, with the body's own motion added."""
-    out = np.array(_spread(S, coordinates, wider))
-    out += body.axis[:, None, None] * body.ratios[wider][None, :, None]
-    return out
+def _times(R: Array, x: Array) -> Array:
+    """Matrices (3, 3, N) times vectors (3, N) or (3, k, N)."""
+    return np.asarray(np.einsum("ij...,j...->i...", R, x))

@@ -23,7 +23,7 @@ from idtool.config import Rotor as RotorConfig
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError, ModelError
 from idtool.inertia import SIZE, from_mass_com_inertia, symmetric
-from idtool.names import nearest
+from idtool.names import nearest, some
 from idtool.robot import Joint, Robot
 
 Array = NDArray[np.float64]
@@ -57,6 +57,11 @@ class Model:
     def names(self) -> tuple[str, ...]:
         """The moving joints' names."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each joint's torque or force."""
+        return {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in self.joints}
 
     def support(self) -> NDArray[np.bool_]:
         """Which coordinates move which body, shape (bodies, nv)."""
@@ -132,12 +137,11 @@ class _Builder:
         if not chosen:
             raise ModelError(
                 self.robot.path,
-                f"no actuated joint of it is in the logs; the URDF has {', '.join(list(actuated)[:8]) or 'none'}, "
-                f"the logs have {', '.join(self.logged[:8])}",
+                f"no actuated joint of it is in the logs; the URDF has {some(actuated)}, the logs have {some(self.logged)}",
             )
         strangers = [name for name in self.logged if name not in self.robot.joints]
         if strangers:
-            self.warnings.append(f"joints in the log that the URDF has not, ignored: {', '.join(strangers)}")
+            self.warnings.append(f"joints in the log that the URDF has not, ignored: {some(strangers)}")
         locked = [name for name in actuated if name not in chosen]
         if locked:
             values = ", ".join(f"{name} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
@@ -147,10 +151,13 @@ class _Builder:
     def _check_names(self) -> None:
         actuated = [j.name for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
         friction = self.config.friction if isinstance(self.config.friction, dict) else {}
+        controller = self.config.controller
         for key, names, known, kind in (
             ("locked_joints", self.config.locked_joints, actuated, "actuated joint"),
             ("bounding_ellipsoids", self.config.bounding_ellipsoids, self.robot.links, "link"),
-            ("friction", friction, self.robot.joints, "joint"),
+            ("friction", friction, actuated, "actuated joint"),
+            ("controller.kp", controller.kp if controller else {}, actuated, "actuated joint"),
+            ("controller.kd", controller.kd if controller else {}, actuated, "actuated joint"),
         ):
             for name in names:
                 if name not in known:

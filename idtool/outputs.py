@@ -39,6 +39,9 @@ def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        for name in files:
+            if (folder / name).is_dir():  # before anything is moved into its place
+                raise OutputError(folder / name, "is a folder; move it away, or give another --out")
         with tempfile.TemporaryDirectory(dir=folder, prefix=".idtool-") as scratch:
             for name, content in files.items():
                 data = content.encode() if isinstance(content, str) else content

@@ -57,7 +57,7 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
     command
         The command line that made it.
     """
-    units = {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in fit.experiment.model.joints}
+    units = report["units"]
     own, prior = report["rms"]["validation"], report["rms"]["prior_validation"]
     held_out = own is not None
     return _render(
@@ -83,11 +83,11 @@ def validation_page(evaluation: Evaluation, report: dict[str, Any], command: str
     evaluation
         Errors and curves of ``model`` and, where one was given, ``prior``.
     report
-        The content of validation.json; units are taken from ``units``, joint to N·m or N, where it has them.
+        The content of validation.json.
     command
         The command line that made it.
     """
-    units = {name: report.get("units", {}).get(name, "N·m or N") for name in report["joints"]}
+    units = report["units"]
     return _render(
         "Validation of a dynamics model",
         _VALIDATION,
@@ -113,8 +113,6 @@ def by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
 def curves(evaluation: Evaluation, model: str, units: Mapping[str, str]) -> dict[str, Any]:
     """What the plots are drawn from, of bounded size.
 
-    The residual is measured less predicted, of the least values and of the greatest in every stretch of time.
-
     Parameters
     ----------
     evaluation
@@ -131,15 +129,12 @@ def curves(evaluation: Evaluation, model: str, units: Mapping[str, str]) -> dict
     """
     logs = []
     traces = evaluation.traces[:_MOST_LOGS]
-    values = sum(x.size for trace in traces for x in (*trace.curves.values(), trace.curves["measured"]))
+    values = sum(x.size for trace in traces for x in trace.curves.values())
     stretches = max(math.ceil(values / _MOST_VALUES), 1)
     for trace in traces:
         start = math.floor(trace.t[0]) if abs(trace.t[0]) > _LATE else 0
-        drawn = {"measured": trace.curves["measured"], "predicted": trace.curves[model]}
-        drawn["residual"] = drawn["measured"] - drawn["predicted"]
-        if "prior" in trace.curves:
-            drawn["prior"] = trace.curves["prior"]
-        drawn = {name: merged(x, stretches) for name, x in drawn.items()}
+        names = {"measured": "measured", "predicted": model, "residual": "residual", "prior": "prior"}
+        drawn = {name: merged(trace.curves[k], stretches) for name, k in names.items() if k in trace.curves}
         joints = [
             {"name": joint, "unit": unit, **{name: rounded(x[j]) for name, x in drawn.items()}}
             for j, (joint, unit) in enumerate(units.items())

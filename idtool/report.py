@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from idtool import __version__
 from idtool.body import Body
 from idtool.config import Config
+from idtool.effects import known_effects
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.urdf import JointDynamics
@@ -31,6 +32,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
     return {
         **HEADER,
         "joints": list(joints),
+        "units": experiment.model.units,
         "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
         "band_hz": experiment.band_hz,
         "rms": _rms(fit, joints, raw=False),
@@ -146,32 +148,39 @@ def model_config(fit: Fit) -> dict[str, Any]:
     """The content of model.yaml: a complete configuration that with identified.urdf is the identified model."""
     experiment = fit.experiment
     config: Config = experiment.config
-    data: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+    data: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True)
     data["joints"] = list(experiment.equation.joints)
     data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
     data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.equation.joints}
+    for entry in data.get("effects", ()):
+        name = known_effects()[entry["effect"]].name
+        entry["parameters"][name] = _term(fit, entry["effect"], entry["joint"])
     robot_links = experiment.model.robot.links
     for i, body in enumerate(experiment.model.bodies):
-        if body.kind == "rotor" and body.name not in robot_links:
-            mass, com, inertia = mass_com_inertia(fit.parameters(i))
-            inertial = {"mass": mass, "com": com.tolist(), "inertia": six(inertia).tolist()}
-            data["rotors"][body.name]["inertial"] = inertial
+        if body.kind == "rotor":
+            data["rotors"][body.name].pop("inertial", None)
+            if body.name not in robot_links:  # else it is in the URDF
+                mass, com, inertia = mass_com_inertia(fit.parameters(i))
+                inertial = {"mass": mass, "com": com.tolist(), "inertia": six(inertia).tolist()}
+                data["rotors"][body.name]["inertial"] = inertial
     return data
 
 
 def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:
-    terms: dict[str, Any] = {}
-    for name, effect in _FRICTION.items():
-        pair = _coefficient(fit, effect, joint)
-        terms[name] = False
-        if pair is not None:
-            value, error = pair
-            terms[name] = {"value": value} if error is None else {"value": value, "standard_error": error}
-    return terms
+    return {name: _term(fit, effect, joint) for name, effect in _FRICTION.items()}
+
+
+def _term(fit: Fit, effect: str, joint: str) -> dict[str, float] | bool:
+    """A joint's coefficient as the configuration has it; False where the model lacks it."""
+    pair = _coefficient(fit, effect, joint)
+    if pair is None:
+        return False
+    value, error = pair
+    return {"value": value} if error is None else {"value": value, "standard_error": error}
 
 
 def validation_report(
-    evaluation: Evaluation, joints: tuple[str, ...], band_hz: float, bounds: Mapping[str, float]
+    evaluation: Evaluation, units: Mapping[str, str], band_hz: float, bounds: Mapping[str, float]
 ) -> dict[str, Any]:
     """The content of validation.json.
 
@@ -179,17 +188,19 @@ def validation_report(
     ----------
     evaluation
         Errors of ``model`` and, where one was given, ``prior``.
-    joints
-        Joint names.
+    units
+        Unit of the torque or force, by joint.
     band_hz
         The low-pass's cut-off.
     bounds
         Largest rms in the band that is accepted, by joint or ``overall``.
     """
+    joints = tuple(units)
     rms = {model: errors.rms(joints) for model, errors in evaluation.errors.items()}
     return {
         **HEADER,
         "joints": list(joints),
+        "units": dict(units),
         "samples": evaluation.errors["model"].samples,
         "band_hz": band_hz,
         "rms": rms,

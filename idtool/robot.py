@@ -21,6 +21,7 @@ from idtool.inertia import SIZE, from_mass_com_inertia
 Array = NDArray[np.float64]
 
 _MOST_BYTES = 64 << 20
+_MOST = 1e12  # SI, of any number that enters the equations
 _KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _XACRO = "{http://www.ros.org/wiki/xacro}"
@@ -118,8 +119,8 @@ def read_robot(path: Path) -> Robot:
         with np.errstate(all="ignore"):  # numbers that are not finite are found below
             text = io.BytesIO(_reduced(path, data))
             urdf = yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot
-        joints = [_joint(path, joint) for joint in urdf.joints]
-        links = {link.name: _parameters(path, link) for link in urdf.links}
+            joints = [_joint(path, joint) for joint in urdf.joints]
+            links = {link.name: _parameters(path, link) for link in urdf.links}
     except ModelError:
         raise
     except Exception as error:  # the parser has no error of its own for a missing tag or a word in place of a number
@@ -190,8 +191,8 @@ def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
     placement = inertial.origin if inertial.origin is not None else np.eye(4)
     R = placement[:3, :3]
     pi = from_mass_com_inertia(mass, placement[:3, 3], R @ inertia @ R.T)
-    if pi.shape != (SIZE,) or not np.isfinite(pi).all():
-        raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
+    if pi.shape != (SIZE,) or not (np.abs(pi) < _MOST).all():
+        raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a number below {_MOST:g}")
     return pi
 
 
@@ -201,7 +202,7 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
         raise ModelError(where, f"type {joint.type} is not supported; use one of {', '.join(_TYPES)}")
     placement = joint.origin if joint.origin is not None else np.eye(4)
     axis = np.asarray(joint.axis, dtype=float)
-    if axis.shape != (3,) or not np.isfinite(placement).all() or not np.isfinite(axis).all():
+    if axis.shape != (3,) or not (np.abs(placement) < _MOST).all() or not (np.abs(axis) < _MOST).all():
         raise ModelError(where, "its origin or axis is not made of three finite numbers")
     if joint.type != "fixed":
         if not np.linalg.norm(axis) > 0:
@@ -215,7 +216,7 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
     turns = joint.type == "continuous"
     friction = [float(x or 0.0) for x in ((dynamics.damping, dynamics.friction) if dynamics else (0.0, 0.0))]
     follows = [float(x) for x in ((mimic.multiplier, mimic.offset) if mimic else ())]
-    if not np.isfinite([*friction, *follows]).all():
+    if not (np.abs([*friction, *follows]) < _MOST).all():
         raise ModelError(where, "its dynamics or mimic holds a value that is not a finite number")
     return Joint(
         name=joint.name,

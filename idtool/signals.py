@@ -201,11 +201,7 @@ class Signals:
         self.warnings: list[str] = []
         self._columns = [log.joints.index(name) for name in joints]
         rate = 1 / log.dt
-        self.band_hz = config.filter.cutoff_hz or min(_DEFAULT_CUTOFF, rate / 5)
-        if self.band_hz >= 0.45 * rate:
-            raise ConfigError(
-                "filter.cutoff_hz", f"{self.band_hz:g} Hz is too high for {log.path}, sampled at {rate:.0f} Hz"
-            )
+        self.band_hz = _band(log, config)
         # Twice the band is sampled four times: what would alias is 48 dB down.
         stride = max(1, int(rate / (4 * self.band_hz)))
         self.low_pass = LowPass(self.band_hz, config.filter.order, log.dt, stride)
@@ -228,10 +224,15 @@ class Signals:
 
     def _check_torque(self, joint: str) -> bool:
         """Whether the torque is the controller's."""
+        if not self.log.has("q", joint):
+            raise LogError(self.log.path, f"joint {joint} has no position; log it, or leave it out of joints")
         if self.log.has("tau", joint):
             return False
         if not self.log.has("qcmd", joint):
-            raise LogError(self.log.path, f"joint {joint} has neither torque nor position command")
+            raise LogError(
+                self.log.path,
+                f"joint {joint} has neither torque nor position command; log one, or leave it out of joints",
+            )
         if self.controller is None or joint not in self.controller.kp:
             raise LogError(
                 self.log.path, f"joint {joint} has no torque; give the gains under controller.kp and kd in the config"
@@ -419,6 +420,21 @@ class Signals:
         if share:
             x = (1 - share) * x + share * self._signal(name, slice(earlier.start - 1, earlier.stop - 1))
         return np.nan_to_num(x, nan=0.0)
+
+
+def _band(log: Log, config: Config) -> float:
+    """The low-pass's cut-off [Hz]; one that would need a kernel far longer than the log is refused."""
+    rate, duration = 1 / log.dt, len(log) * log.dt
+    band = config.filter.cutoff_hz or min(_DEFAULT_CUTOFF, rate / 5)
+    if band >= 0.45 * rate:
+        raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path}, sampled at {rate:.0f} Hz")
+    if band * duration < 1:
+        raise LogError(
+            log.path,
+            f"lasts {duration:.3g} s, less than a period of the {band:g} Hz filter; log for longer, or set a higher "
+            "filter.cutoff_hz",
+        )
+    return band
 
 
 def _noise(x: Array, low_pass: LowPass) -> Array:

@@ -100,6 +100,10 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
+def _units(report: dict[str, Any]) -> str:
+    return " or ".join(dict.fromkeys(report["units"].values()))
+
+
 def _figure(x: float | None) -> str:
     return "-" if x is None else f"{x:.4g}"
 
@@ -107,7 +111,9 @@ def _figure(x: float | None) -> str:
 def show_fit(terminal: Terminal, fit: Fit, report: dict[str, Any], folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
     rms = report["rms"]
-    table = _table(f"RMS torque error, N·m or N, below {report['band_hz']:g} Hz", "joint", "prior", "train", "held out")
+    table = _table(
+        f"RMS torque error, {_units(report)}, below {report['band_hz']:g} Hz", "joint", "prior", "train", "held out"
+    )
     for name in (*report["joints"], "overall"):
         held_out = [(rms[key] or {}).get(name) for key in ("prior_validation", "validation")]
         table.add_row(escape(name), _figure(held_out[0]), _figure(rms["train"][name]), _figure(held_out[1]))
@@ -138,7 +144,7 @@ def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) ->
     """The result of a validation."""
     models = list(report["rms"])
     columns = [*models, "raw", "of torque", "bound"]
-    table = _table(f"RMS torque error, N·m or N, below {report['band_hz']:g} Hz", "joint", *columns)
+    table = _table(f"RMS torque error, {_units(report)}, below {report['band_hz']:g} Hz", "joint", *columns)
     for name in (*report["joints"], "overall"):
         bound = report["bound"].get(name)
         met = "" if bound is None else " ok" if report["ok"][name] else " NOT MET"

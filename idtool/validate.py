@@ -56,7 +56,7 @@ class Trace:
     t
         Times [s], shape (points,).
     curves
-        Name (``measured`` or a model's) to values, shape (nv, points).
+        Name to values, shape (nv, points): ``measured``, ``residual`` (measured less the first model's) or a model's.
     """
 
     name: str
@@ -118,7 +118,8 @@ def evaluate(experiment: Experiment, models: Mapping[str, Array], held_out: bool
                 errors[name].raw += np.square(torque - batch.motion.logged[:, inner]).sum(axis=1)
             moments += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
-            envelope.add(batch.motion.t[inner], {"measured": measured, **predicted})
+            residual = measured - next(iter(predicted.values()))
+            envelope.add(batch.motion.t[inner], {"measured": measured, "residual": residual, **predicted})
         traces.append(envelope.trace(log.path.name))
     mean, square = moments / max(samples, 1)
     spread = np.sqrt(np.maximum(square - mean**2, 0))

@@ -134,17 +134,22 @@ def report(fitted: Fit) -> dict[str, Any]:
 
 def evaluation_of(curves: dict[str, Array], logs: int = 1, start: float = 0.0) -> Evaluation:
     """Made-up errors, and traces of the given curves."""
+    curves = {**curves, "residual": curves["measured"] - list(curves.values())[1]}
     nv, points = curves["measured"].shape
     t = start + np.repeat(np.arange(points // 2) + 0.5, 2) * 0.01
-    errors = {name: Errors(10, np.full(nv, 0.6 + i), np.full(nv, 3.6 + i)) for i, name in enumerate(curves) if i}
+    errors = {
+        name: Errors(10, np.full(nv, 0.6 + i), np.full(nv, 3.6 + i))
+        for i, name in enumerate(curves)
+        if i and name != "residual"
+    }
     spread = {f"j{j}": 2.0 for j in range(nv)}
     return Evaluation(errors, spread, tuple(Trace(f"log {i}", t, curves) for i in range(logs)))
 
 
 def validated(evaluation: Evaluation, **extra: Any) -> Page:
     """The page of a validation, its bounds met by the first joint and not by the whole."""
-    joints = tuple(evaluation.spread)
-    contents = validation_report(evaluation, joints, 40.0, {joints[0]: 0.5, "overall": 0.3})
+    units = dict.fromkeys(evaluation.spread, "N·m")
+    contents = validation_report(evaluation, units, 40.0, {next(iter(units)): 0.5, "overall": 0.3})
     return Page(validation_page(evaluation, contents | extra, "idtool validate x"))
 
 
@@ -289,9 +294,10 @@ def test_units_are_those_of_the_joints(fitted: Fit, report: dict[str, Any], nois
     heads = [row[1] for row in page.rows if len(row) == 3 and "in the band" in row[1]]
     assert [head.partition("[")[2] for head in heads] == ["N·m]", "N]", "N·m and N together]"]
     evaluation = evaluation_of(noisy)
-    assert "N·m or N" in validated(evaluation).text
-    known = validated(evaluation, units=dict.fromkeys(evaluation.spread, "N·m"))
-    assert "N·m or N" not in known.text
+    mixed = validated(evaluation, units={"j0": "N·m", "j1": "N", "j2": "N·m"})
+    assert [joint["unit"] for joint in mixed.curves["logs"][0]["joints"]] == ["N·m", "N", "N·m"]
+    assert "N·m and N together" in mixed.text
+    assert "N·m and N together" not in validated(evaluation).text
 
 
 def test_a_model_no_better_than_the_prior_is_called_so(fitted: Fit, report: dict[str, Any]) -> None:
@@ -338,8 +344,8 @@ def test_bounds_pass_or_fail(noisy: dict[str, Array]) -> None:
 
 def test_a_validation_without_prior_or_bounds(noisy: dict[str, Array]) -> None:
     evaluation = evaluation_of({name: noisy[name] for name in ("measured", "model")})
-    joints = tuple(evaluation.spread)
-    page = Page(validation_page(evaluation, validation_report(evaluation, joints, 40.0, {}), "idtool validate x"))
+    units = dict.fromkeys(evaluation.spread, "N·m")
+    page = Page(validation_page(evaluation, validation_report(evaluation, units, 40.0, {}), "idtool validate x"))
     assert "prior" not in page.text
     assert "bound" not in page.text
     assert "prior" not in page.curves["logs"][0]["joints"][0]

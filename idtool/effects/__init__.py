@@ -45,7 +45,8 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
         for effect, prior in _friction(joint, config.friction_of(joint.name)).items():
             terms[effect, j] = {known_effects()[effect].name: prior}
     for entry in config.effects:
-        terms[_entry(entry, model)] = _parameters(entry)
+        key = _entry(entry, model)
+        terms[key] = _parameters(entry)
     effects: list[Effect] = [RigidBodies(model)]
     for (effect, j), parameters in terms.items():
         kind = known_effects()[effect]
@@ -70,8 +71,10 @@ def _entry(entry: EffectEntry, model: Model) -> tuple[str, int]:
     where, known = f"effects: {entry.effect}", known_effects()
     if entry.effect not in known:
         raise ConfigError(where, f"is not an effect of this version; {nearest(entry.effect, known)}")
+    if entry.joint is None or entry.link is not None:
+        raise ConfigError(where, "acts on a joint; give joint, and no link")
     if entry.joint not in model.names:
-        raise ConfigError(where, f"{entry.joint} is no moving joint; {nearest(str(entry.joint), model.names)}")
+        raise ConfigError(where, f"{entry.joint} is no moving joint; {nearest(entry.joint, model.names)}")
     return entry.effect, model.names.index(entry.joint)
 
 

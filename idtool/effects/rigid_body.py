@@ -16,6 +16,8 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
+_CHUNK = 4096  # samples
+
 
 class RigidBodies(Effect):
     """All bodies of a model, ten coefficients each, in the model's order.
@@ -44,29 +46,40 @@ class RigidBodies(Effect):
 
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         """See `Effect.write`."""
-        for i, body_motion in enumerate(body_motions(self.model, motion.q, motion.v, motion.a)):
-            for k, joint in enumerate(body_motion.coordinates):
+        for start in range(0, len(motion.t), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            self._write(motion.q[:, part], motion.v[:, part], motion.a[:, part], [block[:, part] for block in out])
+
+    def _write(self, q: Array, v: Array, a: Array, out: Sequence[Array]) -> None:
+        for i, motion in enumerate(body_motions(self.model, q, v, a)):
+            D = _inertia_torque(motion)
+            for k, joint in enumerate(motion.coordinates):
                 first = SIZE * self._first_row[i, joint]
-                _write_row(body_motion, k, out[joint][first : first + SIZE])
+                _write_row(motion, D, k, out[joint][first : first + SIZE])
 
 
-def _write_row(motion: BodyMotion, k: int, out: Array) -> None:
+def _write_row(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
     """A body's ten columns in one joint's equation: the power that joint's motion takes from the body's wrench.
 
-    With the body's wrench f = m acc + alpha × h + w × (w × h), n = h × acc + I alpha + w × I w (4), the power is
-    S_v · f + S_w · n; collected by parameter.
+    With the body's wrench f = m acc + M h, n = h × acc + I alpha + w × I w (4), the power is S_v · f + S_w · n;
+    collected by parameter.
     """
-    w, alpha, acc = motion.w, motion.alpha, motion.acc
     S_w, S_v = motion.S_w[:, k], motion.S_v[:, k]
-    out[0] = S_v[0] * acc[0] + S_v[1] * acc[1] + S_v[2] * acc[2]
-    out[1:4] = cross(S_v, alpha) + cross(w, cross(w, S_v)) + cross(acc, S_w)
-    u = cross(S_w, w)
-    out[4] = S_w[0] * alpha[0] + u[0] * w[0]
-    out[5] = S_w[0] * alpha[1] + S_w[1] * alpha[0] + u[0] * w[1] + u[1] * w[0]
-    out[6] = S_w[1] * alpha[1] + u[1] * w[1]
-    out[7] = S_w[0] * alpha[2] + S_w[2] * alpha[0] + u[0] * w[2] + u[2] * w[0]
-    out[8] = S_w[1] * alpha[2] + S_w[2] * alpha[1] + u[1] * w[2] + u[2] * w[1]
-    out[9] = S_w[2] * alpha[2] + u[2] * w[2]
+    np.einsum("in,in->n", S_v, motion.acc, out=out[0])
+    np.einsum("in,ijn->jn", S_v, motion.M, out=out[1:4])
+    out[1:4] += cross(motion.acc, S_w)
+    np.einsum("in,ijn->jn", S_w, D, out=out[4:])
+
+
+def _inertia_torque(motion: BodyMotion) -> Array:
+    """I alpha + w × I w = D [I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], shape (3, 6, N)."""
+    (x, y, z), (a, b, c), M = motion.w, motion.alpha, motion.M
+    xy, yz, zx = x * y, y * z, z * x
+    D = np.empty((3, 6, len(x)))
+    np.stack([a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz], out=D[0])
+    np.stack([zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx], out=D[1])
+    np.stack([-xy, M[0, 0] - M[1, 1], xy, a - yz, b + zx, c], out=D[2])
+    return D
 
 
 def typical_mass(bodies: Sequence[Body]) -> float:
