@@ -6,6 +6,7 @@ Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic 
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -27,11 +28,13 @@ from idtool.exceptions import ConfigError
 from idtool.safe_yaml import read_yaml
 
 _MOST = 1e12  # SI, of any number: powers of what is larger are not finite
+_LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finite
 _LATER = ("known", "mirror")  # keys and kinds of the contract that this version does not have
 _LATER_KINDS = ("entropic", "pullback")
 
 Finite = Annotated[float, Field(ge=-_MOST, le=_MOST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
+Length = Annotated[Positive, Field(ge=_LEAST)]
 NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Constraints = Literal["none", "semi", "full", "com_ellipsoid", "ellipsoid"]
@@ -57,7 +60,7 @@ class Bounding(Record):
     """A bounding ellipsoid: centre [m], semi-axes [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
-    semi_axes: tuple[Positive, Positive, Positive]
+    semi_axes: tuple[Length, Length, Length]
     rpy: Vector = (0.0, 0.0, 0.0)
 
     def ellipsoid(self) -> Ellipsoid:
@@ -133,7 +136,7 @@ class Rotor(Record):
             raise ValueError("needs joint and gear_ratio, or coupling: {joint: ratio, ...}")
         if 0.0 in (self.gear_ratio, *self.coupling.values()):
             raise ValueError("a gear ratio of 0 does not move the rotor")
-        if self.axis is not None and not any(self.axis):
+        if self.axis is not None and math.hypot(*self.axis) < _LEAST:
             raise ValueError("axis must not be zero")
         return self
 

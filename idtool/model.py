@@ -135,9 +135,9 @@ class _Builder:
         else:
             chosen = [name for name in actuated if name in self.logged]
         if not chosen:
+            own, logged = ", ".join(list(actuated)[:8]) or "none", ", ".join(self.logged[:8])
             raise ModelError(
-                self.robot.path,
-                f"no actuated joint of it is in the logs; the URDF has {some(actuated)}, the logs have {some(self.logged)}",
+                self.robot.path, f"no actuated joint of it is in the logs; it has {own}, the logs have {logged}"
             )
         strangers = [name for name in self.logged if name not in self.robot.joints]
         if strangers:
