@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from pathlib import Path
@@ -9,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from idtool.exceptions import IdtoolError
+from idtool.exceptions import ConfigError, IdtoolError
 
 if TYPE_CHECKING:
+    from typer.exceptions import TyperException
+
     from idtool.config import Config
     from idtool.experiment import Experiment
 
@@ -22,7 +25,6 @@ app = typer.Typer(
     "and says how far to trust it.",
     epilog="Start with: idtool inspect LOG, then idtool fit URDF LOG. Exit codes: 0 done, 1 a bound was not met, "
     "2 the input is unusable.",
-    no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -126,6 +128,8 @@ def validate_command(
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
+        if config or prior or out or max_rms:
+            raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
         _regression(terminal)
         return
     from idtool.experiment import coefficients_of, prepare
@@ -213,7 +217,6 @@ def _config(urdf: Path, given: Path | None) -> Config:
 
 def _bounds(given: list[str], experiment: Experiment) -> dict[str, float]:
     """Bounds by joint or ``overall`` from the options."""
-    from idtool.exceptions import ConfigError
     from idtool.names import nearest
 
     bounds = {}
@@ -226,7 +229,9 @@ def _bounds(given: list[str], experiment: Experiment) -> dict[str, float]:
         try:
             bounds[name] = float(number)
         except ValueError:
-            raise ConfigError("--max-rms", f"{text} is not JOINT=NUMBER or a number") from None
+            bounds[name] = math.nan
+        if not 0 < bounds[name] < math.inf:
+            raise ConfigError("--max-rms", f"{text or 'nothing'} is not NUMBER or JOINT=NUMBER, with a number above 0")
     return bounds
 
 
@@ -248,7 +253,7 @@ def main() -> None:
     from typer.exceptions import Abort, TyperException
 
     try:
-        code = app(standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except IdtoolError as error:
         code = _fail(str(error))
     except TyperException as error:
@@ -263,7 +268,7 @@ def _fail(message: str) -> int:
     return 2
 
 
-def _usage(error: Exception) -> str:
+def _usage(error: TyperException) -> str:
     """A mistake in the command's words as one line."""
-    text = " ".join(str(getattr(error, "message", "") or error).split())
-    return f"command: {text[:1].lower()}{text[1:]} Try idtool --help."
+    text = " ".join(error.format_message().split()).rstrip(".")
+    return f"command: {text[:1].lower()}{text[1:]}; try idtool --help"

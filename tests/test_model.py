@@ -164,7 +164,7 @@ def test_an_ellipsoid_on_a_link_that_looks_straight_up(build: Build) -> None:
             {"bounding_ellipsoids": {"thihg": [{"semi_axes": [1, 1, 1]}]}},
             "bounding_ellipsoids: thihg: is no link of the URDF; did you mean thigh?",
         ),
-        ({"friction": {"hop": {"viscous": 1}}}, "friction: hop: is no joint of the URDF; did you mean hip?"),
+        ({"friction": {"hop": {"viscous": 1}}}, "friction: hop: is no actuated joint of the URDF; did you mean hip?"),
     ],
 )
 def test_a_name_that_is_not_there(build: Build, leg: str, config: dict[str, Any], expected: str) -> None:
@@ -174,5 +174,5 @@ def test_a_name_that_is_not_there(build: Build, leg: str, config: dict[str, Any]
 
 
 def test_logs_of_another_robot(build: Build, leg: str) -> None:
-    with pytest.raises(ModelError, match="the URDF has abad, hip, knee, tail, the logs have arm"):
+    with pytest.raises(ModelError, match="it has abad, hip, knee, tail, the logs have arm"):
         build(leg, ["arm"])
