@@ -93,8 +93,9 @@ def duality_gap(problem: Problem, x: Array, duals: Sequence[Array], multipliers:
     mean = (S @ slope) / S.sum(axis=1)  # over the parts of a body
     mismatch = float(np.abs((slope - S.T @ mean) * x).sum())
     primal = problem.cost(S @ x)
-    # min over y of ‖A y − b‖² − mean · y is at A y = b + ½ A⁻ᵀ mean.
+    # min over y of ‖A y − b‖² − mean · y is where A y is ½ A⁻ᵀ mean and what A reaches of b.
     half = 0.5 * np.linalg.lstsq(problem.A.T, mean, rcond=None)[0]
     unreached = float(np.abs((problem.A.T @ half - 0.5 * mean) * (S @ x)).sum())
-    dual = problem.constant - float(half @ (half + 2 * problem.b)) + interior
+    beyond = problem.A @ np.linalg.lstsq(problem.A, problem.b, rcond=None)[0] - problem.b
+    dual = problem.constant + float(beyond @ beyond - half @ (half + 2 * problem.b)) + interior
     return (primal - dual + mismatch + unreached) / max(primal, 1.0)

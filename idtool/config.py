@@ -247,14 +247,14 @@ class Config(Record):
     seed: int = 0
 
     def without_friction_values(self) -> Config:
-        """The same with the terms that friction has, but not their values."""
+        """The same with the terms that friction has, but neither their values nor effects."""
 
         def terms(friction: Friction) -> Friction:
             return Friction(**{name: term is not False for name, term in friction})
 
         friction = self.friction
         plain = terms(friction) if isinstance(friction, Friction) else {j: terms(f) for j, f in friction.items()}
-        return self.model_copy(update={"friction": plain})
+        return self.model_copy(update={"friction": plain, "effects": ()})
 
     def friction_of(self, joint: str) -> Friction:
         """The friction terms of one joint; a joint that is not named has the default ones."""

@@ -57,7 +57,7 @@ class BodyMotion:
 
 def cross(a: Array, b: Array) -> Array:
     """Cross product along the first axis; much faster than numpy's for long last axes."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]:
@@ -76,7 +76,7 @@ def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]
     motions: list[BodyMotion] = []
     for body, moved in zip(model.bodies, model.support(), strict=True):
         parent = base if body.mount.body < 0 else motions[body.mount.body]
-        own = np.stack([body.ratios @ x for x in (q, v, a)])
+        own = np.array([body.ratios @ x for x in (q, v, a)])
         motions.append(_step(body, parent, own, np.flatnonzero(moved)))
     return motions
 
@@ -109,13 +109,13 @@ def _step(body: Body, parent: BodyMotion, own: Array, coordinates: NDArray[np.in
 
 def _rotation(body: Body, phi: Array) -> Array:
     """From the parent's frame into the body's (Rodrigues' formula, backwards), shape (3, 3, N) or (3, 3, 1)."""
-    fixed = body.mount.R.T
+    mount = body.mount.R.T
     if body.prismatic:
-        return fixed[:, :, None]
+        return mount[:, :, None]
     S = skew(body.axis)
     # exp(−S phi) = 1 + S² − S sin(phi) − S² cos(phi)
-    terms = np.stack([fixed + S @ S @ fixed, -S @ fixed, -S @ S @ fixed], axis=-1)
-    return np.tensordot(terms, np.stack([np.ones_like(phi), np.sin(phi), np.cos(phi)]), axes=1)
+    terms = np.stack([mount + S @ S @ mount, -S @ mount, -S @ S @ mount], axis=-1)
+    return np.asarray(terms @ np.array([np.ones_like(phi), np.sin(phi), np.cos(phi)]))
 
 
 def _times(R: Array, x: Array) -> Array:

@@ -224,6 +224,8 @@ class _Builder:
         return ratios, offset
 
     def _add_rotor(self, name: str, rotor: RotorConfig) -> None:
+        if not name.isprintable():
+            raise ConfigError(f"rotors.{name}", "is a name in characters that cannot be printed; give it another")
         ratios, offset = self._drive(name, rotor)
         mount, pi = self._rotor_mount(name, rotor), self._rotor_prior(name, rotor)
         axis = np.asarray(rotor.axis) if rotor.axis is not None else self._axis_of(rotor, mount)

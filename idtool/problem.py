@@ -29,7 +29,8 @@ Array = NDArray[np.float64]
 
 INTERIOR = 1e-7  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
-_LEAST_NOISE = 1e-6  # of a joint's torque, so that data without noise have finite weights
+_LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear
+_LEAST_WEIGHT = 1e-9  # of the prior: where neither data nor regularization say anything, coefficients stay there
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Problem:
     Attributes
     ----------
     A, b, constant
-        f(theta) = ‖A (theta / scale) − b‖² + constant; shapes (r, p), (r,), with r at most p + 1.
+        f(theta) = ‖A (theta / scale) − b‖² + constant; shapes (p, p), of full rank, and (p,).
     scale
         Units of theta, shape (p,).
     parts
@@ -153,8 +154,9 @@ def build_problem(
         [c.scale if c.scale is not None else 1 / (s or 1.0) for c, s in zip(coefficients, size, strict=True)]
     )
     rows[:, :-1] *= scale
-    weight = np.sqrt(regularization.weight) if regularization.kind == "euclidean" else 0.0
-    prior = np.column_stack([np.diag(weight * held), weight * held * model.prior / scale])
+    weight = held * (regularization.weight if regularization.kind == "euclidean" else 0.0)
+    pull = np.sqrt(np.maximum(weight, _LEAST_WEIGHT))
+    prior = np.column_stack([np.diag(pull), pull * model.prior / scale])
     R = np.asarray(np.linalg.qr(np.concatenate([rows, prior]), mode="r"))
     p = len(coefficients)
     parts = tuple(

@@ -172,6 +172,8 @@ def _check_parts(path: Path, element: etree._Element) -> None:
     where = f"{path}: line {element.sourceline}: {element.tag} {element.get('name', '')}".rstrip()
     if not element.get("name"):
         raise ModelError(where, "has no name; give it one")
+    if not element.get("name", "").isprintable():
+        raise ModelError(where, "has a name in characters that cannot be printed; give it another")
     for tag in ("parent", "child") if element.tag == "joint" else ():
         part = element.find(tag)
         if part is None or not part.get("link"):

@@ -19,7 +19,20 @@ PACKAGE = ROOT / "idtool"
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
     *("exceptions", "names", "safe_yaml", "inertia", "ellipsoid", "config", "robot", "logs", "inspection"),
-    *("body", "model", "signals", "kinematics", "effects", "regressor", "reduction", "sets", "problem", "certificate"),
+    *(
+        "body",
+        "model",
+        "filters",
+        "channels",
+        "signals",
+        "kinematics",
+        "effects",
+        "regressor",
+        "reduction",
+        "sets",
+        "problem",
+        "certificate",
+    ),
     *("identify", "uncertainty", "urdf", "experiment", "validate", "fit", "regression", "outputs", "report", "page"),
     *("terminal", "cli"),
 )

@@ -16,8 +16,6 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_CHUNK = 4096  # samples
-
 
 class RigidBodies(Effect):
     """All bodies of a model, ten coefficients each, in the model's order.
@@ -46,16 +44,11 @@ class RigidBodies(Effect):
 
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         """See `Effect.write`."""
-        for start in range(0, len(motion.t), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            self._write(motion.q[:, part], motion.v[:, part], motion.a[:, part], [block[:, part] for block in out])
-
-    def _write(self, q: Array, v: Array, a: Array, out: Sequence[Array]) -> None:
-        for i, motion in enumerate(body_motions(self.model, q, v, a)):
-            D = _inertia_torque(motion)
-            for k, joint in enumerate(motion.coordinates):
+        for i, body_motion in enumerate(body_motions(self.model, motion.q, motion.v, motion.a)):
+            D = _inertia_torque(body_motion)
+            for k, joint in enumerate(body_motion.coordinates):
                 first = SIZE * self._first_row[i, joint]
-                _write_row(motion, D, k, out[joint][first : first + SIZE])
+                _write_row(body_motion, D, k, out[joint][first : first + SIZE])
 
 
 def _write_row(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
@@ -76,9 +69,9 @@ def _inertia_torque(motion: BodyMotion) -> Array:
     (x, y, z), (a, b, c), M = motion.w, motion.alpha, motion.M
     xy, yz, zx = x * y, y * z, z * x
     D = np.empty((3, 6, len(x)))
-    np.stack([a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz], out=D[0])
-    np.stack([zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx], out=D[1])
-    np.stack([-xy, M[0, 0] - M[1, 1], xy, a - yz, b + zx, c], out=D[2])
+    D[0] = a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz
+    D[1] = zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx
+    D[2] = -xy, M[0, 0] - M[1, 1], xy, a - yz, b + zx, c
     return D
 
 

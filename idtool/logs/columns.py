@@ -80,6 +80,8 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Ma
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")
     joints = tuple(dict.fromkeys(joint for (_, joint), _ in sorted(signals.items(), key=lambda item: item[1])))
+    if not all(map(str.isprintable, joints)):
+        raise LogError(path, "names a joint in characters that cannot be printed")
     used = {time, *signals.values()}
     return Columns(
         time,

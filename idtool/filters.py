@@ -1,0 +1,110 @@
+"""Zero-phase filters with kernels of finite length, so that a log taken in pieces gives what the whole gives.
+
+Shapes: N samples, n after decimation; the last axis is time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+Array = NDArray[np.float64]
+
+_EDGE = 0.02  # of a kernel's weight may be missing at an end of the data
+_TAIL = 1e-6  # of a kernel's weight may be cut off
+_OUTPUTS = 16  # filtered samples that one product gives, an even number; with more, more of it is zeros
+# Maximally flat central difference, 4 samples to each side: within 1 % up to a fifth of the sampling rate.
+_DIFFERENCE = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+DIFFERENCE_REACH = len(_DIFFERENCE) // 2
+
+
+class LowPass:
+    """A zero-phase Butterworth low-pass that decimates to its band.
+
+    The kernel is the impulse response of the filter run forwards and backwards, cut where what is left of it weighs
+    less than 1e-6. At an end of the data it is cut short and scaled to the weight that is left.
+
+    Parameters
+    ----------
+    cutoff
+        Corner frequency of one pass [Hz]; the two passes together are 6 dB down there.
+    order
+        Of one pass.
+    dt
+        Sample time [s].
+    stride
+        Every how many samples to keep one.
+    """
+
+    def __init__(self, cutoff: float, order: int, dt: float, stride: int = 1) -> None:
+        self.stride = stride
+        sections = signal.butter(order, cutoff, fs=1 / dt, output="sos")
+        # Long enough for the slowest pole of any order up to 8 to die away.
+        impulse = np.zeros(int(np.ceil(20 / (cutoff * dt))))
+        impulse[0] = 1.0
+        response = signal.sosfilt(sections, impulse)
+        kernel = signal.correlate(response, response)
+        weight = np.cumsum(np.abs(kernel[: len(impulse)]))
+        cut = int(np.searchsorted(weight, _TAIL * weight[-1]))
+        kernel = kernel[cut : len(kernel) - cut]
+        # Zeros make the kernel reach over whole blocks, so that a batch of whole blocks is filtered where it lies.
+        self.block = _OUTPUTS * stride
+        self.kernel: Array = np.pad(kernel / kernel.sum(), -(len(kernel) // 2) % (self.block // 2))
+        self.reach = len(self.kernel) // 2
+        taps = np.zeros((2 * self.reach + self.block, _OUTPUTS))
+        for i, column in enumerate(taps.T):
+            column[i * stride : i * stride + len(self.kernel)] = self.kernel
+        self._taps: Array = taps.reshape(-1, self.block, _OUTPUTS)
+        # Closer to an end than this, more than 2 % of the weight is missing and what comes out is not of the band.
+        beyond = np.abs(np.cumsum(self.kernel)[: self.reach]) > _EDGE
+        self.edge = self.reach - int(np.argmax(beyond))
+
+    @property
+    def redundancy(self) -> float:
+        """How many of the kept samples of white noise are worth one independent one."""
+        return max(1.0, 1 / (self.stride * float(self.kernel @ self.kernel)))
+
+    def __call__(self, x: Array, before: int, after: int) -> Array:
+        """Filter and decimate.
+
+        Parameters
+        ----------
+        x
+            Shape (..., before + N + after).
+        before, after
+            Samples of x that serve as surroundings only: `reach`, or fewer at an end of the data.
+
+        Returns
+        -------
+        Samples 0, stride, 2 stride, … of the N, filtered; shape (..., ceil(N / stride)).
+        """
+        samples = x.shape[-1] - before - after
+        kept = slice(-(-samples // self.stride))
+        short = (self.reach - before, self.reach - after + -samples % self.block)
+        if not any(short):
+            return self._sums(x)[..., kept]
+        padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [short])
+        ones = np.pad(np.ones(x.shape[-1]), [short])
+        return self._sums(padded)[..., kept] / self._sums(ones)[kept]
+
+    def _sums(self, x: Array) -> Array:
+        """The kernel's sums over whole blocks: block i of the output is Σ_d (block i + d of x) · taps[d]."""
+        blocks = x.reshape(*x.shape[:-1], -1, self.block)
+        count = blocks.shape[-2] - len(self._taps) + 1
+        sums = blocks[..., :count, :] @ self._taps[0]
+        for d, taps in enumerate(self._taps[1:], start=1):
+            sums += blocks[..., d : d + count, :] @ taps
+        return np.asarray(sums.reshape(*x.shape[:-1], -1))
+
+
+def differentiate(x: Array, dt: float) -> Array:
+    """Time derivative; 4 samples shorter at each end. Shape (nv, N) to (nv, N − 8)."""
+    windows = np.lib.stride_tricks.sliding_window_view(x, len(_DIFFERENCE), axis=-1)
+    return np.asarray(windows @ _DIFFERENCE / dt)
+
+
+def noise_above(x: Array, low_pass: LowPass) -> Array:
+    """Robust standard deviation of what lies above the band, shape (nv,)."""
+    above = x - low_pass(x, 0, 0)
+    return np.asarray(1.4826 * np.median(np.abs(above - np.median(above, axis=1, keepdims=True)), axis=1))
