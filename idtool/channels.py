@@ -23,6 +23,7 @@ _RESAMPLED = 0.01  # rms of the stamps' jitter, in samples, above which the sign
 _AROUND = 10  # samples to either side that tell the speed at which a sample was taken
 _AGREES = 0.8  # share of a measured velocity's power that dq/dt must explain
 _GAIN = 0.1  # by which a measured velocity may be larger or smaller than dq/dt
+_NO_LAG = 0.01  # samples of lag that are none
 _SURE = 0.2  # samples, or share of the lag, that the lag's standard error may be
 
 
@@ -58,30 +59,44 @@ class Channels:
             self.lag, self.trusted = self._judge_velocity()
 
     def parts(self) -> list[slice]:
-        """Stretches without a gap; a sample keeps the index of the logged one nearest to it."""
-        return [slice(s.start, s.start + self._count(s)) for s in self.log.segments]
+        """Stretches with all signals and no gap; a sample keeps the index of the logged one nearest to it."""
+        early, late = (int(np.ceil(max(lag, 0.0) / self.log.dt)) for lag in (-self.lag.min(), self.lag.max()))
+        return [slice(s.start + early, s.start + self._count(s) - late) for s in self.log.segments]
 
     def times(self, part: slice) -> Array:
         """Times of samples [s]; sample i of a segment is i sample times after its first."""
-        if not self._resampled:
-            return self.log.t[part]
-        segment = self._segment(part)
-        return np.asarray(self.log.t[segment.start] + self.log.dt * (np.arange(part.start, part.stop) - segment.start))
+        return self._even(part) if self._resampled else self.log.t[part]
 
     def signal(self, name: str, part: slice) -> Array:
         """A signal of the joints, shape (nv, N)."""
+        return self._read(name, part, np.zeros(len(self._columns)))
+
+    def velocity(self, part: slice) -> Array:
+        """The measured velocity of the joints, its lag undone, shape (nv, N)."""
+        return self._read("v", part, self.lag)
+
+    def _read(self, name: str, part: slice, late: Array) -> Array:
+        """A signal as it stands in the log ``late`` [s] after the samples, shape (nv, N)."""
         x = self.log.signals[name]
-        late = self.lag if name == "v" else np.zeros(len(self._columns))
         if not self._resampled and not late.any():
             return np.ascontiguousarray(x[part][:, self._columns].T)
-        segment = self._segment(part)
-        t = self.times(part)
-        stamps = self.log.t[segment]
-        first = int(np.searchsorted(stamps, t[0] + late.min())) - 1
-        last = int(np.searchsorted(stamps, t[-1] + late.max(), side="right")) + 1
-        near = slice(segment.start + max(first, 0), min(segment.start + last, segment.stop))
-        stamps = np.maximum.accumulate(self.log.t[near])
+        t, segment = self._even(part), self._segment(part)
+        if self._resampled:
+            stamps = self.log.t[segment]
+            first = int(np.searchsorted(stamps, t[0] + late.min())) - 1
+            last = int(np.searchsorted(stamps, t[-1] + late.max(), side="right")) + 1
+            near = slice(segment.start + max(first, 0), min(segment.start + last, segment.stop))
+            stamps = np.maximum.accumulate(self.log.t[near])
+        else:  # by count: stamps that jitter and are not true would put their jitter into the signal
+            first, last = (int(lag / self.log.dt) for lag in (late.min() - self.log.dt, late.max() + self.log.dt))
+            near = slice(max(part.start + first, segment.start), min(part.stop + last, segment.stop))
+            stamps = self._even(near)
         return np.stack([np.interp(t + lag, stamps, x[near, c]) for lag, c in zip(late, self._columns, strict=True)])
+
+    def _even(self, part: slice) -> Array:
+        """The even clock [s], shape (N,)."""
+        segment = self._segment(part)
+        return np.asarray(self.log.t[segment.start] + self.log.dt * (np.arange(part.start, part.stop) - segment.start))
 
     def longest(self, parts: Sequence[slice]) -> slice:
         """A stretch to judge the log by, of bounded length."""
@@ -133,4 +148,5 @@ class Channels:
         if not sure.any():
             return np.zeros(len(lag)), trusted
         shared = float(np.average(lag[sure], weights=error[sure] ** -2))
-        return np.where(sure, lag, np.where(trusted, shared, 0.0)), trusted
+        lag = np.where(sure, lag, np.where(trusted, shared, 0.0))
+        return np.where(np.abs(lag) < _NO_LAG * self.log.dt, 0.0, lag), trusted

@@ -224,7 +224,7 @@ class Simulation(Record):
 
 
 class Config(Record):
-    """Everything a URDF does not say. See `docs` of the keys in the contract."""
+    """Everything a URDF does not say."""
 
     joints: tuple[str, ...] | None = None
     locked_joints: dict[str, Finite] = {}

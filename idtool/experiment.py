@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.exceptions import ConfigError, LogError, ModelError
-from idtool.logs import read_log
+from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
 from idtool.reduction import Reduction, empty, reduce_blocks
 from idtool.regressor import LinearModel
@@ -20,6 +20,8 @@ from idtool.robot import Robot
 from idtool.signals import Batch, Signals
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
+
+_MOST = 1e12  # of a signal in SI: powers of what is larger are not finite
 
 
 @dataclass(frozen=True)
@@ -144,10 +146,24 @@ def prepare(
     every = (*fitted, *kept)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
+    for log in every:
+        _check_signals(log, model.names)
     equation = LinearModel(model.names, build_effects(model, config))
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
     return Experiment(config, model, equation, tuple(runs))
+
+
+def _check_signals(log: Log, joints: Sequence[str]) -> None:
+    """Refuse a log in which a joint of the model has no position, or a value that no sensor gives."""
+    for name in joints:
+        if not log.has("q", name):
+            raise LogError(log.path, f"joint {name} has no position; log it, or leave it out of joints")
+        for signal, values in log.signals.items():
+            column = values[:, log.joints.index(name)]
+            largest = np.max(np.abs(column), where=np.isfinite(column), initial=0.0)
+            if largest > _MOST:
+                raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; take out what is no reading")
 
 
 def _split(signals: Signals, share: float) -> Run:

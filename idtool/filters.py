@@ -40,8 +40,8 @@ class LowPass:
     def __init__(self, cutoff: float, order: int, dt: float, stride: int = 1) -> None:
         self.stride = stride
         sections = signal.butter(order, cutoff, fs=1 / dt, output="sos")
-        # Long enough for the slowest pole of any order up to 8 to die away.
-        impulse = np.zeros(int(np.ceil(20 / (cutoff * dt))))
+        # Long enough for the slowest pole of any order up to 8 to die away; near half the rate it is as slow as near 0.
+        impulse = np.zeros(int(np.ceil(20 / min(cutoff * dt, 0.5 - cutoff * dt))))
         impulse[0] = 1.0
         response = signal.sosfilt(sections, impulse)
         kernel = signal.correlate(response, response)

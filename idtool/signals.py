@@ -125,11 +125,7 @@ class Signals:
         self.joints = tuple(joints)
         self.warnings: list[str] = []
         rate = 1 / log.dt
-        self.band_hz = config.filter.cutoff_hz or min(_DEFAULT_CUTOFF, rate / 5)
-        if self.band_hz >= 0.45 * rate:
-            raise ConfigError(
-                "filter.cutoff_hz", f"{self.band_hz:g} Hz is too high for {log.path}, sampled at {rate:.0f} Hz"
-            )
+        self.band_hz = _band(log, config)
         # Twice the band is sampled four times: what would alias is 48 dB down.
         stride = max(1, int(rate / (4 * self.band_hz)))
         self.low_pass = LowPass(self.band_hz, config.filter.order, log.dt, stride)
@@ -207,6 +203,7 @@ class Signals:
         low_pass = self.every_sample if every_sample else self.low_pass
         size = max(BATCH, 8 * low_pass.reach)
         size += -size % low_pass.block
+        _keep_freed_memory()
         for whole in self.ranges if ranges is None else ranges:
             last = whole.stop - low_pass.edge
             for start in range(whole.start + low_pass.edge, last, size):
@@ -226,7 +223,7 @@ class Signals:
         q = self._smooth(self._channels.signal("q", outer))
         v = differentiate(q, self.log.dt)
         if not self.differentiated.all():
-            measured = self._smooth(self._channels.signal("v", outer))[:, r:-r]
+            measured = self._smooth(self._channels.velocity(outer))[:, r:-r]
             v = np.where(self.differentiated[:, None], v, measured)
         return q[:, 2 * r : -2 * r], v[:, r:-r], differentiate(v, self.log.dt)
 
@@ -244,6 +241,30 @@ class Signals:
             if self._command.joints.any():
                 tau[self._command.joints] = self._command.torque(self._channels, outer)[self._command.joints]
         return self._smooth(tau), tau[:, m : m + part.stop - part.start]
+
+
+def _band(log: Log, config: Config) -> float:
+    """The low-pass's cut-off [Hz]; one whose kernel would be far longer than the log is refused."""
+    rate, duration = 1 / log.dt, len(log) * log.dt
+    band = config.filter.cutoff_hz or min(_DEFAULT_CUTOFF, rate / 5)
+    if band >= 0.45 * rate:
+        raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path}, sampled at {rate:.0f} Hz")
+    if band * duration < 1:
+        raise LogError(
+            log.path,
+            f"lasts {duration:.3g} s, less than a period of the {band:g} Hz filter; log for longer, or set a higher "
+            "filter.cutoff_hz",
+        )
+    return band
+
+
+def _keep_freed_memory() -> None:
+    """Let one batch have the memory that the last one freed.
+
+    glibc returns large blocks to the system, which is slow, until one of nearly 32 MiB has been freed: M_MMAP_THRESHOLD
+    in mallopt(3). Elsewhere this does nothing.
+    """
+    np.empty(31 << 20, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -271,7 +292,10 @@ class _Command:
         without = np.array([not log.has("tau", name) for name in joints])
         for name in np.array(joints)[without]:
             if not log.has("qcmd", name):
-                raise LogError(log.path, f"joint {name} has neither torque nor position command")
+                raise LogError(
+                    log.path,
+                    f"joint {name} has neither torque nor position command; log one, or leave it out of joints",
+                )
             if controller is None or name not in controller.kp:
                 raise LogError(
                     log.path, f"joint {name} has no torque; give the gains under controller.kp and kd in the config"
@@ -283,13 +307,13 @@ class _Command:
 
     def torque(self, channels: Channels, part: slice) -> Array:
         """The torque at samples of the log, shape (nv, N)."""
-        dt = channels.log.dt
-        q = channels.signal("q", part)
-        v = np.gradient(q, dt, axis=1)
-        if channels.measured.any():
+        r = DIFFERENCE_REACH
+        q = channels.signal("q", slice(part.start - r, part.stop + r))
+        v = differentiate(q, channels.log.dt)
+        if channels.measured.any():  # as logged: the controller did not know how late it is
             v = np.where(channels.measured[:, None], channels.signal("v", part), v)
         command = [self._late(channels, name, part) for name in ("qcmd", "vcmd")]
-        return np.asarray(self.kp * (command[0] - q) + self.kd * (command[1] - v))
+        return np.asarray(self.kp * (command[0] - q[:, r:-r]) + self.kd * (command[1] - v))
 
     def _late(self, channels: Channels, name: str, part: slice) -> Array:
         """A command as it was `delay` before; zero where the log has none."""

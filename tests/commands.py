@@ -137,3 +137,24 @@ def numbers(x: Any) -> Iterator[float]:
             yield from numbers(value)
     elif isinstance(x, int | float) and not isinstance(x, bool):
         yield float(x)
+
+
+def refuse(folder: Path, *arguments: object, naming: str, file: str = "") -> None:
+    """Run a command in a folder and check that it refuses its input as the contract says (section 4).
+
+    Exit code 2, one line on standard error that names what is at fault, and no file written, changed or left behind.
+    """
+    out = folder / "out"
+    out.mkdir()
+    for name in FIT_FILES | VALIDATION_FILES:
+        (out / name).write_text(f"the former {name}")
+    paths, contents = sorted(folder.rglob("*")), files(folder)
+    done = idtool(*arguments, folder=folder)
+    assert (done.code, done.out) == (2, ""), done
+    assert done.err.startswith("error: ")
+    assert done.err.endswith("\n")
+    assert done.err[:-1].isprintable()  # one line, no traceback
+    assert file in done.err, done.err
+    assert naming in done.err, done.err
+    assert sorted(folder.rglob("*")) == paths
+    assert files(folder) == contents

@@ -1,11 +1,11 @@
-"""Data for the identification that idtool had no part in: Pinocchio's rows of random trees whose bodies are points of mass.
+"""Data that idtool had no part in: Pinocchio's rows of random trees, whose bodies are in truth points of mass.
 
 Letters: nv joints, n samples, p coefficients; Y (nv, n, p) rows, tau (nv, n) torque [N·m or N], theta (p,) the truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,17 +14,18 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated
 
+from idtool.body import Body
 from idtool.config import parse_config
 from idtool.effects import build_effects
 from idtool.ellipsoid import Ellipsoid
-from idtool.model import Body, Model, build_model
+from idtool.model import Model, build_model
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
 
 Array = NDArray[np.float64]
 
-FRICTION = {"viscous": lambda v: v, "coulomb": np.sign, "offset": np.ones_like}
+FRICTION: dict[str, Callable[[Array], Array]] = {"viscous": lambda v: v, "coulomb": np.sign, "offset": np.ones_like}
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def synthetic(rng: np.random.Generator, robot: Robot, count: int, config: Mappin
 def true_body(rng: np.random.Generator, body: Body) -> Array:
     """Parameters of six points of mass in each of a body's ellipsoids, or around its own frame."""
     parts = [points_in(rng, ellipsoid, 6) for ellipsoid in body.ellipsoids] or [0.1 * rng.normal(size=(6, 3))]
-    return np.sum([point_parameters(rng.uniform(0.05, 0.3, len(part)), part) for part in parts], axis=0)
+    return point_parameters(rng.uniform(0.05, 0.3, sum(map(len, parts))), np.concatenate(parts))
 
 
 def point_parameters(masses: Array, places: Array) -> Array:

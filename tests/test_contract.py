@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from commands import (
     FIT_FILES,
     JOINTS,
     LEG,
-    SAMPLES,
     TRAIN,
     VALIDATE,
     VALIDATION_FILES,
@@ -133,13 +131,6 @@ def test_what_is_printed_is_what_is_written(tmp_path: Path) -> None:
     assert printed == strict_json((tmp_path / "validation.json").read_text())
 
 
-def test_the_pages_need_no_network(out: Path) -> None:
-    page = (out / "report.html").read_text()
-    assert page.startswith("<!")
-    head = page.partition("plotly.js v")[0]
-    assert not any(f'{attribute}="http' in head for attribute in ("src", "href"))
-
-
 def test_a_rerun_gives_the_same_model(out: Path, tmp_path: Path) -> None:
     fitted(tmp_path, LEG, TRAIN, "--validate", VALIDATE)
     for name in ("identified.urdf", "model.yaml"):
@@ -253,8 +244,3 @@ def test_validate_keeps_whole_logs(tmp_path: Path, report: dict[str, Any]) -> No
     assert list(numbers(twice["samples"])) == [samples[0], 2 * samples[1]]
     assert twice["rms"]["train"] == report["rms"]["train"]
     assert twice["rms"]["validation"] == pytest.approx(report["rms"]["validation"], rel=1e-12)
-
-
-def test_the_samples_are_not_touched() -> None:
-    assert {path.name for path in SAMPLES.iterdir()}.isdisjoint(FIT_FILES | VALIDATION_FILES)
-    assert yaml.safe_load((SAMPLES / "leg.yaml").read_text())["joints"] == list(JOINTS)

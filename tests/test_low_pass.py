@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from idtool.signals import LowPass
+from idtool.filters import LowPass
 
 Array = NDArray[np.float64]
 
@@ -58,7 +60,7 @@ def test_parts_with_their_surroundings_give_what_the_whole_gives(
     x = rng.normal(size=(2, 2000))
     cuts = [0, *(stride * np.unique(rng.integers(1, 2000 // stride, 4))).tolist(), 2000]
     parts = []
-    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, stop in pairwise(cuts):
         before, after = min(start, low_pass.reach), min(2000 - stop, low_pass.reach)
         parts.append(low_pass(x[:, start - before : stop + after], before, after))
     np.testing.assert_allclose(np.concatenate(parts, axis=1), whole(low_pass, x), rtol=0, atol=1e-12)

@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
-_MOST = 1e12  # in SI or the log's own unit, of any signal
 _RECOVERY = 20  # samples before and after a long step that tell whether it is a gap
 _BLOCK = 1 << 15  # samples looked at together
 
@@ -63,7 +62,7 @@ class Log:
         if joint not in self.joints or signal not in self.signals:
             return False
         column = self.signals[signal][:, self.joints.index(joint)]
-        return bool(_usable(column[:1]).any() or _usable(column).any())
+        return bool(np.isfinite(column[:1]).any() or np.isfinite(column).any())
 
 
 def make_log(
@@ -122,16 +121,11 @@ def _incomplete(t: Array, signals: Mapping[str, Array]) -> tuple[NDArray[np.bool
     for name, array in signals.items():
         # a column at a time: a mask of the whole array would add an eighth to the memory
         for column in array.T:
-            missing = ~_usable(column)
+            missing = ~np.isfinite(column)
             if not missing.all():
                 held[name] = array
                 bad |= missing
     return bad, held
-
-
-def _usable(x: Array) -> NDArray[np.bool_]:
-    """Which values are finite, and not so large that their powers would not be."""
-    return np.asarray((x > -_MOST) & (x < _MOST))
 
 
 def _clock(step: Array) -> tuple[float, float]:

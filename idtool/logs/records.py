@@ -9,6 +9,7 @@ Source: mcap.dev/spec
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -179,7 +180,8 @@ class Records:
             if not whole:
                 return b""
             raise LogError(self._path, f"has a chunk at byte {at} that {error}") from None
-        if whole and len(records) != size:
+        crc = _CHUNK.unpack_from(head)[3]  # 0: none
+        if whole and (len(records) != size or crc not in (0, zlib.crc32(records))):
             raise self._damaged(at)
         return records
 

@@ -1,0 +1,73 @@
+"""The columns of the leg's six bodies against a Python loop over Pinocchio's regressor.
+
+Run ``python benchmarks/regressor.py``. Pinocchio's model has the three links and the three rotors as six joints that
+are coupled by phi = G q, so that Y = Gᵀ Y_six. Its loop is timed twice: with G applied and every Y kept, which is what
+`LinearModel.columns` gives, and as bare calls whose results are lost.
+"""
+
+from __future__ import annotations
+
+import leg
+import numpy as np
+import pinocchio as pin  # type: ignore[import-untyped]
+import yaml
+from numpy.typing import NDArray
+
+from idtool.effects import RigidBodies
+from idtool.regressor import LinearModel
+
+Array = NDArray[np.float64]
+
+REPETITIONS = 15
+CHECKED = 50  # samples
+JOINTS = ("abad", "hip", "knee")
+
+
+def coupled_tree() -> tuple[pin.Model, Array]:
+    """The leg and its rotors as joints of a tree, and G, shape (6, 3)."""
+    tree = pin.buildModelFromXML(leg.URDF.read_text())
+    rotors = yaml.safe_load(leg.CONFIG.read_text())["rotors"]
+    for name, rotor in rotors.items():
+        frame = tree.frames[tree.getFrameId(rotor["parent"])]
+        origin = pin.SE3(pin.rpy.rpyToMatrix(*rotor["origin"]["rpy"]), np.array(rotor["origin"]["xyz"], dtype=float))
+        axis = pin.JointModelRevoluteUnaligned(np.array(rotor["axis"], dtype=float))
+        tree.addJoint(frame.parentJoint, axis, frame.placement * origin, name)
+    ratios = [rotor["gear_ratio"] * np.equal(JOINTS, rotor["joint"]) for rotor in rotors.values()]
+    return tree, np.concatenate([np.eye(3), ratios])
+
+
+def main() -> None:
+    """Check that the columns are equal, time all by turns and print the ratios."""
+    experiment = leg.experiment()
+    model = experiment.model
+    linear = LinearModel(model.names, (RigidBodies(model),))
+    motion = next(experiment.runs[0].signals.batches()).motion
+    count = len(motion.t)
+    tree, G = coupled_tree()
+    data = tree.createData()
+    assert [*tree.names][1:] == [*JOINTS, *(body.name for body in model.bodies[3:])]
+    q, v, a = (np.ascontiguousarray((G @ x).T) for x in (motion.q, motion.v, motion.a))
+    Y = np.empty((count, 3, 60))
+
+    def bare() -> None:
+        for n in range(count):
+            pin.computeJointTorqueRegressor(tree, data, q[n], v[n], a[n])
+
+    def kept() -> None:
+        for n in range(count):
+            np.matmul(G.T, pin.computeJointTorqueRegressor(tree, data, q[n], v[n], a[n]), out=Y[n])
+
+    kept()
+    for j, (block, active) in enumerate(zip(linear.columns(motion), linear.active(), strict=True)):
+        for n in np.linspace(0, count - 1, CHECKED).astype(int):
+            np.testing.assert_allclose(block[:-1, n], Y[n, j, active], rtol=0, atol=1e-10 * np.abs(Y[n]).max())
+    seconds = leg.medians(REPETITIONS, lambda: linear.columns(motion), kept, bare)
+    ours, same, calls = (s / count * 1e6 for s in seconds)
+    print(
+        f"{count} samples, {ours:.2f} µs each; Pinocchio {same:.2f} µs: ratio {same / ours:.1f}; "
+        f"its bare calls {calls:.2f} µs: ratio {calls / ours:.1f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

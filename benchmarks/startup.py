@@ -1,0 +1,73 @@
+"""How long ``idtool --help`` takes, and where the time of a whole ``idtool fit`` of the leg goes.
+
+Run ``python benchmarks/startup.py``. Every run is a fresh process. Help and an empty Python take turns, and so do the
+command ``idtool fit``, timed from outside, and a process that takes its steps one by one and times them.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+REPETITIONS = 7
+
+
+def python(*arguments: str | Path) -> str:
+    """Run Python, and return what it prints."""
+    done = subprocess.run([sys.executable, *arguments], check=True, capture_output=True, text=True)
+    return done.stdout
+
+
+def idtool(*arguments: str | Path) -> str:
+    """Run the command line."""
+    return python("-c", "from idtool.cli import main; main()", *arguments)
+
+
+def print_steps(urdf: Path, log: Path) -> None:
+    """Fit in this process, from the imports to the page, and print the time of each step [s]."""
+    clock = [time.perf_counter()]
+    from idtool.config import read_config
+    from idtool.experiment import prepare
+    from idtool.fit import fit
+    from idtool.page import fit_page
+    from idtool.report import fit_report
+    from idtool.robot import read_robot
+
+    clock.append(time.perf_counter())
+    experiment = prepare(read_robot(urdf), read_config(urdf.with_suffix(".yaml")), [log])
+    clock.append(time.perf_counter())
+    result = fit(experiment, lambda *_: None)
+    clock.append(time.perf_counter())
+    fit_page(result, fit_report(result), "")
+    clock.append(time.perf_counter())
+    imports, reading, _, page = (b - a for a, b in zip(clock[:-1], clock[1:], strict=True))
+    print(json.dumps({"imports": imports, "reading": reading, **result.seconds, "page": page}))
+
+
+def main() -> None:
+    """Time all by turns and print medians."""
+    if len(sys.argv) == 3:
+        return print_steps(Path(sys.argv[1]), Path(sys.argv[2]))
+    import leg
+
+    steps: list[dict[str, float]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        empty, help_, whole, _ = leg.medians(
+            REPETITIONS,
+            lambda: python("-c", "pass"),
+            lambda: idtool("--help"),
+            lambda: idtool("fit", leg.URDF, leg.LOG, "--out", folder, "--quiet"),
+            lambda: steps.append(json.loads(python(__file__, leg.URDF, leg.LOG))),
+        )
+    print(f"idtool --help {help_:.3f} s, an empty Python {empty:.3f} s: ratio {help_ / empty:.1f}")
+    parts = ", ".join(f"{name} {statistics.median(run[name] for run in steps):.2f}" for name in steps[0])
+    print(f"idtool fit {whole:.2f} s; of it {parts} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""Configurations that are no use, through the command line: keys at every depth, names that the URDF has not, numbers.
+
+What a configuration may hold by itself is tested value by value in test_config.py.
+"""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from commands import LEG, csv_text, idtool, refuse, sample_table
+
+LEG_YAML = yaml.safe_load(LEG.with_suffix(".yaml").read_text())
+SPRING = {"effect": "parallel_spring", "joint": "hip", "parameters": {"stiffness": 1.0, "rest_position": 0.0}}
+ROTOR = "rotors.hip_rotor"
+BOMB = "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+FILES: dict[str, tuple[str | bytes, str]] = {
+    "binary": (bytes(range(256)), "is not YAML"),
+    "not YAML": ("joints: [hip", "is not YAML in line 1"),
+    "two documents": ("{}\n---\n{}", "is not YAML"),
+    "a list": ("[joints, rotors]", "is not a configuration"),
+    "a word": ("leg", "is not a configuration"),
+    "a URDF": (LEG.read_text(), "is not "),
+    "a key twice": ("seed: 1\nvelocity: auto\nseed: 2\n", "key 'seed' stands twice, again in line 3"),
+    "a key twice, deep down": ("filter: {order: 4, order: 2}", "key 'order' stands twice"),
+    "an alias bomb": (f"a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]\n{BOMB}", "aliases written out"),
+    "an alias to itself": ("joints: &a [*a]", "aliases written out"),
+    "a tag that runs a command": ("joints: !!python/object/apply:os.system ['touch owned']", "is not YAML in line 1"),
+    "a megabyte": ("#" * (2 << 20), "is larger than 1 MiB"),
+    "a number without end": ("seed: " + "9" * 100_000, "characters in line 1"),
+}
+
+KEYS: dict[str, tuple[str, Any, str]] = {
+    # where to put what, and what is to be named
+    "unknown": ("jonts", ["hip"], "unknown key 'jonts'; did you mean 'joints'?"),
+    "unknown in log": ("log.topc", "/a", "log: unknown key 'topc'; did you mean 'topic'?"),
+    "unknown in filter": ("filter.cutoff", 30, "filter: unknown key 'cutoff'; did you mean 'cutoff_hz'?"),
+    "unknown in friction": ("friction.viscos", True, "friction: unknown key 'viscos'; did you mean 'viscous'?"),
+    "unknown in a rotor": (f"{ROTOR}.gear", 9, f"{ROTOR}: unknown key 'gear'; did you mean 'gear_ratio'?"),
+    "unknown in its origin": (f"{ROTOR}.origin.xzy", [0, 0, 0], f"{ROTOR}.origin: unknown key 'xzy'"),
+    "unknown in its inertial": (
+        f"{ROTOR}.inertial.mas",
+        1,
+        f"{ROTOR}.inertial: unknown key 'mas'; did you mean 'mass'?",
+    ),
+    "unknown in an ellipsoid": (
+        "bounding_ellipsoids.thigh_link",
+        [{"centre": [0, 0, 0], "semi_axes": [1, 1, 1]}],
+        "bounding_ellipsoids.thigh_link.0: unknown key 'centre'; did you mean 'center'?",
+    ),
+    "unknown in an effect": ("effects", [{**SPRING, "joints": "hip"}], "effects.0: unknown key 'joints'"),
+    "unknown signal to scale": ("log.scale", {"torque": {"hip": 1}}, "log.scale: unknown key 'torque'; did you mean"),
+    "not in this version: known": ("known", {"total_mass": 2.3}, "known: is not in this version"),
+    "not in this version: mirror": ("mirror", [], "mirror: is not in this version"),
+    "not in this version: entropic": (
+        "regularization.kind",
+        "entropic",
+        "regularization.kind: entropic is not in this v",
+    ),
+    "not in this version: pullback": (
+        "regularization.kind",
+        "pullback",
+        "regularization.kind: pullback is not in this v",
+    ),
+    "no kind of regularization": ("regularization.kind", "ridge", "regularization.kind: "),
+    "no constraint set": ("constraints", "tight", "constraints: "),
+    "no solver": ("solver.name", "mosek", "solver.name: "),
+    "joints that are no list": ("joints", "hip", "joints: "),
+    "rotors that are a list": ("rotors", [], "rotors: "),
+    "gravity of two numbers": ("gravity", [0, -9.81], "gravity.2: "),
+    "gravity of nan": ("gravity", [0, 0, float("nan")], "gravity.2: "),
+    "gravity beyond all bounds": ("gravity", [0, 0, 1e300], "gravity.2: "),
+    "a negative weight": ("regularization.weight", -1e-6, "regularization.weight: "),
+    "a cut-off of 0": ("filter.cutoff_hz", 0, "filter.cutoff_hz: "),
+    "a cut-off above Nyquist": ("filter.cutoff_hz", 600, "filter.cutoff_hz: 600 Hz is too high"),
+    "a cut-off below the log": ("filter.cutoff_hz", 0.1, "log.csv: lasts 1.2 s, less than a period of the 0.1 Hz"),
+    "a cut-off that would take all memory": ("filter.cutoff_hz", 1e-9, "log.csv: lasts 1.2 s"),
+    "an order of 0": ("filter.order", 0, "filter.order: "),
+    "a window of 0": ("simulation.window", 0, "simulation.window: "),
+    "a gear ratio of 0": (f"{ROTOR}.gear_ratio", 0, f"{ROTOR}: a gear ratio of 0"),
+    "a gear ratio in words": (f"{ROTOR}.gear_ratio", "ten", f"{ROTOR}.gear_ratio: "),
+    "a gear ratio beyond all bounds": (f"{ROTOR}.gear_ratio", 1e200, f"{ROTOR}.gear_ratio: "),
+    "both gear ratio and coupling": (f"{ROTOR}.coupling", {"knee": 1}, f"{ROTOR}: give either"),
+    "an axis of zero": (f"{ROTOR}.axis", [0, 0, 0], f"{ROTOR}: axis must not be zero"),
+    "an axis that is as good as zero": (f"{ROTOR}.axis", [1e-300, 0, 0], f"{ROTOR}: axis must not be zero"),
+    "a rotor without inertial": (f"{ROTOR}.inertial", None, f"{ROTOR}.inertial: is missing"),
+    "a rotor of negative mass": (f"{ROTOR}.inertial.mass", -0.5, f"{ROTOR}.inertial.mass: "),
+    "a rotor's inertia of five numbers": (
+        f"{ROTOR}.inertial.inertia",
+        [1, 0, 1, 0, 0],
+        f"{ROTOR}.inertial.inertia.5: ",
+    ),
+    "a negative semi-axis": (f"{ROTOR}.bounding_ellipsoid.semi_axes", [0.1, -0.1, 0.1], "semi_axes.1: "),
+    "a semi-axis of nothing": (f"{ROTOR}.bounding_ellipsoid.semi_axes", [1e-200, 1, 1], "semi_axes.0: "),
+    "an ellipsoid too small for its link": (
+        "bounding_ellipsoids.thigh_link",
+        [{"center": [1e6, 0, 0], "semi_axes": [1e-6, 1e-6, 1e-6]}],
+        "solver: ",
+    ),
+    "joints: an unknown joint": (
+        "joints",
+        ["abad", "hipp", "knee"],
+        "joints: hipp: is no actuated joint of the URDF; did",
+    ),
+    "joints: a fixed joint": ("joints", ["hip", "foot_joint"], "joints: foot_joint: "),
+    "joints: none": ("joints", [], "leg.urdf: "),
+    "locked: an unknown joint": ("locked_joints", {"tail": 0.0}, "locked_joints: tail: is no actuated joint"),
+    "locked: a moving joint": ("locked_joints", {"hip": 0.0}, "locked_joints: hip: is also a moving joint"),
+    "locked: a joint of two lines": ("locked_joints", {"a\nb": 0.0}, r"locked_joints: a\nb: "),
+    "locked: nowhere, of two lines": ("locked_joints", {"a\nb": "x"}, r"locked_joints.a\nb: "),
+    "rotors: an unknown joint": (f"{ROTOR}.joint", "hipp", f"{ROTOR}: hipp is no moving joint; did you mean hip?"),
+    "rotors: an unknown parent": (f"{ROTOR}.parent", "torso", f"{ROTOR}.parent: torso is no link"),
+    "rotors: a moving link's name": ("rotors.thigh_link", {"joint": "hip", "gear_ratio": 9}, "rotors.thigh_link: "),
+    "rotors: a name that moves the cursor": ("rotors.a\x1b[2J", LEG_YAML["rotors"]["hip_rotor"], r"rotors.a\x1b[2J: "),
+    "ellipsoids: an unknown link": (
+        "bounding_ellipsoids.thigh",
+        [{"semi_axes": [1, 1, 1]}],
+        "bounding_ellipsoids: thigh: is no link of the URDF; did you mean thigh_link?",
+    ),
+    "friction: an unknown joint": ("friction", {"hipp": {"viscous": True}}, "friction: hipp: "),
+    "friction: a fixed joint": ("friction", {"foot_joint": {"viscous": True}}, "friction: foot_joint: "),
+    "friction: a value in words": ("friction.coulomb", "dry", "friction.coulomb"),
+    "effects: an unknown effect": ("effects", [{**SPRING, "effect": "paralel_spring"}], "effects: paralel_spring: "),
+    "effects: an unknown joint": ("effects", [{**SPRING, "joint": "hipp"}], "effects: parallel_spring: hipp is no"),
+    "effects: no joint": ("effects", [{**SPRING, "joint": None}], "effects: parallel_spring: acts on a joint"),
+    "effects: a link": ("effects", [{**SPRING, "link": "thigh_link"}], "effects: parallel_spring: acts on a joint"),
+    "effects: a parameter is missing": ("effects", [{**SPRING, "parameters": {"stiffness": 1}}], "rest_position"),
+    "effects: a parameter in words": (
+        "effects",
+        [{**SPRING, "parameters": {"stiffness": "soft", "rest_position": 0}}],
+        "effects: parallel_spring: ",
+    ),
+    "controller: an unknown joint in kp": ("controller", {"kp": {"hipp": 20}}, "controller.kp: hipp: "),
+    "controller: an unknown joint in kd": (
+        "controller",
+        {"kp": {"hip": 20}, "kd": {"knees": 1}},
+        "controller.kd: knees: ",
+    ),
+    "controller: no kp": ("controller", {"kd": {"hip": 1}}, "controller.kp: "),
+    "controller: a negative gain": ("controller", {"kp": {"hip": -20}}, "controller.kp.hip: "),
+    "controller: a negative delay": ("controller", {"kp": {"hip": 20}, "delay": -1}, "controller.delay: "),
+}
+
+
+@pytest.fixture(autouse=True)
+def log(tmp_path: Path) -> None:
+    """A short log of the leg."""
+    (tmp_path / "log.csv").write_text(csv_text(sample_table(1200)))
+
+
+@pytest.mark.parametrize("command", ["fit", "validate", "inspect"])
+@pytest.mark.parametrize(("text", "naming"), FILES.values(), ids=FILES)
+def test_files(tmp_path: Path, command: str, text: str | bytes, naming: str) -> None:
+    (tmp_path / "bad.yaml").write_bytes(text if isinstance(text, bytes) else text.encode())
+    urdf = [] if command == "inspect" else [LEG, "--out", "out"]
+    refuse(tmp_path, command, *urdf, "log.csv", "--config", "bad.yaml", file="bad.yaml: ", naming=naming)
+
+
+@pytest.mark.parametrize(("place", "value", "naming"), KEYS.values(), ids=KEYS)
+def test_keys(tmp_path: Path, place: str, value: object, naming: str) -> None:
+    data = copy.deepcopy(LEG_YAML)
+    holder, (*parents, key) = data, place.split(".")
+    for parent in parents:
+        holder = holder.setdefault(parent, {})
+    holder[key] = value
+    (tmp_path / "bad.yaml").write_text(yaml.safe_dump(data))
+    refuse(tmp_path, "fit", LEG, "log.csv", "--config", "bad.yaml", "--out", "out", naming=naming)
+
+
+def test_the_config_itself_can_be_used(tmp_path: Path) -> None:
+    data = {**LEG_YAML, "effects": [SPRING]}
+    (tmp_path / "good.yaml").write_text(yaml.safe_dump(data))
+    assert idtool("fit", LEG, "log.csv", "--config", "good.yaml", "--quiet", folder=tmp_path).code == 0
+
+
+def test_the_config_beside_the_urdf_is_held_to_the_same(tmp_path: Path) -> None:
+    (tmp_path / "leg.urdf").write_text(LEG.read_text())
+    (tmp_path / "leg.yaml").write_text("jonts: [hip]")
+    naming = "leg.yaml: unknown key 'jonts'; did you mean 'joints'?"
+    refuse(tmp_path, "fit", "leg.urdf", "log.csv", "--out", "out", naming=naming)

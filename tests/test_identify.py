@@ -1,0 +1,192 @@
+"""Estimates from rows that Pinocchio made, against numpy's least squares and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from robots import random_urdf
+from synthetic import Synthetic, bounds, synthetic
+
+from idtool.config import Regularization
+from idtool.identify import Estimate, identify
+from idtool.inertia import SIZE, pseudo_inertia
+from idtool.robot import Robot
+from idtool.sets import constraint_sets
+
+Array = NDArray[np.float64]
+Data = Callable[..., Synthetic]
+
+SETS = constraint_sets()
+NONE = Regularization(kind="none")
+PRIOR = Regularization(kind="euclidean", weight=1e-6)
+
+
+@pytest.fixture
+def data(robot_of: Callable[[str], Robot]) -> Data:
+    """Random robots of three joints with as many ellipsoids a link, and so many samples of their motion."""
+
+    def make(seed: int, count: int = 300, each: int = 1, **config: Any) -> Synthetic:
+        rng = np.random.default_rng(seed)
+        robot = robot_of(random_urdf(rng, size=3, kinds=("revolute", "prismatic"), mimic=0, massless=0))
+        return synthetic(rng, robot, count, {**bounds(rng, robot, each), **config})
+
+    return make
+
+
+def noisy(s: Synthetic, share: float, seed: int = 0) -> Array:
+    """The torque with white noise of a share of its own spread, joint by joint."""
+    noise = np.random.default_rng(seed).normal(size=s.tau.shape)
+    return np.asarray(s.tau + share * s.tau.std(axis=1, keepdims=True) * noise)
+
+
+def estimate(s: Synthetic, tau: Array, kind: str, regularization: Regularization = PRIOR) -> Estimate:
+    bodies = s.model.bodies
+    return identify(s.linear, bodies, s.reduction(tau), [SETS[kind]] * len(bodies), regularization)
+
+
+def least_squares(Y: Array, tau: Array, sigma: Array) -> Array:
+    """The least theta of ‖(Y theta − tau) / sigma‖ over the rows of all joints, shape (p,)."""
+    rows, b = (Y / sigma[:, None, None]).reshape(-1, Y.shape[-1]), (tau / sigma[:, None]).ravel()
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1
+    return np.asarray(np.linalg.lstsq(rows / size, b, rcond=1e-10)[0] / size)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_without_constraints_and_prior_the_prediction_is_that_of_least_squares(data: Data, seed: int) -> None:
+    """In two steps: joints alike, then each weighted by what the first step left of it (Gautier 1997)."""
+    s = data(seed)
+    tau = noisy(s, 0.1)
+    first = least_squares(s.Y, tau, np.ones(3))
+    sigma = np.std(s.Y @ first - tau, axis=1)
+    second = least_squares(s.Y, tau, sigma)
+    ours = estimate(s, tau, "none", NONE)
+    np.testing.assert_allclose(s.Y @ ours.theta, s.Y @ second, rtol=0, atol=1e-4 * sigma.min())
+
+
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("regularization", [NONE, PRIOR], ids=["none", "euclidean"])
+def test_a_torque_without_noise_is_recovered(data: Data, kind: str, regularization: Regularization) -> None:
+    for seed in range(3):
+        s = data(seed)
+        ours = estimate(s, s.tau, kind, regularization)
+        np.testing.assert_allclose(s.Y @ ours.theta, s.tau, rtol=0, atol=1e-6 * np.abs(s.tau).max())
+
+
+@pytest.mark.parametrize("kind", ["none", "full", "ellipsoid"])
+def test_what_was_identified_predicts_other_motions_of_the_robot(data: Data, kind: str) -> None:
+    """Least squares on 36 unknowns of which noise is 5 %: the rms of the error goes with √(rank / samples)."""
+    for seed in range(3):
+        s, other = data(seed, count=500), data(seed, count=800)
+        np.testing.assert_array_equal(s.theta[:SIZE].shape, other.theta[:SIZE].shape)
+        ours = estimate(s, noisy(s, 0.05), kind)
+        fresh = other.Y @ ours.theta - other.Y @ s.theta
+        assert (fresh.std(axis=1) < 0.05 * other.tau.std(axis=1)).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_very_noisy_joint_does_not_spoil_the_others(data: Data, seed: int) -> None:
+    """The others' torque is predicted as well as from a log in which that joint is as good as they are."""
+    s = data(seed, count=600)
+    clean = noisy(s, 0.01)
+    spoilt = clean.copy()
+    spoilt[1] += 30 * s.tau[1].std() * np.random.default_rng(9).normal(size=600)
+    others = [0, 2]
+    truth = s.Y[others] @ s.theta
+    errors = [
+        np.std(s.Y[others] @ estimate(s, tau, "full").theta - truth, axis=1) / s.tau[others].std(axis=1)
+        for tau in (clean, spoilt)
+    ]
+    assert (errors[1] < 2 * errors[0] + 1e-3).all(), errors
+    alike = least_squares(s.Y, spoilt, np.ones(3))
+    assert np.std(s.Y[0] @ alike - truth[0]) / s.tau[0].std() > errors[1].max()
+
+
+@pytest.mark.parametrize("kind", ["none", "ellipsoid"])
+def test_the_noise_of_every_joint_is_told(data: Data, kind: str) -> None:
+    s = data(1, count=2000)
+    sigma = np.array([0.5, 3.0, 0.02])
+    tau = s.tau + sigma[:, None] * np.random.default_rng(3).normal(size=s.tau.shape)
+    np.testing.assert_allclose(estimate(s, tau, kind).noise, sigma, rtol=0.06)
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_friction_is_never_negative(data: Data, kind: str) -> None:
+    """In truth there is none: noise makes it as often negative as positive, but for the bound."""
+    for seed in range(3):
+        s = data(seed)
+        frictionless = s.theta.copy()
+        frictionless[SIZE * len(s.model.bodies) :] = 0
+        tau = s.Y @ frictionless
+        tau += 0.3 * tau.std() * np.random.default_rng(seed).normal(size=tau.shape)
+        friction = estimate(s, tau, kind).theta[SIZE * len(s.model.bodies) :]
+        assert (friction >= 0).all()
+        assert (friction < 1e-6).any()
+        assert (friction > 1e-3).any()
+
+
+def in_ellipsoid(pi: Array, Q: Array) -> bool:
+    J = pseudo_inertia(pi)
+    return bool(np.linalg.eigvalsh(J)[0] > 0 and np.trace(J @ Q) > 0)
+
+
+@pytest.mark.parametrize("each", [1, 2, 3])
+def test_every_body_is_the_sum_of_parts_within_their_ellipsoids(data: Data, each: int) -> None:
+    """From a torque that is nothing but noise, so that the bodies lie on the boundary of what can be."""
+    for seed in range(3):
+        s = data(seed, count=60, each=each)
+        ours = estimate(s, noisy(s, 3.0), "ellipsoid")
+        for i, (body, parts) in enumerate(zip(s.model.bodies, ours.parts, strict=True)):
+            pi = ours.theta[SIZE * i : SIZE * (i + 1)]
+            assert parts.shape == (each, SIZE)
+            np.testing.assert_allclose(parts.sum(axis=0), pi, rtol=1e-12, atol=1e-15)
+            assert all(in_ellipsoid(p, S.Q) for p, S in zip(parts, body.ellipsoids, strict=True))
+            assert np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0
+
+
+def test_a_body_with_mass_at_both_ends_needs_the_union(data: Data) -> None:
+    """On the union the torque is matched; on a single one of its ellipsoids it cannot be."""
+    s = data(5, each=2)
+    whole = estimate(s, noisy(s, 0.01), "ellipsoid")
+    alone = data(5, each=2, bounding_ellipsoids={})
+    links = {body.name: [_as_config(body.ellipsoids[0])] for body in s.model.bodies}
+    single = data(5, each=2, bounding_ellipsoids=links)
+    assert len(alone.model.bodies[0].ellipsoids) == 0
+    narrow = estimate(Synthetic(single.model, single.linear, s.Y, s.theta), noisy(s, 0.01), "ellipsoid")
+    assert narrow.certificate.objective > 1.5 * whole.certificate.objective
+
+
+def _as_config(ellipsoid: Any) -> dict[str, Any]:
+    return {"center": ellipsoid.center, "semi_axes": ellipsoid.semi_axes, "rpy": ellipsoid.rpy}
+
+
+@pytest.mark.parametrize("regularization", [NONE, PRIOR], ids=["none", "euclidean"])
+def test_what_the_data_do_not_tell_stays_at_the_prior(data: Data, regularization: Regularization) -> None:
+    """In units of the bodies' scales the estimate differs from the prior by nothing that leaves all torques alone."""
+    for seed in range(3):
+        s = data(seed, friction={"viscous": False, "coulomb": False})
+        scale = np.array([c.scale for c in s.linear.coefficients], dtype=float)
+        rows = s.Y.reshape(-1, len(scale)) * scale
+        _, values, Vt = np.linalg.svd(rows)
+        unseen = Vt[np.count_nonzero(values > 1e-9 * values[0]) :]
+        assert len(unseen) > 5
+        ours = estimate(s, noisy(s, 0.1), "none", regularization)
+        change = (ours.theta - s.linear.prior) / scale
+        assert np.abs(change).max() > 0.1
+        np.testing.assert_allclose(unseen @ change, 0, atol=1e-3 * np.abs(change).max())
+
+
+def test_the_heavier_the_prior_the_nearer_the_estimate_to_it(data: Data) -> None:
+    s = data(2, friction={"viscous": False, "coulomb": False})
+    scale = np.array([c.scale for c in s.linear.coefficients], dtype=float)
+    tau = noisy(s, 0.3)
+    distances = []
+    for weight in (1e-6, 1e-3, 1.0, 1e3, 1e8):
+        theta = estimate(s, tau, "none", Regularization(kind="euclidean", weight=weight)).theta
+        distances.append(np.linalg.norm((theta - s.linear.prior) / scale))
+    assert distances == sorted(distances, reverse=True)
+    assert distances[-1] < 1e-3 * distances[0]
