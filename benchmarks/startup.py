@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 
 REPETITIONS = 7
@@ -45,7 +46,7 @@ def print_steps(urdf: Path, log: Path) -> None:
     clock.append(time.perf_counter())
     fit_page(result, fit_report(result), "")
     clock.append(time.perf_counter())
-    imports, reading, _, page = (b - a for a, b in zip(clock[:-1], clock[1:], strict=True))
+    imports, reading, _, page = (b - a for a, b in pairwise(clock))
     print(json.dumps({"imports": imports, "reading": reading, **result.seconds, "page": page}))
 
 

@@ -16,7 +16,7 @@ from idtool.certificate import GAP, Certificate, duality_gap, violation
 from idtool.config import Regularization
 from idtool.exceptions import SolverError
 from idtool.inertia import SIZE
-from idtool.problem import INTERIOR, Problem, build_problem, free_noise, freedom, residual_noise, weighted_rows
+from idtool.problem import INTERIOR, Matrix, Problem, build_problem, free_noise, freedom, residual_noise, weighted_rows
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 from idtool.sets import ConstraintSet
@@ -114,12 +114,14 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
-    x = cp.Variable(problem.S.shape[1])
-    matrices = [_matrix_constraint(x, matrix.first, matrix.G) for matrix in problem.inequalities]
-    bounds = [x[problem.bounded] >= problem.bounds] if len(problem.bounds) else []
-    cost = cp.sum_squares(problem.A @ (problem.S @ x) - problem.b)
-    program = cp.Problem(cp.Minimize(cost), [*matrices, *bounds])
     started = time.perf_counter()
+    x = cp.Variable(problem.S.shape[1])
+    scalar = np.array([matrix.G.shape[-1] == 1 for matrix in problem.inequalities], dtype=bool)
+    matrices = [_semidefinite(x, matrix) for matrix in problem.inequalities if matrix.G.shape[-1] > 1]
+    rows, least = _linear(problem)
+    limits = [rows @ x >= least] if len(least) else []
+    cost = cp.sum_squares((problem.A @ problem.S) @ x - problem.b)
+    program = cp.Problem(cp.Minimize(cost), [*matrices, *limits])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of inaccuracy, which the certificate judges
@@ -131,8 +133,10 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
     if value is None:
         raise SolverError("solver", f"found the problem {program.status}; loosen constraints or add a prior")
     value[problem.bounded] = np.maximum(value[problem.bounded], problem.bounds)  # a bound is met to the last digit
-    duals = [np.atleast_2d(constraint.dual_value) for constraint in matrices]
-    multipliers = np.atleast_1d(bounds[0].dual_value) if bounds else np.zeros(0)
+    linear = np.atleast_1d(limits[0].dual_value) if limits else np.zeros(0)
+    of_scalars, of_matrices = iter(linear), iter(matrices)
+    duals = [np.atleast_2d(next(of_scalars) if one else next(of_matrices).dual_value) for one in scalar]
+    multipliers = linear[np.count_nonzero(scalar) :]
     largest, where = violation(problem, value)
     certificate = Certificate(
         name="clarabel",
@@ -152,8 +156,19 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
     return value, certificate
 
 
-def _matrix_constraint(x: cp.Variable, first: int, G: Array) -> cp.Constraint:
+def _semidefinite(x: cp.Variable, matrix: Matrix) -> cp.Constraint:
     """One matrix inequality in the solver's terms."""
-    n = G.shape[-1]
-    value = cp.reshape(G.reshape(SIZE, -1).T @ x[first : first + SIZE], (n, n), order="C") - INTERIOR * np.eye(n)
-    return value >> 0 if n > 1 else value[0, 0] >= 0
+    n = matrix.G.shape[-1]
+    rows = np.zeros((n * n, x.size))
+    rows[:, matrix.first : matrix.first + SIZE] = matrix.G.reshape(SIZE, -1).T
+    return cp.reshape(rows @ x, (n, n), order="C") >> INTERIOR * np.eye(n)
+
+
+def _linear(problem: Problem) -> tuple[Array, Array]:
+    """The scalar inequalities, then the lower bounds: rows · x ≥ least."""
+    scalars = [matrix for matrix in problem.inequalities if matrix.G.shape[-1] == 1]
+    rows = np.zeros((len(scalars) + len(problem.bounds), problem.S.shape[1]))
+    for row, matrix in zip(rows, scalars, strict=False):
+        row[matrix.first : matrix.first + SIZE] = matrix.G.ravel()
+    rows[np.arange(len(scalars), len(rows)), problem.bounded] = 1.0
+    return rows, np.concatenate([np.full(len(scalars), INTERIOR), problem.bounds])

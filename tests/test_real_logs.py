@@ -1,0 +1,127 @@
+"""Fits to logs of real robots, which are no part of the project: against free least squares, and what bodies can be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from commands import config_with, fitted, validated
+
+from idtool.config import read_config
+from idtool.experiment import prepare
+from idtool.inertia import symmetric
+from idtool.problem import weighted_rows
+from idtool.robot import read_robot
+from idtool.validate import evaluate
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared" / "data"
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the real logs are not in {DATA}")
+
+PANDA, PANDA_LOG, PANDA_YAML = (
+    DATA / "panda" / "panda.urdf",
+    DATA / "panda" / "excitation.mcap",
+    ROOT / "configs" / "panda.yaml",
+)
+# What free least squares leaves of joints 1 to 7 [N·m] in the last 30 % of the log, by cut-off [Hz]: the data's README.
+FREE = {
+    5: (0.119, 0.121, 0.090, 0.129, 0.070, 0.071, 0.049),
+    10: (0.146, 0.217, 0.142, 0.163, 0.070, 0.074, 0.050),
+    20: (0.321, 0.545, 0.407, 0.337, 0.083, 0.114, 0.059),
+}
+
+GO2, GO2_YAML = DATA / "go2" / "go2.urdf", ROOT / "configs" / "go2.yaml"
+GO2_FIT, GO2_HELD_OUT = [DATA / "go2" / f"chirp_{run}.csv" for run in (4, 5, 6)], DATA / "go2" / "chirp_7.csv"
+FL_LEG = ["FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"]
+GO2_CASES = {"quadruped": None, "one leg": FL_LEG}  # the joints, or all
+
+
+def check_bodies(report: dict[str, Any], ellipsoids: Sequence[str]) -> None:
+    """Every body is one that can be, and fills no more than its ellipsoid where it has one."""
+    assert {name for name, body in report["bodies"].items() if body["ellipsoid_margin"] is not None} >= set(ellipsoids)
+    for name, body in report["bodies"].items():
+        assert body["realizable"], name
+        assert body["min_eig_pseudo_inertia"] > 0, name
+        assert body["ellipsoid_margin"] is None or body["ellipsoid_margin"] >= 0, name
+
+
+@pytest.mark.parametrize("cutoff", FREE)
+def test_panda(tmp_path: Path, cutoff: int) -> None:
+    config = config_with(tmp_path / "panda.yaml", PANDA_YAML, filter={"cutoff_hz": cutoff})
+    report = fitted(tmp_path / "out", PANDA, PANDA_LOG, "--config", config)
+    assert report["band_hz"] == cutoff
+    assert report["joints"] == [f"panda_joint{i}" for i in range(1, 8)]
+    for joint, free in zip(report["joints"], FREE[cutoff], strict=True):
+        assert report["rms"]["validation"][joint] <= 1.1 * free, joint
+    check_bodies(report, [f"panda_link{i}" for i in range(1, 8)])
+
+
+def test_pandas_files_are_the_identified_model(tmp_path: Path) -> None:
+    """With its springs, a locked finger, and a band that the sample logs do not have."""
+    report = fitted(tmp_path, PANDA, PANDA_LOG, "--config", PANDA_YAML, "--validate", PANDA_LOG)
+    validation = validated(tmp_path, tmp_path / "identified.urdf", PANDA_LOG)
+    assert validation["rms"]["model"] == pytest.approx(report["rms"]["validation"], rel=1e-9)
+    assert validation["band_hz"] == report["band_hz"]
+
+
+@pytest.fixture(scope="module", params=GO2_CASES.values(), ids=GO2_CASES)
+def go2(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A configuration, and the report of a fit with it to three runs, validated on a fourth."""
+    folder = tmp_path_factory.mktemp("go2")
+    config = config_with(folder / "go2.yaml", GO2_YAML, joints=request.param)
+    report = fitted(folder / "out", GO2, *GO2_FIT, "--validate", GO2_HELD_OUT, "--config", config)
+    assert report["joints"] == (request.param or list(yaml.safe_load(GO2_YAML.read_text())["controller"]["kp"]))
+    return config, report
+
+
+def test_go2_bodies(go2: tuple[Path, dict[str, Any]]) -> None:
+    config, report = go2
+    settings = read_config(config)
+    moving = {f"{joint.removesuffix('_joint')}{part}" for joint in report["joints"] for part in ("", "_rotor")}
+    assert set(report["bodies"]) == moving
+    check_bodies(report, sorted(moving))
+    for name in moving & set(settings.rotors):
+        rotor, axis = settings.rotors[name], np.array(settings.rotors[name].axis)
+        (ratio,) = rotor.ratios.values()
+        armature = ratio**2 * axis @ symmetric(report["bodies"][name]["inertia_com"]) @ axis
+        assert armature > 0, name
+        if "calf" in name:  # published fits: 0.042 to 0.044 kg·m²
+            assert armature == pytest.approx(0.043, rel=0.2), name
+
+
+def test_go2_errors(go2: tuple[Path, dict[str, Any]]) -> None:
+    """The held-out error against that of plain least squares with the same terms, which nothing constrains."""
+    config, report = go2
+    rms = report["rms"]["validation"]["overall"]
+    assert rms < 0.2 * report["rms"]["prior_validation"]["overall"]
+    experiment = prepare(read_robot(GO2), read_config(config), GO2_FIT, [GO2_HELD_OUT])
+    equation, reduction = experiment.equation, experiment.reduce(lambda stage, share: None)
+    rows = weighted_rows(equation, reduction, np.ones(len(reduction)))
+    size = np.linalg.norm(rows[:, :-1], axis=0)
+    size[size == 0] = 1
+    free = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=1e-10)[0] / size
+    left = evaluate(experiment, {"free": free}, held_out=True, progress=lambda stage, share: None).errors["free"]
+    assert rms <= 1.1 * left.rms(equation.joints)["overall"]
+
+
+def test_go2_files_are_the_identified_model(go2: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    """With rotors that the URDF has as links on fixed joints, and torques that a controller gave."""
+    config, report = go2
+    model = config.parent / "out" / "identified.urdf"
+    validation = validated(tmp_path, model, GO2_HELD_OUT)
+    assert validation["rms"]["model"] == pytest.approx(report["rms"]["validation"], rel=1e-9)
+
+
+def test_go2_a_rotors_own_inertial_goes_before_its_links(tmp_path: Path) -> None:
+    """What the configuration gave before the fit must not stand in model.yaml after it."""
+    rotors = yaml.safe_load(GO2_YAML.read_text())["rotors"]
+    rotors["FL_calf_rotor"]["inertial"] = {"mass": 0.2, "inertia": [1e-4, 0, 2e-4, 0, 0, 1e-4]}
+    config = config_with(tmp_path / "go2.yaml", GO2_YAML, joints=FL_LEG, rotors=rotors)
+    report = fitted(tmp_path / "out", GO2, *GO2_FIT, "--validate", GO2_HELD_OUT, "--config", config)
+    validation = validated(tmp_path / "v", tmp_path / "out" / "identified.urdf", GO2_HELD_OUT)
+    assert validation["rms"]["model"] == pytest.approx(report["rms"]["validation"], rel=1e-9)
