@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -32,9 +33,16 @@ _LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finit
 _LATER = ("known", "mirror")  # keys and kinds of the contract that this version does not have
 _LATER_KINDS = ("entropic", "pullback")
 
+
+def _length(x: float) -> float:
+    if x < _LEAST:
+        raise ValueError(f"input should be at least {_LEAST:g} m")
+    return x
+
+
 Finite = Annotated[float, Field(ge=-_MOST, le=_MOST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
-Length = Annotated[Positive, Field(ge=_LEAST)]
+Length = Annotated[Positive, AfterValidator(_length)]
 NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Constraints = Literal["none", "semi", "full", "com_ellipsoid", "ellipsoid"]

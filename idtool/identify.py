@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cvxpy as cp
@@ -23,8 +23,7 @@ from idtool.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 
-# The problem comes in units of order one; scaling it again costs accuracy.
-_SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
+_SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8}
 
 
 @dataclass(frozen=True)
@@ -115,53 +114,72 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
     started = time.perf_counter()
-    x = cp.Variable(problem.S.shape[1])
-    scalar = np.array([matrix.G.shape[-1] == 1 for matrix in problem.inequalities], dtype=bool)
-    matrices = [_semidefinite(x, matrix) for matrix in problem.inequalities if matrix.G.shape[-1] > 1]
+    free = np.linalg.solve(problem.A, problem.b)  # the optimum without constraints: from there, b takes no digits
+    start = problem.S.T @ (free / problem.S.sum(axis=1))
+    step = cp.Variable(len(start))
+    matrices = [_semidefinite(step, matrix, start) for matrix in problem.inequalities if matrix.G.shape[-1] > 1]
     rows, least = _linear(problem)
-    limits = [rows @ x >= least] if len(least) else []
-    cost = cp.sum_squares((problem.A @ problem.S) @ x - problem.b)
-    program = cp.Problem(cp.Minimize(cost), [*matrices, *limits])
+    limits = [rows @ step >= least - rows @ start] if len(least) else []
+    program = cp.Problem(cp.Minimize(cp.sum_squares((problem.A @ problem.S) @ step)), [*matrices, *limits])
+    failure = SolverError("solver", "was not run")
+    for scaled in (False, True):  # a problem in units of order one loses accuracy by scaling, but for a few
+        try:
+            _run(program, {**_SETTINGS, "equilibrate_enable": scaled, **options})
+        except SolverError as error:
+            failure = error
+            continue
+        x = start + step.value
+        x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)  # a bound is met to the last digit
+        certificate = _certify(problem, x, program, matrices, limits, time.perf_counter() - started)
+        if certificate.holds:
+            return x, certificate
+        failure = certificate.failure()
+    raise failure
+
+
+def _run(program: cp.Problem, settings: Mapping[str, float]) -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of inaccuracy, which the certificate judges
-            program.solve(solver=cp.CLARABEL, **{**_SETTINGS, **options})
+            program.solve(solver=cp.CLARABEL, **settings)
     except cp.SolverError as error:
         raise SolverError("solver", f"gave up: {error}") from None
-    seconds = time.perf_counter() - started
-    value = x.value
-    if value is None:
+    if program.value is None or not np.isfinite(program.value):
         raise SolverError("solver", f"found the problem {program.status}; loosen constraints or add a prior")
-    value[problem.bounded] = np.maximum(value[problem.bounded], problem.bounds)  # a bound is met to the last digit
+
+
+def _certify(
+    problem: Problem,
+    x: Array,
+    program: cp.Problem,
+    matrices: Sequence[cp.Constraint],
+    limits: Sequence[cp.Constraint],
+    seconds: float,
+) -> Certificate:
+    """The check of x with the solver's dual variables."""
     linear = np.atleast_1d(limits[0].dual_value) if limits else np.zeros(0)
+    scalar = [matrix.G.shape[-1] == 1 for matrix in problem.inequalities]
     of_scalars, of_matrices = iter(linear), iter(matrices)
     duals = [np.atleast_2d(next(of_scalars) if one else next(of_matrices).dual_value) for one in scalar]
-    multipliers = linear[np.count_nonzero(scalar) :]
-    largest, where = violation(problem, value)
-    certificate = Certificate(
+    largest, where = violation(problem, x)
+    return Certificate(
         name="clarabel",
         status=program.status,
-        objective=problem.cost(problem.S @ value),
-        duality_gap=duality_gap(problem, value, duals, multipliers),
+        objective=problem.cost(problem.S @ x),
+        duality_gap=duality_gap(problem, x, duals, linear[sum(scalar) :]),
         iterations=int(program.solver_stats.num_iters or 0),
         seconds=seconds,
         violation=largest,
         where=where,
     )
-    if not certificate.holds:
-        raise SolverError(
-            where or "solver",
-            f"not solved well enough: relative duality gap {certificate.duality_gap:.1e}, violation {largest:.1e}",
-        )
-    return value, certificate
 
 
-def _semidefinite(x: cp.Variable, matrix: Matrix) -> cp.Constraint:
-    """One matrix inequality in the solver's terms."""
+def _semidefinite(step: cp.Variable, matrix: Matrix, start: Array) -> cp.Constraint:
+    """One matrix inequality at start + step in the solver's terms."""
     n = matrix.G.shape[-1]
-    rows = np.zeros((n * n, x.size))
+    rows = np.zeros((n * n, len(start)))
     rows[:, matrix.first : matrix.first + SIZE] = matrix.G.reshape(SIZE, -1).T
-    return cp.reshape(rows @ x, (n, n), order="C") >> INTERIOR * np.eye(n)
+    return cp.reshape(rows @ step, (n, n), order="C") >> INTERIOR * np.eye(n) - matrix.value(start)
 
 
 def _linear(problem: Problem) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 INTERIOR = 1e-7  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear
-_LEAST_WEIGHT = 1e-9  # of the prior: where neither data nor regularization say anything, coefficients stay there
+_LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization say anything, coefficients stay there
 
 
 @dataclass(frozen=True)

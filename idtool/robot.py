@@ -21,7 +21,7 @@ from idtool.inertia import SIZE, from_mass_com_inertia
 Array = NDArray[np.float64]
 
 _MOST_BYTES = 64 << 20
-_MOST = 1e12  # SI, of any number that enters the equations
+_MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
 _KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _XACRO = "{http://www.ros.org/wiki/xacro}"
@@ -194,7 +194,7 @@ def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
     R = placement[:3, :3]
     pi = from_mass_com_inertia(mass, placement[:3, 3], R @ inertia @ R.T)
     if pi.shape != (SIZE,) or not (np.abs(pi) < _MOST).all():
-        raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a number below {_MOST:g}")
+        raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
     return pi
 
 

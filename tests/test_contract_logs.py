@@ -23,9 +23,12 @@ from commands import (
     sample_table,
     validated,
 )
+from numpy.typing import NDArray
 from recordings import Proto, State, proto_channel, write_mcap
 
 from idtool.logs import read_log
+
+Column = NDArray[np.float64]
 
 LEG_YAML = LEG.with_suffix(".yaml")
 ROWS = 6000
@@ -65,13 +68,13 @@ def renamed(table: list[Row], names: dict[str, str]) -> list[Row]:
     return [[names.get(name, name) for name in table[0]], *table[1:]]
 
 
-def column(table: list[Row], name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def column(table: list[Row], name: str) -> Column:
     """A column's numbers."""
     place = table[0].index(name)
     return np.array([float(row[place]) for row in table[1:]])
 
 
-def joined(table: list[Row], **columns: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[Row]:
+def joined(table: list[Row], **columns: Column) -> list[Row]:
     """The table with more columns at its end."""
     more = zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True)
     return [[*table[0], *columns], *([*row, *cells] for row, cells in zip(table[1:], more, strict=True))]
@@ -127,7 +130,8 @@ def test_scale_takes_a_log_to_si(folder: Path, table: list[Row], expected: dict[
 
 
 def test_torque_from_a_position_controller(folder: Path, table: list[Row], expected: dict[str, float]) -> None:
-    kp, kd, extra = 20.0, 1.5, {}
+    kp, kd = 20.0, 1.5
+    extra: dict[str, Column] = {}
     for joint in JOINTS:
         q, v, tau = (column(table, f"{signal}_{joint}") for signal in ("q", "v", "tau"))
         vcmd = 0.5 * v
@@ -160,8 +164,8 @@ def test_a_joint_that_is_not_in_the_log_is_locked(tmp_path: Path, table: list[Ro
     shutil.copy(LEG, tmp_path)
     (tmp_path / "log.csv").write_text(csv_text(columns_kept(table, lambda name: "abad" not in name)))
     reports = []
-    for place in (None, {"abad": 0.3}):
-        config_with(tmp_path / "leg.yaml", LEG_YAML, joints=None, locked_joints=place)
+    for locked in (None, {"abad": 0.3}):
+        config_with(tmp_path / "leg.yaml", LEG_YAML, joints=None, locked_joints=locked)
         reports.append(fitted(tmp_path / "out", tmp_path / "leg.urdf", tmp_path / "log.csv"))
         assert reports[-1]["joints"] == ["hip", "knee"]
         assert set(reports[-1]["bodies"]) == {"thigh_link", "shank_link", "hip_rotor", "knee_rotor"}

@@ -85,7 +85,8 @@ def compare(robot: str, result: Fit) -> Comparison:
         rows.append(W)
     _, s, Vt = np.linalg.svd(np.concatenate(rows) * size, full_matrices=True)
     s = np.pad(s, (0, len(theta) - len(s)))
-    return Comparison(*(Vt @ (x / size) for x in (theta, result.estimate.theta, equation.prior)), s)
+    true, found, prior = (Vt @ (x / size) for x in (theta, result.estimate.theta, equation.prior))
+    return Comparison(true, found, prior, s)
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -113,8 +114,6 @@ def test_only_the_noise_is_left(tmp_path: Path, robot: str) -> None:
     assert rms["overall"] == pytest.approx(floor, rel=0.03)
     for joint in report["joints"]:
         assert rms[joint] <= 1.05 * floor
-    sigma = TRUTH[robot]["sensors"]["torque_noise"]
-    assert report["rms_raw"]["validation"]["overall"] == pytest.approx(sigma, rel=0.1)  # with the gears' resonance
     assert report["rms"]["prior_validation"]["overall"] > 2 * floor
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from idtool.body import Body
 from idtool.effects.base import Coefficient, Effect
-from idtool.inertia import NAMES, SIZE, UNITS, mass_com_inertia
+from idtool.inertia import NAMES, SIZE, UNITS, mass_com_inertia, skew
 from idtool.kinematics import BodyMotion, body_motions, cross
 from idtool.model import Model
 from idtool.signals import Motion
@@ -34,7 +34,7 @@ class RigidBodies(Effect):
             for body in model.bodies
             for name, unit, prior, scale in zip(NAMES, UNITS, body.pi, scales(body, typical), strict=True)
         )
-        support = model.support()
+        self._support = support = model.support()
         self.active = tuple(
             (np.flatnonzero(support[:, j])[:, None] * SIZE + np.arange(SIZE)).ravel() for j in range(support.shape[1])
         )
@@ -46,9 +46,28 @@ class RigidBodies(Effect):
         """See `Effect.write`."""
         for i, body_motion in enumerate(body_motions(self.model, motion.q, motion.v, motion.a)):
             D = _inertia_torque(body_motion)
+            body = self.model.bodies[i]
+            above = self._support[body.mount.body] if body.mount.body >= 0 else np.zeros(len(self.active), dtype=bool)
             for k, joint in enumerate(body_motion.coordinates):
                 first = SIZE * self._first_row[i, joint]
-                _write_row(body_motion, D, k, out[joint][first : first + SIZE])
+                rows = out[joint][first : first + SIZE]
+                if above[joint]:
+                    _write_row(body_motion, D, k, rows)
+                else:
+                    _write_own_row(body, body_motion, D, body.ratios[joint], rows)
+
+
+def _write_own_row(body: Body, motion: BodyMotion, D: Array, ratio: float, out: Array) -> None:
+    """The same as `_write_row` for a coordinate that moves the body along or about its own axis and in no other way."""
+    axis = ratio * body.axis
+    if body.prismatic:
+        out[0] = axis @ motion.acc
+        out[1:4] = np.tensordot(axis, motion.M, axes=1)
+        out[4:] = 0
+    else:
+        out[0] = 0
+        out[1:4] = skew(-axis) @ motion.acc
+        out[4:] = np.tensordot(axis, D, axes=1)
 
 
 def _write_row(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
