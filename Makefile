@@ -10,16 +10,16 @@ JOBS ?= 2
 demo: $(READY)  ## the main job on the sample logs
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
 	$(BIN)/idtool fit sample_logs/leg.urdf sample_logs/leg_train.mcap --validate sample_logs/leg_validate.mcap
-	$(BIN)/idtool validate leg_idtool/identified.urdf sample_logs/leg_validate.csv --prior sample_logs/leg.urdf
+	$(BIN)/idtool validate leg_idtool/identified.urdf sample_logs/leg_validate.csv --prior sample_logs/leg.urdf --out leg_idtool
 
 test: $(READY)  ## style, types and tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n $(JOBS) -m "not slow"
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m "not slow"
 
 test-slow: $(READY)  ## what takes longer than CI allows
-	$(BIN)/pytest -n $(JOBS) -m slow
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m slow
 
 benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
 	for script in benchmarks/*.py; do $(BIN)/python $$script; done

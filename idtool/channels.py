@@ -114,8 +114,10 @@ class Channels:
         return count
 
     def _step_jitter(self) -> float:
-        steps = [np.diff(self.log.t[s][:LOOKED_AT]) for s in self.log.segments]
-        return float(np.std(np.concatenate(steps)[:LOOKED_AT])) / self.log.dt
+        ends = np.cumsum([s.stop - s.start - 1 for s in self.log.segments])
+        enough = self.log.segments[: int(np.searchsorted(ends, LOOKED_AT)) + 1]
+        steps = np.concatenate([np.diff(self.log.t[s][: LOOKED_AT + 1]) for s in enough])
+        return float(np.std(steps[:LOOKED_AT])) / self.log.dt
 
     def _stamps_are_true(self) -> bool:
         """Whether jittering stamps tell when samples were taken, or only when they were written.

@@ -17,7 +17,7 @@ from idtool.model import Model, build_model
 from idtool.reduction import Reduction, empty, reduce_blocks
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
-from idtool.signals import Batch, Signals
+from idtool.signals import Batch, Signals, default_cutoff
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 
@@ -149,6 +149,9 @@ def prepare(
     for log in every:
         _check_signals(log, model.names)
     equation = LinearModel(model.names, build_effects(model, config))
+    if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
+        band = min(default_cutoff(log.dt) for log in every)
+        config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
     return Experiment(config, model, equation, tuple(runs))
@@ -161,7 +164,8 @@ def _check_signals(log: Log, joints: Sequence[str]) -> None:
             raise LogError(log.path, f"joint {name} has no position; log it, or leave it out of joints")
         for signal, values in log.signals.items():
             column = values[:, log.joints.index(name)]
-            largest = np.max(np.abs(column), where=np.isfinite(column), initial=0.0)
+            finite = np.isfinite(column)
+            largest = max(np.max(column, where=finite, initial=0.0), -np.min(column, where=finite, initial=0.0))
             if largest > _MOST:
                 raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; take out what is no reading")
 

@@ -12,7 +12,7 @@ from idtool.body import Body
 from idtool.exceptions import LogError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify
-from idtool.inertia import SIZE
+from idtool.inertia import SIZE, pseudo_inertia
 from idtool.sets import ConstraintSet, constraint_sets, tightest
 from idtool.uncertainty import Uncertainty, uncertainty
 from idtool.validate import Evaluation, evaluate
@@ -87,6 +87,11 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     progress("solving", 0.0)
     estimate = identify(equation, model.bodies, reduction, sets, experiment.config.regularization)
     clock.append(time.perf_counter())
+    unreal = [
+        body.name for i, body in enumerate(model.bodies) if not _can_be(estimate.theta[SIZE * i : SIZE * (i + 1)])
+    ]
+    if unreal:
+        warnings.append(f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them")
     errors = uncertainty(equation, reduction, estimate.noise)
     models = {"identified": estimate.theta, "prior": equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)
@@ -96,6 +101,10 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     clock.append(time.perf_counter())
     seconds = dict(zip(("reduce", "identify", "evaluate"), np.diff(clock).tolist(), strict=True))
     return Fit(experiment, sets, estimate, errors, train, validation, tuple(warnings), seconds)
+
+
+def _can_be(pi: NDArray[np.float64]) -> bool:
+    return bool(np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0)
 
 
 def choose_sets(bodies: tuple[Body, ...], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[str]]:

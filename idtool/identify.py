@@ -23,7 +23,7 @@ from idtool.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 
-_SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8}
+_SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,13 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
+    try:
+        return _attempt(problem, {**_SETTINGS, **options})
+    except SolverError:  # a problem in units of order one loses accuracy by being scaled again, but for a few
+        return _attempt(problem, {**_SETTINGS, "equilibrate_enable": True, **options})
+
+
+def _attempt(problem: Problem, settings: Mapping[str, float]) -> tuple[Array, Certificate]:
     started = time.perf_counter()
     free = np.linalg.solve(problem.A, problem.b)  # the optimum without constraints: from there, b takes no digits
     start = problem.S.T @ (free / problem.S.sum(axis=1))
@@ -121,31 +128,22 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
     rows, least = _linear(problem)
     limits = [rows @ step >= least - rows @ start] if len(least) else []
     program = cp.Problem(cp.Minimize(cp.sum_squares((problem.A @ problem.S) @ step)), [*matrices, *limits])
-    failure = SolverError("solver", "was not run")
-    for scaled in (False, True):  # a problem in units of order one loses accuracy by scaling, but for a few
-        try:
-            _run(program, {**_SETTINGS, "equilibrate_enable": scaled, **options})
-        except SolverError as error:
-            failure = error
-            continue
-        x = start + step.value
-        x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)  # a bound is met to the last digit
-        certificate = _certify(problem, x, program, matrices, limits, time.perf_counter() - started)
-        if certificate.holds:
-            return x, certificate
-        failure = certificate.failure()
-    raise failure
-
-
-def _run(program: cp.Problem, settings: Mapping[str, float]) -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of inaccuracy, which the certificate judges
             program.solve(solver=cp.CLARABEL, **settings)
     except cp.SolverError as error:
         raise SolverError("solver", f"gave up: {error}") from None
-    if program.value is None or not np.isfinite(program.value):
+    if step.value is None:
         raise SolverError("solver", f"found the problem {program.status}; loosen constraints or add a prior")
+    x = start + step.value
+    x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)  # a bound is met to the last digit
+    certificate = _certify(problem, x, program, matrices, limits, time.perf_counter() - started)
+    if not certificate.holds:
+        gap, violated = certificate.duality_gap, certificate.violation
+        what = f"not solved well enough: relative duality gap {gap:.1e}, violation {violated:.1e}"
+        raise SolverError(certificate.where or "solver", what)
+    return x, certificate
 
 
 def _certify(

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 INTERIOR = 1e-7  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
+_WEIGHINGS = 2  # of the joints by their noise
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear
 _LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization say anything, coefficients stay there
 
@@ -150,8 +151,9 @@ def build_problem(
     rows = weighted_rows(model, reduction, noise)
     held = np.array([c.scale is not None for c in coefficients])
     size = np.linalg.norm(rows[:, :-1], axis=0)
+    grown = _placeholder_factor(rows, np.where(held, model.prior, 0.0))
     scale = np.array(
-        [c.scale if c.scale is not None else 1 / (s or 1.0) for c, s in zip(coefficients, size, strict=True)]
+        [grown * c.scale if c.scale is not None else 1 / (s or 1.0) for c, s in zip(coefficients, size, strict=True)]
     )
     rows[:, :-1] *= scale
     weight = held * (regularization.weight if regularization.kind == "euclidean" else 0.0)
@@ -167,6 +169,15 @@ def build_problem(
     others = np.arange(SIZE * len(bodies), p)
     lower = np.array([coefficients[i].lower for i in others]) / scale[others]
     return Problem(R[:p, :p], R[:p, p], float(np.square(R[p:, p]).sum()), scale, parts, others, lower)
+
+
+def _placeholder_factor(rows: Array, prior: Array) -> float:
+    """How much heavier than the prior the bodies are by the torque they take, at least 1.
+
+    URDFs are often given with masses that only hold a place. Deviations from such a prior are no multiples of it.
+    """
+    measured, explained = np.linalg.norm(rows[:, -1]), np.linalg.norm(rows[:, :-1] @ prior)
+    return max(float(measured / explained), 1.0) if explained > 0 else 1.0
 
 
 def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
@@ -200,18 +211,20 @@ def freedom(reduction: Reduction, rank: int) -> float:
 
 
 def free_noise(model: LinearModel, reduction: Reduction) -> Array:
-    """What plain least squares leaves of each joint's torque, all joints alike and nothing constrained; shape (nv,).
+    """What least squares leaves of each joint's torque, nothing constrained; shape (nv,).
 
-    Weights from a first fit without weights, as in the two-step weighted least squares that is usual in robot
-    identification (Gautier 1997). With fewer than two independent samples for each parameter that they determine, the
-    torques themselves are the weights.
+    All joints weigh the same at first, then as much as the fit before says, so that a joint of much noise does not pass
+    for noise of the others: iterated weighted least squares (Gautier 1997 takes one step). With fewer than two
+    independent samples for each parameter that they determine, the torques themselves are the weights.
     """
-    rows = weighted_rows(model, reduction, np.ones(len(reduction)))
-    size = np.linalg.norm(rows[:, :-1], axis=0)
-    size[size == 0] = 1.0
-    theta, _, rank, _ = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=_RANK)
-    theta = theta / size if sum(factor.independent for factor in reduction) >= 2 * rank else np.zeros_like(theta)
-    share = freedom(reduction, int(rank))
-    return np.array(
-        [residual_noise(f, theta[columns], share) for f, columns in zip(reduction, model.active(), strict=True)]
-    )
+    sigma = np.ones(len(reduction))
+    for _ in range(_WEIGHINGS):
+        rows = weighted_rows(model, reduction, sigma)
+        size = np.linalg.norm(rows[:, :-1], axis=0)
+        size[size == 0] = 1.0
+        theta, _, rank, _ = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=_RANK)
+        theta = theta / size if sum(factor.independent for factor in reduction) >= 2 * rank else np.zeros_like(theta)
+        share = freedom(reduction, int(rank))
+        residuals = zip(reduction, model.active(), strict=True)
+        sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in residuals])
+    return sigma

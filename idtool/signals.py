@@ -243,10 +243,21 @@ class Signals:
         return self._smooth(tau), tau[:, m : m + part.stop - part.start]
 
 
+def default_cutoff(dt: float) -> float:
+    """The low-pass's cut-off where the configuration has none [Hz]: 40 Hz, or a fifth of the rate if that is lower.
+
+    Parameters
+    ----------
+    dt
+        Sample time [s].
+    """
+    return min(_DEFAULT_CUTOFF, 0.2 / dt)
+
+
 def _band(log: Log, config: Config) -> float:
     """The low-pass's cut-off [Hz]; one whose kernel would be far longer than the log is refused."""
     rate, duration = 1 / log.dt, len(log) * log.dt
-    band = config.filter.cutoff_hz or min(_DEFAULT_CUTOFF, rate / 5)
+    band = config.filter.cutoff_hz or default_cutoff(log.dt)
     if band >= 0.45 * rate:
         raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path}, sampled at {rate:.0f} Hz")
     if band * duration < 1:

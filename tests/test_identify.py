@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,14 +59,15 @@ def least_squares(Y: Array, tau: Array, sigma: Array) -> Array:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_without_constraints_and_prior_the_prediction_is_that_of_least_squares(data: Data, seed: int) -> None:
-    """In two steps: joints alike, then each weighted by what the first step left of it (Gautier 1997)."""
+    """Joints alike at first, then weighted by what is left of them, and again."""
     s = data(seed)
     tau = noisy(s, 0.1)
-    first = least_squares(s.Y, tau, np.ones(3))
-    sigma = np.std(s.Y @ first - tau, axis=1)
-    second = least_squares(s.Y, tau, sigma)
+    sigma = np.ones(3)
+    for _ in range(3):
+        sigma = np.std(s.Y @ least_squares(s.Y, tau, sigma) - tau, axis=1)
+    theta = least_squares(s.Y, tau, sigma)
     ours = estimate(s, tau, "none", NONE)
-    np.testing.assert_allclose(s.Y @ ours.theta, s.Y @ second, rtol=0, atol=1e-4 * sigma.min())
+    np.testing.assert_allclose((s.Y @ ours.theta).T / sigma, (s.Y @ theta).T / sigma, rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize("kind", SETS)
@@ -79,31 +81,29 @@ def test_a_torque_without_noise_is_recovered(data: Data, kind: str, regularizati
 
 @pytest.mark.parametrize("kind", ["none", "full", "ellipsoid"])
 def test_what_was_identified_predicts_other_motions_of_the_robot(data: Data, kind: str) -> None:
-    """Least squares on 36 unknowns of which noise is 5 %: the rms of the error goes with √(rank / samples)."""
+    """To a part of the noise that goes with √(unknowns / samples), here a third."""
     for seed in range(3):
         s, other = data(seed, count=500), data(seed, count=800)
-        np.testing.assert_array_equal(s.theta[:SIZE].shape, other.theta[:SIZE].shape)
         ours = estimate(s, noisy(s, 0.05), kind)
         fresh = other.Y @ ours.theta - other.Y @ s.theta
-        assert (fresh.std(axis=1) < 0.05 * other.tau.std(axis=1)).all()
+        assert (fresh.std(axis=1) < 0.5 * 0.05 * s.tau.std(axis=1)).all()
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_one_very_noisy_joint_does_not_spoil_the_others(data: Data, seed: int) -> None:
-    """The others' torque is predicted as well as from a log in which that joint is as good as they are."""
+    """Their torque is predicted as well as from their own rows alone, and far better than with all weighted alike."""
     s = data(seed, count=600)
-    clean = noisy(s, 0.01)
-    spoilt = clean.copy()
-    spoilt[1] += 30 * s.tau[1].std() * np.random.default_rng(9).normal(size=600)
-    others = [0, 2]
-    truth = s.Y[others] @ s.theta
-    errors = [
-        np.std(s.Y[others] @ estimate(s, tau, "full").theta - truth, axis=1) / s.tau[others].std(axis=1)
-        for tau in (clean, spoilt)
-    ]
-    assert (errors[1] < 2 * errors[0] + 1e-3).all(), errors
-    alike = least_squares(s.Y, spoilt, np.ones(3))
-    assert np.std(s.Y[0] @ alike - truth[0]) / s.tau[0].std() > errors[1].max()
+    tau = noisy(s, 0.01)
+    tau[1] += 30 * s.tau[1].std() * np.random.default_rng(9).normal(size=600)
+    good, sigma = s.Y[[0, 2]], 0.01 * s.tau[[0, 2]].std(axis=1)
+
+    def error(theta: Array) -> float:
+        """The others' rms error in units of their noise."""
+        return float(np.sqrt(np.mean(((good @ (theta - s.theta)).T / sigma) ** 2)))
+
+    ours = error(estimate(s, tau, "none").theta)
+    assert ours < 1.2 * error(least_squares(good, tau[[0, 2]], sigma))
+    assert ours < 0.1 * error(least_squares(s.Y, tau, np.ones(3)))
 
 
 @pytest.mark.parametrize("kind", ["none", "ellipsoid"])
@@ -117,16 +117,18 @@ def test_the_noise_of_every_joint_is_told(data: Data, kind: str) -> None:
 @pytest.mark.parametrize("kind", SETS)
 def test_friction_is_never_negative(data: Data, kind: str) -> None:
     """In truth there is none: noise makes it as often negative as positive, but for the bound."""
-    for seed in range(3):
+    found = []
+    for seed in range(4):
         s = data(seed)
         frictionless = s.theta.copy()
         frictionless[SIZE * len(s.model.bodies) :] = 0
         tau = s.Y @ frictionless
         tau += 0.3 * tau.std() * np.random.default_rng(seed).normal(size=tau.shape)
-        friction = estimate(s, tau, kind).theta[SIZE * len(s.model.bodies) :]
-        assert (friction >= 0).all()
-        assert (friction < 1e-6).any()
-        assert (friction > 1e-3).any()
+        found.append(estimate(s, tau, kind).theta[SIZE * len(s.model.bodies) :])
+    friction = np.concatenate(found)
+    assert (friction >= 0).all()
+    assert np.count_nonzero(friction < 1e-5) > 4
+    assert np.count_nonzero(friction > 1e-3) > 4
 
 
 def in_ellipsoid(pi: Array, Q: Array) -> bool:
@@ -151,17 +153,10 @@ def test_every_body_is_the_sum_of_parts_within_their_ellipsoids(data: Data, each
 def test_a_body_with_mass_at_both_ends_needs_the_union(data: Data) -> None:
     """On the union the torque is matched; on a single one of its ellipsoids it cannot be."""
     s = data(5, each=2)
-    whole = estimate(s, noisy(s, 0.01), "ellipsoid")
-    alone = data(5, each=2, bounding_ellipsoids={})
-    links = {body.name: [_as_config(body.ellipsoids[0])] for body in s.model.bodies}
-    single = data(5, each=2, bounding_ellipsoids=links)
-    assert len(alone.model.bodies[0].ellipsoids) == 0
-    narrow = estimate(Synthetic(single.model, single.linear, s.Y, s.theta), noisy(s, 0.01), "ellipsoid")
-    assert narrow.certificate.objective > 1.5 * whole.certificate.objective
-
-
-def _as_config(ellipsoid: Any) -> dict[str, Any]:
-    return {"center": ellipsoid.center, "semi_axes": ellipsoid.semi_axes, "rpy": ellipsoid.rpy}
+    tau, reduction = noisy(s, 0.01), s.reduction(noisy(s, 0.01))
+    narrow = [replace(body, ellipsoids=body.ellipsoids[:1]) for body in s.model.bodies]
+    single = identify(s.linear, narrow, reduction, [SETS["ellipsoid"]] * 3, PRIOR)
+    assert single.certificate.objective > 1.5 * estimate(s, tau, "ellipsoid").certificate.objective
 
 
 @pytest.mark.parametrize("regularization", [NONE, PRIOR], ids=["none", "euclidean"])

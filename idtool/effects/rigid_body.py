@@ -16,6 +16,8 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
+_LIGHT = 0.1  # of the bodies' median mass
+
 
 class RigidBodies(Effect):
     """All bodies of a model, ten coefficients each, in the model's order.
@@ -110,6 +112,9 @@ def length(body: Body) -> float:
 
 
 def scales(body: Body, typical: float) -> Array:
-    """Typical sizes of a body's parameters, shape (10,): mass, mass × length, mass × length²."""
-    mass = body.pi[0] if body.pi[0] > 0 else typical
+    """Typical sizes of a body's parameters, shape (10,): mass, mass × length, mass × length².
+
+    A mass far below the others' may be there to hold a place, and is not measured by itself.
+    """
+    mass = max(body.pi[0], _LIGHT * typical)
     return np.asarray(mass * length(body) ** np.repeat([0.0, 1.0, 2.0], [1, 3, 6]))
