@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -257,6 +258,8 @@ def _finish(terminal: Any, result: dict[str, Any], met: dict[str, bool]) -> None
 def main() -> None:
     """Run the command line; an error a user can act on is one line and exit code 2."""
     from typer.exceptions import Abort, TyperException
+
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would wait for each other
 
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)

@@ -27,7 +27,7 @@ from idtool.sets import ConstraintSet, Inequality
 
 Array = NDArray[np.float64]
 
-INTERIOR = 1e-7  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
+INTERIOR = 1e-6  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear

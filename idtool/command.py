@@ -1,0 +1,82 @@
+"""`Command`: the torque of position-controlled joints, from what was commanded.
+
+Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.channels import Channels
+from idtool.config import Controller
+from idtool.exceptions import LogError
+from idtool.filters import DIFFERENCE_REACH, differentiate
+from idtool.logs.log import Log
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Command:
+    """The torque of a joint controller: kp (qcmd − q) + kd (vcmd − v), the command late (contract section 2).
+
+    Attributes
+    ----------
+    joints
+        Which joints' torque it is, shape (nv,).
+    kp, kd
+        Gains, shape (nv, 1) [N·m/rad, N·m·s/rad].
+    delay
+        From command to torque [s].
+    """
+
+    joints: NDArray[np.bool_]
+    kp: Array
+    kd: Array
+    delay: float
+
+    @classmethod
+    def of(cls, log: Log, joints: Sequence[str], controller: Controller | None) -> Command:
+        """The controller of the joints that have no torque."""
+        without = np.array([not log.has("tau", name) for name in joints])
+        for name in np.array(joints)[without]:
+            if not log.has("qcmd", name):
+                raise LogError(
+                    log.path,
+                    f"joint {name} has neither torque nor position command; log one, or leave it out of joints",
+                )
+            if controller is None or name not in controller.kp:
+                raise LogError(
+                    log.path, f"joint {name} has no torque; give the gains under controller.kp and kd in the config"
+                )
+        if controller is None or not without.any():
+            return cls(without, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
+        kp, kd = (np.array([[g.get(name, 0.0)] for name in joints]) for g in (controller.kp, controller.kd))
+        return cls(without, kp, kd, controller.delay)
+
+    def torque(self, channels: Channels, part: slice) -> Array:
+        """The torque at samples of the log, shape (nv, N)."""
+        r = DIFFERENCE_REACH
+        q = channels.signal("q", slice(part.start - r, part.stop + r))
+        v = differentiate(q, channels.log.dt)
+        if channels.measured.any():  # as logged: the controller did not know how late it is
+            v = np.where(channels.measured[:, None], channels.signal("v", part), v)
+        command = [self._late(channels, name, part) for name in ("qcmd", "vcmd")]
+        return np.asarray(self.kp * (command[0] - q[:, r:-r]) + self.kd * (command[1] - v))
+
+    def _late(self, channels: Channels, name: str, part: slice) -> Array:
+        """A command as it was `delay` before; zero where the log has none."""
+        if name not in channels.log.signals:
+            return np.zeros((1, 1))
+        samples = self.delay / channels.log.dt
+        whole = int(np.floor(samples))
+        share = samples - whole
+        x = channels.signal(name, slice(part.start - whole, part.stop - whole))
+        if share:
+            earlier = channels.signal(name, slice(part.start - whole - 1, part.stop - whole - 1))
+            x = (1 - share) * x + share * earlier
+        return np.nan_to_num(x, nan=0.0)
