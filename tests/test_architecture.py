@@ -24,6 +24,7 @@ ORDER = (
         "model",
         "filters",
         "channels",
+        "command",
         "signals",
         "kinematics",
         "effects",

@@ -1,0 +1,240 @@
+"""The optimum: certified, in its place among the sets, and that of a problem stated in another way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from lxml import etree
+from numpy.typing import NDArray
+from robots import random_urdf
+from synthetic import Synthetic, bounds, synthetic
+
+from idtool.certificate import GAP, duality_gap
+from idtool.config import Regularization
+from idtool.exceptions import SolverError
+from idtool.identify import identify, solve
+from idtool.inertia import SIZE
+from idtool.problem import INTERIOR, Problem, build_problem
+from idtool.robot import Robot, read_robot
+from idtool.sets import constraint_sets
+
+Array = NDArray[np.float64]
+
+SETS = constraint_sets()
+ORDER = ("none", "semi", "full", "com_ellipsoid", "ellipsoid")
+PRIOR = Regularization(kind="euclidean", weight=1e-6)
+SIGMA = np.array([1.0, 0.4, 2.5])  # noise of the joints [N·m or N]
+
+
+def random_data(folder: Path, seed: int, count: int = 60, each: int = 1) -> tuple[Synthetic, Array]:
+    """A random robot of three joints, and its torque with as much noise again, so that constraints bite."""
+    rng = np.random.default_rng(seed)
+    path = folder / f"{seed}.urdf"
+    path.write_text(random_urdf(rng, size=3, kinds=("revolute", "prismatic"), mimic=0, massless=0))
+    robot = read_robot(path)
+    s = synthetic(rng, robot, count, bounds(rng, robot, each))
+    return s, s.tau + s.tau.std(axis=1, keepdims=True) * rng.normal(size=s.tau.shape)
+
+
+def stated(s: Synthetic, tau: Array, kind: str, regularization: Regularization = PRIOR) -> Problem:
+    bodies = s.model.bodies
+    return build_problem(s.linear, bodies, s.reduction(tau), [SETS[kind]] * len(bodies), regularization, SIGMA)
+
+
+@pytest.mark.parametrize("each", [1, 2])
+@pytest.mark.parametrize("seed", range(4))
+def test_every_set_is_solved_to_a_certified_optimum_and_a_tighter_one_costs_more(
+    tmp_path: Path, seed: int, each: int
+) -> None:
+    s, tau = random_data(tmp_path, seed, each=each)
+    costs = []
+    for kind in ORDER:
+        _, certificate = solve(stated(s, tau, kind))
+        assert abs(certificate.duality_gap) < 1e-6
+        assert certificate.violation <= 0
+        costs.append(certificate.objective)
+    assert (np.diff(costs) > -2e-6 * costs[-1]).all(), costs
+    assert costs[-1] > 1.001 * costs[0]
+
+
+@pytest.mark.parametrize("kind", ORDER)
+@pytest.mark.parametrize("each", [1, 2])
+def test_another_statement_of_the_problem_has_the_same_optimum(tmp_path: Path, kind: str, each: int) -> None:
+    """All rows as they are, SI units, and the sets written out from the paper's matrices."""
+    s, tau = random_data(tmp_path, 7, each=each)
+    problem = stated(s, tau, kind)
+    x, certificate = solve(problem)
+    theta, objective = by_rows(s, tau, kind)
+    assert certificate.objective == pytest.approx(objective, rel=1e-5)
+    np.testing.assert_allclose((s.Y @ (problem.scale * (problem.S @ x))).T / SIGMA, (s.Y @ theta).T / SIGMA, atol=5e-3)
+
+
+def by_rows(s: Synthetic, tau: Array, kind: str) -> tuple[Array, float]:
+    """The optimum of (27), theta and cost."""
+    bodies = s.model.bodies
+    others = cp.Variable(s.Y.shape[-1] - SIZE * len(bodies), nonneg=True)
+    constraints: list[cp.Constraint] = []
+    whole = []
+    for body in bodies:
+        parts = list(body.ellipsoids) if SETS[kind].bounded else [None]
+        pis = [cp.Variable(SIZE) for _ in parts]
+        for pi, ellipsoid in zip(pis, parts, strict=True):
+            constraints += members_of(kind, pi, ellipsoid)
+        whole.append(sum(pis))
+    theta = cp.hstack([*whole, others])
+    rows = (s.Y / SIGMA[:, None, None]).reshape(-1, s.Y.shape[-1])
+    scale = np.array([c.scale or np.inf for c in s.linear.coefficients])
+    deviation = (theta - s.linear.prior) / scale
+    n = s.Y.shape[1]
+    misfit = cp.sum_squares(rows @ theta - (tau / SIGMA[:, None]).ravel()) / n
+    program = cp.Problem(cp.Minimize(misfit + PRIOR.weight * cp.sum_squares(deviation)), constraints)
+    program.solve(solver=cp.CLARABEL)
+    return np.asarray(theta.value), float(program.value)
+
+
+def members_of(kind: str, pi: cp.Variable, ellipsoid: Any) -> list[cp.Constraint]:
+    """The representations in the paper's section III, entry by entry."""
+    m, h = pi[0], pi[1:4]
+    I = cp.bmat([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])  # noqa: E741
+    J = cp.bmat([[0.5 * cp.trace(I) * np.eye(3) - I, h[:, None]], [h[None, :], cp.reshape(m, (1, 1), order="C")]])
+    if kind == "none":
+        return []
+    if kind == "semi":
+        S = cp.bmat([[0, -h[2], h[1]], [h[2], 0, -h[0]], [-h[1], h[0], 0]])
+        return [cp.bmat([[I, S], [S.T, m * np.eye(3)]]) >> 0]
+    if kind == "com_ellipsoid":
+        d = h - m * np.array(ellipsoid.center)
+        C = cp.bmat([[cp.reshape(m, (1, 1), order="C"), d[None, :]], [d[:, None], m * ellipsoid.Q_s]])
+        return [J >> 0, C >> 0]
+    return [J >> 0, *([cp.trace(J @ ellipsoid.Q) >= 0] if kind == "ellipsoid" else [])]
+
+
+def solved_with_duals(problem: Problem) -> tuple[Array, list[Array], Array]:
+    """A solution with its dual variables, by a program of this test's own."""
+    x = cp.Variable(problem.S.shape[1])
+    matrices = [
+        sum(x[m.first + i] * m.G[i] for i in range(SIZE)) - INTERIOR * np.eye(m.G.shape[-1]) >> 0
+        for m in problem.inequalities
+    ]
+    lower = x[problem.bounded] >= problem.bounds
+    program = cp.Problem(cp.Minimize(cp.sum_squares(problem.A @ (problem.S @ x) - problem.b)), [*matrices, lower])
+    program.solve(solver=cp.CLARABEL, tol_gap_rel=1e-9, tol_feas=1e-9, equilibrate_enable=False)
+    return np.asarray(x.value), [np.atleast_2d(c.dual_value) for c in matrices], np.asarray(lower.dual_value)
+
+
+@pytest.mark.parametrize("kind", ["semi", "full", "com_ellipsoid", "ellipsoid"])
+def test_the_gap_of_a_solution_is_how_much_its_cost_is_above_the_optimum(tmp_path: Path, kind: str) -> None:
+    """With the optimal dual variables the gap of any feasible x is its excess in cost, as near as may be."""
+    problem = stated(*random_data(tmp_path, 3), kind)
+    x, duals, multipliers = solved_with_duals(problem)
+    best = problem.cost(problem.S @ x)
+    assert abs(duality_gap(problem, x, duals, multipliers)) < GAP
+    inside = np.concatenate([middle(part) for part in problem.parts] + [x[SIZE * len(problem.parts) :]])
+    gaps = []
+    for share in (1e-4, 1e-3, 1e-2, 0.1, 1.0):
+        other = x + share * (inside - x)
+        cost = problem.cost(problem.S @ other)
+        gaps.append(duality_gap(problem, other, duals, multipliers))
+        assert gaps[-1] == pytest.approx((cost - best) / max(cost, 1), rel=1e-4, abs=2e-6)
+    assert gaps == sorted(gaps)
+    assert gaps[1] > GAP
+
+
+def middle(part: Any) -> Array:
+    """A small ball in the middle of a part's ellipsoid, in the part's units: a member of every set."""
+    center = np.array(part.body.ellipsoids[0].center)
+    radius = 0.2 * min(part.body.ellipsoids[0].semi_axes)
+    mass = part.scales[0]
+    inertia = (0.4 * radius**2 + center @ center) * np.eye(3) - np.outer(center, center)
+    return np.asarray(np.array([mass, *(mass * center), *(mass * inertia[np.tril_indices(3)])]) / part.scales)
+
+
+@pytest.mark.parametrize("kind", ["semi", "full", "com_ellipsoid", "ellipsoid"])
+def test_no_dual_variables_whatever_certify_what_is_not_optimal(tmp_path: Path, kind: str) -> None:
+    """Weak duality: the gap is never less than the excess in cost, whatever a solver might return."""
+    rng = np.random.default_rng(0)
+    problem = stated(*random_data(tmp_path, 3), kind)
+    x, duals, multipliers = solved_with_duals(problem)
+    best = problem.cost(problem.S @ x)
+    for spread in (1e-6, 1e-3, 1.0, 1e3):
+        for _ in range(5):
+            spoilt = [Z + spread * np.abs(Z).max() * rng.normal(size=Z.shape) for Z in duals]
+            gap = duality_gap(problem, x, spoilt, multipliers + spread * rng.normal(size=multipliers.shape))
+            assert gap > -GAP
+            assert spread < 1 or gap > 100 * GAP
+    free = np.asarray(np.linalg.solve(problem.A, problem.b), dtype=np.float64)
+    assert problem.cost(free) < best
+    assert duality_gap(problem, x, [0 * Z for Z in duals], 0 * multipliers) == pytest.approx(
+        (best - problem.cost(free)) / best, rel=1e-5, abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("kind", ["semi", "full", "ellipsoid"])
+def test_a_solve_cut_short_is_refused_and_names_a_body(tmp_path: Path, kind: str) -> None:
+    s, tau = random_data(tmp_path, 2)
+    with pytest.raises(SolverError, match=r"link\d: .*: not solved well enough: relative duality gap \d"):
+        solve(stated(s, tau, kind), max_iter=3)
+
+
+def test_what_the_solver_says_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver that returns something a little off with the word optimal."""
+    s, tau = random_data(tmp_path, 2)
+    problem = stated(s, tau, "ellipsoid")
+    _, honest = solve(problem)
+    run = cp.Problem.solve
+
+    def spoilt(program: cp.Problem, **settings: Any) -> Any:
+        value = run(program, **settings)
+        (x,) = program.variables()
+        x.save_value(x.value + 0.01)
+        return value
+
+    monkeypatch.setattr(cp.Problem, "solve", spoilt)
+    assert honest.status == "optimal"
+    with pytest.raises(SolverError, match="not solved well enough"):
+        solve(problem)
+
+
+@pytest.mark.parametrize("kind", ["full", "ellipsoid"])
+def test_the_estimate_is_the_same_body_in_other_units(robot_of: Callable[[str], Robot], kind: str) -> None:
+    """In millimetres and grams the numbers are others, and the bodies the same."""
+    estimates = []
+    mm, g = 1e3, 1e3
+    for length, mass in ((1.0, 1.0), (mm, g)):
+        rng = np.random.default_rng(11)
+        text = random_urdf(rng, size=3, kinds=("revolute",), mimic=0, massless=0)
+        robot = robot_of(in_units(text, length, mass))
+        limits = bounds(rng, robot)
+        for (bound,) in limits["bounding_ellipsoids"].values():
+            for key in ("center", "semi_axes"):
+                bound[key] = (length * np.array(bound[key])).tolist()
+        config = {**limits, "gravity": [0.0, 0.0, -9.81 * length]}
+        s = synthetic(rng, robot, 150, config)
+        units = np.concatenate(
+            [np.tile(mass * length ** np.repeat([0, 1, 2], [1, 3, 6]), 3), np.full(6, mass * length**2)]
+        )
+        if length == 1:
+            truth = s.theta
+            noise = 0.3 * s.tau.std(axis=1, keepdims=True) * rng.normal(size=s.tau.shape)
+        tau = s.Y @ (truth * units) + noise * mass * length**2
+        sets = [SETS[kind]] * 3
+        estimates.append(identify(s.linear, s.model.bodies, s.reduction(tau), sets, PRIOR).theta / units)
+    np.testing.assert_allclose(estimates[1], estimates[0], rtol=1e-4, atol=1e-6)
+
+
+def in_units(text: str, length: float, mass: float) -> str:
+    """A URDF's numbers in other units."""
+    root = etree.fromstring(text.encode())
+    for element in root.iter("origin"):
+        element.set("xyz", " ".join(repr(length * float(x)) for x in str(element.get("xyz")).split()))
+    for element in root.iter("mass"):
+        element.set("value", repr(mass * float(str(element.get("value")))))
+    for element in root.iter("inertia"):
+        for name, value in element.attrib.items():
+            element.set(name, repr(mass * length**2 * float(value)))
+    return etree.tostring(root).decode()
