@@ -28,22 +28,26 @@ Array = NDArray[np.float64]
 SETS = constraint_sets()
 ORDER = ("none", "semi", "full", "com_ellipsoid", "ellipsoid")
 PRIOR = Regularization(kind="euclidean", weight=1e-6)
-SIGMA = np.array([1.0, 0.4, 2.5])  # noise of the joints [N·m or N]
 
 
 def random_data(folder: Path, seed: int, count: int = 60, each: int = 1) -> tuple[Synthetic, Array]:
-    """A random robot of three joints, and its torque with as much noise again, so that constraints bite."""
+    """A random robot of three joints, and its torque with three times as much noise, so that constraints bite."""
     rng = np.random.default_rng(seed)
     path = folder / f"{seed}.urdf"
     path.write_text(random_urdf(rng, size=3, kinds=("revolute", "prismatic"), mimic=0, massless=0))
     robot = read_robot(path)
     s = synthetic(rng, robot, count, bounds(rng, robot, each))
-    return s, s.tau + s.tau.std(axis=1, keepdims=True) * rng.normal(size=s.tau.shape)
+    return s, s.tau + 3 * s.tau.std(axis=1, keepdims=True) * rng.normal(size=s.tau.shape)
+
+
+def sigma(s: Synthetic) -> Array:
+    """The noise of the joints [N·m or N], shape (nv,)."""
+    return np.asarray(3 * s.tau.std(axis=1))
 
 
 def stated(s: Synthetic, tau: Array, kind: str, regularization: Regularization = PRIOR) -> Problem:
     bodies = s.model.bodies
-    return build_problem(s.linear, bodies, s.reduction(tau), [SETS[kind]] * len(bodies), regularization, SIGMA)
+    return build_problem(s.linear, bodies, s.reduction(tau), [SETS[kind]] * len(bodies), regularization, sigma(s))
 
 
 @pytest.mark.parametrize("each", [1, 2])
@@ -71,7 +75,9 @@ def test_another_statement_of_the_problem_has_the_same_optimum(tmp_path: Path, k
     x, certificate = solve(problem)
     theta, objective = by_rows(s, tau, kind)
     assert certificate.objective == pytest.approx(objective, rel=1e-5)
-    np.testing.assert_allclose((s.Y @ (problem.scale * (problem.S @ x))).T / SIGMA, (s.Y @ theta).T / SIGMA, atol=5e-3)
+    np.testing.assert_allclose(
+        (s.Y @ (problem.scale * (problem.S @ x))).T / sigma(s), (s.Y @ theta).T / sigma(s), atol=5e-3
+    )
 
 
 def by_rows(s: Synthetic, tau: Array, kind: str) -> tuple[Array, float]:
@@ -87,11 +93,11 @@ def by_rows(s: Synthetic, tau: Array, kind: str) -> tuple[Array, float]:
             constraints += members_of(kind, pi, ellipsoid)
         whole.append(sum(pis))
     theta = cp.hstack([*whole, others])
-    rows = (s.Y / SIGMA[:, None, None]).reshape(-1, s.Y.shape[-1])
+    rows = (s.Y / sigma(s)[:, None, None]).reshape(-1, s.Y.shape[-1])
     scale = np.array([c.scale or np.inf for c in s.linear.coefficients])
     deviation = (theta - s.linear.prior) / scale
     n = s.Y.shape[1]
-    misfit = cp.sum_squares(rows @ theta - (tau / SIGMA[:, None]).ravel()) / n
+    misfit = cp.sum_squares(rows @ theta - (tau / sigma(s)[:, None]).ravel()) / n
     program = cp.Problem(cp.Minimize(misfit + PRIOR.weight * cp.sum_squares(deviation)), constraints)
     program.solve(solver=cp.CLARABEL)
     return np.asarray(theta.value), float(program.value)

@@ -1,0 +1,116 @@
+"""The identified URDF: what was identified is in it, and every other byte is the user's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin  # type: ignore[import-untyped]
+import pytest
+
+from idtool.body import Body
+from idtool.inertia import from_mass_com_inertia, pseudo_inertia
+from idtool.model import Model
+from idtool.urdf import JointDynamics, link_parameters, rewrite
+
+Build = Callable[..., Model]
+
+ODD = b"""<?xml version='1.0' encoding="utf-8"?>\r
+<!-- <link name="a"><inertial/></link> -->\r
+<robot name='r' xmlns:x="http://x">\r
+\t<link\r
+\t   name='a'  note="1 > 0" >\r
+\t\t<!-- kept --><visual><geometry><box size="1 1 1"/></geometry></visual>\r
+\t\t<inertial><!-- goes --><mass value="1"/>\r
+\t\t</inertial>\r
+\t</link>\r
+  <link name="b"/><link name="c"></link>
+  <joint name="j" type="revolute"><parent link="a"/><child link="b"/>
+    <limit lower="-1" upper='1' effort="1" velocity="1"/>
+    <dynamics damping="0.5"   friction='0.25'/></joint>
+  <joint name="k" type="fixed"><parent link="b"/><child link="c"/></joint>
+  <gazebo reference="a"><link name="a"><inertial><mass value="7"/></inertial></link></gazebo>
+  <transmission name="t"><joint name="j"><dynamics damping="9"/></joint></transmission>
+</robot>"""
+
+PI = from_mass_com_inertia(2.0, [0.1, -0.2, 0.3], np.diag([0.03, 0.02, 0.04]))
+
+
+def test_what_is_not_replaced_stays_byte_for_byte() -> None:
+    written = rewrite(ODD, {"a": PI}, {"j": JointDynamics(0.1, None)})
+    start = ODD.index(b"<inertial><!-- goes")
+    stop = ODD.index(b"</inertial>\r\n\t</link>") + len(b"</inertial>")
+    assert written.startswith(ODD[:start] + b"<inertial>")
+    old, new = b"""<dynamics damping="0.5"   friction='0.25'/>""", b'<dynamics damping="0.1" friction="0.25"/>'
+    rest = ODD[stop:].replace(old, new)
+    assert written.endswith(b"</inertial>" + rest)
+
+
+def test_nothing_to_replace_changes_nothing() -> None:
+    assert rewrite(ODD, {}, {}) == ODD
+    assert rewrite(ODD, {"stranger": PI}, {"stranger": JointDynamics(1.0, 1.0)}) == ODD
+
+
+def test_what_was_not_there_is_put_in() -> None:
+    written = rewrite(ODD, {"b": PI, "c": PI}, {"k": JointDynamics(0.1, 0.2)})
+    assert written.count(b"<inertial>") == ODD.count(b"<inertial>") + 2
+    assert b'<dynamics damping="0.1" friction="0.2"/>' in written
+    model = pin.buildModelFromXML(written.decode())
+    # b moves and carries c, whose frame is b's.
+    np.testing.assert_allclose(model.inertias[1].toDynamicParameters(), 2 * PI, rtol=1e-12, atol=1e-15)
+
+
+def test_a_link_can_lose_its_mass() -> None:
+    written = rewrite(ODD, {"a": None}, {})
+    assert b"<!-- goes -->" not in written
+    assert b"<!-- kept -->" in written
+    pin.buildModelFromXML(written.decode())
+
+
+def test_written_twice_is_written_once() -> None:
+    links, joints = {"a": PI, "b": PI}, {"j": JointDynamics(0.1, 0.2)}
+    once = rewrite(ODD, links, joints)
+    assert rewrite(once, links, joints) == once
+
+
+LUMPED = """<robot name="r"><link name="base"/>
+<link name="arm"><inertial><mass value="2"/><inertia ixx=".1" ixy="0" ixz="0" iyy=".1" iyz="0" izz=".1"/></inertial>
+</link>
+<link name="tool"><inertial><origin xyz="0.1 0 0" rpy="0.3 0.2 0.1"/><mass value="0.5"/>
+<inertia ixx=".01" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".02"/></inertial></link>
+<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
+<joint name="flange" type="fixed"><origin xyz="0 0 0.4" rpy="1 2 3"/><parent link="arm"/><child link="tool"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(("mass", "keeps_the_tool"), [(5.0, True), (0.3, False)])
+def test_the_links_of_a_body_sum_to_it(build: Build, mass: float, keeps_the_tool: bool) -> None:
+    model = build(LUMPED, ["j"])
+    body: Body = model.bodies[0]
+    assert body.lumped == ("tool",)
+    identified = from_mass_com_inertia(mass, [0.0, 0.05, 0.1], mass * np.diag([0.2, 0.25, 0.1]))
+    links = link_parameters(body, identified, model.robot.links)
+    written = pin.buildModelFromXML(rewrite(model.robot.text, links, {}).decode())
+    np.testing.assert_allclose(written.inertias[1].toDynamicParameters(), identified, rtol=1e-12, atol=1e-14)
+    assert ("tool" not in links) == keeps_the_tool
+    for pi in links.values():
+        assert pi is None or np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0
+
+
+def test_a_locked_rotor_that_is_no_link_stays_in_the_configuration(build: Build) -> None:
+    inertial = {"mass": 0.4, "inertia": [1e-3, 0, 1e-3, 0, 0, 1e-3]}
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    text = LUMPED.replace('name="flange" type="fixed"', 'name="flange" type="revolute"')
+    text = text.replace('<child link="tool"/></joint>', f'<child link="tool"/>{limit}</joint>')
+    rotor = {"joint": "flange", "gear_ratio": 10.0, "axis": [1, 0, 0], "inertial": inertial}
+    model = build(text, ["j"], rotors={"spin": rotor})
+    body = model.bodies[0]
+    own = next(member for member in body.members if member.link == "spin").pi_in_body
+    for mass in (9.0, 0.5):
+        identified = from_mass_com_inertia(mass, [0, 0, 0.1], mass * np.diag([0.2, 0.25, 0.1]))
+        links = link_parameters(body, identified, model.robot.links)
+        assert "spin" not in links
+        again = build(rewrite(model.robot.text, links, {}).decode(), ["j"], rotors={"spin": rotor})
+        np.testing.assert_allclose(again.bodies[0].pi, identified, rtol=1e-9, atol=1e-12)
+    assert own.any()
