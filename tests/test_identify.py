@@ -59,11 +59,11 @@ def least_squares(Y: Array, tau: Array, sigma: Array) -> Array:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_without_constraints_and_prior_the_prediction_is_that_of_least_squares(data: Data, seed: int) -> None:
-    """Joints alike at first, then weighted by what is left of them, and again."""
+    """Joints alike at first, then twice weighted by what the fit before leaves of them."""
     s = data(seed)
     tau = noisy(s, 0.1)
     sigma = np.ones(3)
-    for _ in range(3):
+    for _ in range(2):
         sigma = np.std(s.Y @ least_squares(s.Y, tau, sigma) - tau, axis=1)
     theta = least_squares(s.Y, tau, sigma)
     ours = estimate(s, tau, "none", NONE)

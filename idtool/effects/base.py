@@ -1,7 +1,7 @@
 """`Effect`: a term of the torque equation, linear in its coefficients.
 
 tau = Σ over effects of columns(q, v, a) · coefficients. A new effect is one new file in this folder: a subclass with an
-``ids`` entry is found by itself.
+``id`` is found by itself.
 """
 
 from __future__ import annotations
