@@ -166,7 +166,7 @@ def test_what_the_data_do_not_tell_stays_at_the_prior(data: Data, regularization
         s = data(seed, friction={"viscous": False, "coulomb": False})
         scale = np.array([c.scale for c in s.linear.coefficients], dtype=float)
         rows = s.Y.reshape(-1, len(scale)) * scale
-        _, values, Vt = np.linalg.svd(rows)
+        _, values, Vt = np.linalg.svd(rows, full_matrices=False)
         unseen = Vt[np.count_nonzero(values > 1e-9 * values[0]) :]
         assert len(unseen) > 5
         ours = estimate(s, noisy(s, 0.1), "none", regularization)

@@ -149,7 +149,7 @@ def filtered_swing(linear: LinearModel, low_pass: LowPass) -> list[Array]:
 
 
 def test_standard_errors_are_the_scatter_of_fits_to_many_noises(build: Build) -> None:
-    """200 times white noise on the logged torque, filtered and decimated like everything else."""
+    """300 times white noise on the logged torque, filtered and decimated like everything else."""
     friction = {"viscous": 0.4, "coulomb": 2.0}
     model, linear = equation(build, ARM, ["j1", "j2"], gravity=[0, -9.81, 0], friction=friction)
     low_pass = LowPass(40.0, 4, 1 / RATE, stride=6)
@@ -158,7 +158,7 @@ def test_standard_errors_are_the_scatter_of_fits_to_many_noises(build: Build) ->
     truth = np.where([c.effect == "rigid_body" for c in linear.coefficients], 0.3, linear.prior)
     sigma = np.array([[1.5], [0.2]])
     z = []
-    for _ in range(200):
+    for _ in range(300):
         noise = low_pass(sigma * rng.normal(size=(2, int(RATE * SECONDS))), 0, 0)
         for block, active, row in zip(columns, linear.active(), noise, strict=True):
             block[-1] = truth[active] @ block[:-1] + row
@@ -169,7 +169,7 @@ def test_standard_errors_are_the_scatter_of_fits_to_many_noises(build: Build) ->
         known = found.identifiable
         z.append((estimate.theta - truth)[known] / found.standard_error[known])
     scores = np.array(z)
-    assert scores.shape == (200, 8)
+    assert scores.shape == (300, 8)
     assert 0.9 < scores.std() < 1.1
-    assert ((scores.std(axis=0) > 0.85) & (scores.std(axis=0) < 1.15)).all(), scores.std(axis=0)
-    assert (np.abs(scores.mean(axis=0)) < 4 / np.sqrt(200)).all(), scores.mean(axis=0)
+    assert (np.abs(scores.std(axis=0) - 1) < 0.2).all(), scores.std(axis=0)
+    assert (np.abs(scores.mean(axis=0)) < 4 / np.sqrt(300)).all(), scores.mean(axis=0)
