@@ -19,6 +19,8 @@ from idtool.robot import Robot
 
 Array = NDArray[np.float64]
 
+_ATTRIBUTE = re.compile(rb"""([^\s="'/<>]+)\s*=\s*("[^"]*"|'[^']*')""")
+
 
 @dataclass(frozen=True)
 class JointDynamics:
@@ -71,11 +73,10 @@ def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str,
         Joint name to its dynamics.
     """
     edits: list[tuple[int, int, bytes]] = []
-    elements = _elements(text)
-    for element in elements:
+    for element in _elements(text):
         if element.tag == "link" and element.name in links:
             pi = links[element.name]
-            new = b"" if pi is None else _inertial(pi, _indent(text, element))
+            new = b"" if pi is None else _inertial(pi, _break(text, element, "inertial"))
             edits.append(_replacement(text, element, "inertial", new))
         elif element.tag == "joint" and element.name in joints:
             old = element.children.get("dynamics")
@@ -130,11 +131,14 @@ def _tag_end(text: bytes, start: int) -> int:
     return match.end()
 
 
-def _indent(text: bytes, element: _Element) -> bytes:
-    """White space that a child of the element begins its line with."""
-    line = text.rfind(b"\n", 0, element.start) + 1
-    own = re.match(rb"[ \t]*", text[line : element.start])
-    return (own.group() if own else b"") + b"  "
+def _break(text: bytes, element: _Element, child: str) -> bytes:
+    """Line end and white space before an element's child, the one that is there or a new one."""
+    place = element.children.get(child, element)
+    line = text.rfind(b"\n", 0, place.start) + 1
+    before = text[line : place.start]
+    indent = before[: len(before) - len(before.lstrip(b" \t"))]
+    end = b"\r\n" if text[:line].endswith(b"\r\n") else b"\n"
+    return end + indent + (b"" if child in element.children else b"  ")
 
 
 def _replacement(text: bytes, element: _Element, tag: str, new: bytes) -> tuple[int, int, bytes]:
@@ -143,44 +147,45 @@ def _replacement(text: bytes, element: _Element, tag: str, new: bytes) -> tuple[
     if old is not None:
         start = old.start
         if not new:  # take the line's white space along
-            start = len(text[:start].rstrip(b" \t"))
-            start -= text[:start].endswith(b"\n")
+            start = len(text[:start].rstrip(b" \t").removesuffix(b"\n").removesuffix(b"\r"))
         return start, old.stop, new
-    indent = _indent(text, element)
     opening = _tag_end(text, element.start)
     if not new:
         return opening, opening, b""
+    line = _break(text, element, tag)
     if text[opening - 2 : opening] == b"/>":
-        close = b"\n" + indent[:-2] + b"</" + element.tag.encode() + b">"
-        return opening - 2, opening, b">\n" + indent + new + close
-    return opening, opening, b"\n" + indent + new
+        close = line[:-2] + b"</" + element.tag.encode() + b">"
+        return opening - 2, opening, b">" + line + new + close
+    return opening, opening, line + new
 
 
-def _inertial(pi: Array, indent: bytes) -> bytes:
+def _inertial(pi: Array, line: bytes) -> bytes:
     mass, com, inertia = mass_com_inertia(pi)
     xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in six(inertia))
     xyz = " ".join(repr(float(x)) for x in com)
-    lines = [
+    rows = [
         "<inertial>",
         f'  <origin xyz="{xyz}" rpy="0 0 0"/>',
         f'  <mass value="{mass!r}"/>',
         f'  <inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/>',
         "</inertial>",
     ]
-    return (b"\n" + indent).join(line.encode() for line in lines)
+    return line.join(row.encode() for row in rows)
 
 
 def _dynamics(old: bytes, dynamics: JointDynamics) -> bytes:
-    """A dynamics tag with the values that are given, others as they were."""
+    """A dynamics tag with the values that are given, all else as it was."""
     values = {"damping": dynamics.damping, "friction": dynamics.friction}
-    attributes = []
-    for name, value in values.items():
-        before = re.search(rf"""\b{name}\s*=\s*["']([^"']*)["']""".encode(), old)
-        if value is not None:
-            attributes.append(f'{name}="{float(value)!r}"'.encode())
-        elif before:
-            attributes.append(name.encode() + b'="' + before.group(1) + b'"')
-    return b"<dynamics " + b" ".join(attributes) + b"/>" if attributes else old
+    given = {name.encode(): repr(float(value)).encode() for name, value in values.items() if value is not None}
+    tag = old or b"<dynamics/>"
+    for name, number in given.items():
+        opening = tag[: _tag_end(tag, 0)]
+        places = {match.group(1): match.span(2) for match in _ATTRIBUTE.finditer(opening)}
+        end = len(re.sub(rb"\s*/?>\Z", b"", opening))
+        start, stop = places.get(name, (end, end))
+        written = b'"' + number + b'"' if name in places else b" " + name + b'="' + number + b'"'
+        tag = tag[:start] + written + tag[stop:]
+    return tag if given else old
 
 
 def identified_urdf(

@@ -356,7 +356,7 @@ def test_a_low_pass_comes_out_as_its_low_frequency_delay(cutoff: float) -> None:
 def test_velocity_lag_says_when_nothing_agrees() -> None:
     t = np.arange(20000) * 1e-3
     noise = np.random.default_rng(0).normal(size=len(t))
-    assert velocity_lag(motion(t), noise, 1e-3)[2] == 0.0
+    assert velocity_lag(motion(t), noise, 1e-3)[2] < 0.01
     assert np.isnan(velocity_lag(motion(t), np.zeros(len(t)), 1e-3)).all()
     assert np.isnan(velocity_lag(motion(t)[:50], motion(t, 0, 1)[:50], 1e-3)).all()
 
