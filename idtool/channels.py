@@ -23,6 +23,7 @@ _RESAMPLED = 0.01  # rms of the stamps' jitter, in samples, above which the sign
 _AROUND = 10  # samples to either side that tell the speed at which a sample was taken
 _AGREES = 0.8  # share of a measured velocity's power that dq/dt must explain
 _GAIN = 0.1  # by which a measured velocity may be larger or smaller than dq/dt
+_AT_REST = 0.01  # rad or m of travel below which noise may hide the motion
 _NO_LAG = 0.01  # samples of lag that are none
 _SURE = 0.2  # samples, or share of the lag, that the lag's standard error may be
 
@@ -146,7 +147,7 @@ class Channels:
         lag, gain, agreement, error = np.array([(f.lag, f.gain, f.agreement, f.lag_error) for f in found]).T
         follows = (agreement > _AGREES) & (np.abs(gain - 1) < _GAIN)
         sure = self.measured & follows & (error < np.maximum(_SURE * self.log.dt, _SURE * np.abs(lag)))
-        trusted = self.measured & (follows | np.isnan(agreement))
+        trusted = self.measured & (follows | np.isnan(agreement) | (np.ptp(q, axis=1) < _AT_REST))
         if not sure.any():
             return np.zeros(len(lag)), trusted
         shared = float(np.average(lag[sure], weights=error[sure] ** -2))

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from idtool.model import Body, Model
+from idtool.body import Body
+from idtool.model import Model
 from idtool.robot import Robot
 
 Array = NDArray[np.float64]

@@ -37,8 +37,8 @@ def clock(seconds: float, rate: float = RATE) -> Array:
 
 def swinging(t: Array, **signals: Array | None) -> Log:
     """A log of both joints: exact q, v and a torque, but for the signals given, each (N, 2), None for one left out."""
-    everything = {"q": swing(t), "v": swing(t, 1), "tau": np.cos(swing(t)), **signals}
-    return make_log(Path("swing.csv"), t, JOINTS, {name: x for name, x in everything.items() if x is not None})
+    chosen = {"q": swing(t), "v": swing(t, 1), "tau": np.cos(swing(t)), **signals}
+    return make_log(Path("swing.csv"), t, JOINTS, {name: x for name, x in chosen.items() if x is not None})
 
 
 def signals_of(log: Log, **config: Any) -> Signals:

@@ -180,6 +180,22 @@ def test_no_dual_variables_whatever_certify_what_is_not_optimal(tmp_path: Path, 
     )
 
 
+def test_dual_matrices_with_negative_eigenvalues_certify_nothing(tmp_path: Path) -> None:
+    """Were they let through, these would prove that no body has a lower cost than none at all."""
+    problem = stated(*random_data(tmp_path, 3), "full")
+    x, _, _ = solved_with_duals(problem)
+    slope = problem.S.T @ (-2 * problem.A.T @ problem.b)  # of the cost where all coefficients are zero
+    duals = []
+    for matrix in problem.inequalities:
+        G, wanted = matrix.G.reshape(SIZE, -1), slope[matrix.first : matrix.first + SIZE]
+        duals.append(np.asarray(np.linalg.lstsq(G, wanted, rcond=None)[0], dtype=np.float64).reshape(4, 4))
+    assert min(np.linalg.eigvalsh(Z)[0] for Z in duals) < 0
+    nothing = problem.cost(np.zeros(len(problem.scale)))
+    assert nothing > 1.01 * problem.cost(problem.S @ x)
+    friction = np.maximum(slope[problem.bounded], 0)
+    assert duality_gap(problem, x, duals, friction) > GAP
+
+
 @pytest.mark.parametrize("kind", ["semi", "full", "ellipsoid"])
 def test_a_solve_cut_short_is_refused_and_names_a_body(tmp_path: Path, kind: str) -> None:
     s, tau = random_data(tmp_path, 2)

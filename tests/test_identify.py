@@ -81,7 +81,7 @@ def test_a_torque_without_noise_is_recovered(data: Data, kind: str, regularizati
 
 @pytest.mark.parametrize("kind", ["none", "full", "ellipsoid"])
 def test_what_was_identified_predicts_other_motions_of_the_robot(data: Data, kind: str) -> None:
-    """To a part of the noise that goes with √(unknowns / samples), here a third."""
+    """To a share of the noise that goes with √(unknowns / samples), here less than half."""
     for seed in range(3):
         s, other = data(seed, count=500), data(seed, count=800)
         ours = estimate(s, noisy(s, 0.05), kind)

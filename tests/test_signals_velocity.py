@@ -52,7 +52,7 @@ def test_a_missing_velocity_is_differentiated_and_said(velocity: str) -> None:
     assert "no velocity logged, differentiated from q: hip, knee" in both.warnings
 
 
-@pytest.mark.parametrize("lag", [0.004, 0.0025, -0.0013])
+@pytest.mark.parametrize("lag", [0.004, 0.0025, -0.0013, 0.08, -0.08])
 def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     """Up to the very ends of what is used: the samples that the lag takes are left out there."""
     t = clock(6)
@@ -66,10 +66,12 @@ def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     np.testing.assert_allclose(joined(signals, lambda m: m.a), swing(used, 2).T, atol=0.05)
 
 
-def test_a_joint_at_rest_has_the_others_lag(rng: np.random.Generator) -> None:
-    """Drives of one robot filter alike; where nothing moves, nothing speaks against it."""
+@pytest.mark.parametrize("sigma", [0.0, 1e-4])
+def test_a_joint_at_rest_has_the_others_lag(rng: np.random.Generator, sigma: float) -> None:
+    """Drives of one robot filter alike; where nothing moves but noise, nothing speaks against it."""
     t = clock(6)
-    q, v = swing(t) * [1, 0], swing(t - 0.003, 1) * [1, 0] + noise(rng, swing(t), 1e-4)
+    q = swing(t) * [1, 0] + noise(rng, swing(t), sigma) * [0, 1]
+    v = swing(t - 0.003, 1) * [1, 0] + noise(rng, swing(t), 1e-4)
     signals = signals_of(swinging(t, q=q, v=v))
     np.testing.assert_allclose(signals.lag, 0.003, atol=0.05 * DT)
     assert not any("is not the derivative" in warning for warning in signals.warnings)

@@ -76,10 +76,14 @@ FILES = {
     "an inertial behind the visual": plain(INERTIAL, f"<visual/>\n\n\n      {INERTIAL}\n  <collision/>"),
     "a self-closing link": re.sub(r"<link name=\"arm\">.*?</link>", '<link name="arm"⟦L/>⟧', PLAIN, flags=re.DOTALL),
     "one with a space": re.sub(r"<link name=\"arm\">.*?</link>", '<link name="arm" ⟦L/>⟧', PLAIN, flags=re.DOTALL),
+    "greater in a self-closing link": re.sub(
+        r"<link name=\"arm\">.*?</link>", '<link a="1 > 0 />" name="arm" b=">"⟦L/>⟧', PLAIN, flags=re.DOTALL
+    ),
     "an empty link": re.sub(r">\s*⟦I.*?⟧\s*<", ">⟦I⟧<", PLAIN, flags=re.DOTALL),
     "a link without inertial": re.sub(r">(\s*)⟦I.*?⟧", r">⟦I⟧\1<visual/>", PLAIN, flags=re.DOTALL),
     "a self-closing inertial": re.sub(r"⟦I.*?⟧", "⟦I<inertial/>⟧", PLAIN, flags=re.DOTALL),
     "no dynamics": plain(DAMPED, "").replace('type="revolute">', 'type="revolute">⟦J⟧'),
+    "no dynamics and greater in an attribute": plain(DAMPED, "").replace('lute">', """lute" a='/>' b=">">⟦J⟧"""),
     "empty dynamics": plain(DAMPED, "<dynamics⟦d⟧⟦f⟧ />"),
     "damping only": plain(DAMPED, "<dynamics damping = ⟦D'1'⟧⟦f⟧></dynamics>"),
     "friction only": plain(DAMPED, "<dynamics friction=⟦F\"1\"⟧⟦d⟧\n/>"),
