@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from idtool.ellipsoid import Ellipsoid
 from idtool.inertia import transformation
+from idtool.shapes import Shape
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,10 @@ class Body:
         Prior inertia parameters in the body's frame, all members together, shape (10,).
     ellipsoids
         Bounding ellipsoids in the body's frame; several are their union, none is no bound.
+    shapes
+        Other bounding shapes in the body's frame, part of the same union.
+    com
+        Centre of mass in the body's frame where it is known otherwise [m].
     mount
         The body's frame, at phi = 0, in its parent's.
     axis
@@ -86,6 +91,8 @@ class Body:
     ratios: Array
     offset: float = 0.0
     members: tuple[Member, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+    com: tuple[float, float, float] | None = None
 
     @property
     def lumped(self) -> tuple[str, ...]:

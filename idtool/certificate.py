@@ -11,11 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.inertia import SIZE
-from idtool.problem import INTERIOR, Problem
+from idtool.inequality import least
+from idtool.inertia import BASIS, SIZE
+from idtool.problem import Problem
 
 Array = NDArray[np.float64]
 
+_TRACE = np.trace(BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, in units of the body
 GAP = 1e-6  # relative duality gap above which a solution is refused
 
 
@@ -31,7 +33,7 @@ class Certificate:
         f at the solution.
     duality_gap
         f less the dual function at the solver's dual variables, relative to f, or to the noise, 1, where f is less: no
-        parameters at all can have a cost lower than f by more than this.
+        parameters in the sets can have a cost lower than f by more than this.
     violation
         Largest violation of an inequality, in units of the body; at most 0 where all hold.
     where
@@ -54,48 +56,85 @@ class Certificate:
 
 
 def violation(problem: Problem, x: Array) -> tuple[float, str]:
-    """The largest violation of a matrix inequality at x, in units of the body, and whose it is."""
-    margins = [float(np.linalg.eigvalsh(matrix.value(x))[0]) for matrix in problem.inequalities]
+    """The largest violation of an inequality at x beyond rounding, in units of the body, and whose it is."""
+    margins = [least(inequality.value(x)) for inequality in problem.inequalities]
     if not margins:
         return 0.0, ""
     worst = int(np.argmin(margins))
     return -margins[worst], problem.inequalities[worst].label
 
 
-def duality_gap(problem: Problem, x: Array, duals: Sequence[Array], multipliers: Array) -> float:
-    """Relative duality gap at x and the solver's dual variables, these first made feasible.
+def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers: Array) -> float:
+    """A cost that no parameters can be below, from the solver's dual variables, these first made feasible.
 
-    With slope_l = Σ over a part's inequalities of ⟨G, Z⟩ the dual function is the minimum over y of f(y) − slope · y
-    plus the interior's share, a least-squares problem in y. The parts of one body must have the same slope; how far the
-    solver's differ is charged to the gap.
+    With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of what is known exactly, the dual function
+    is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus the interior's share and mu · e. f is replaced by its quadratic
+    part and the tangent at x of its convex rest, which lies below it, so that this is a least-squares problem.
 
     Parameters
     ----------
     problem
         The problem.
     x
-        Shape (m,).
+        Where the bound is to be tight, shape (m,).
     duals
-        Z of every matrix inequality, shape (n, n) each.
+        Z of every inequality, shape (n, n) or (n,) each.
     multipliers
         Of the lower bounds.
     """
     multipliers = np.maximum(multipliers, 0)
-    slope = np.zeros_like(x)
-    slope[problem.bounded] = multipliers
-    interior = float(multipliers @ problem.bounds)
-    for matrix, returned in zip(problem.inequalities, duals, strict=True):
-        values, vectors = np.linalg.eigh(0.5 * (returned + returned.T))
-        Z = (vectors * np.maximum(values, 0)) @ vectors.T
-        slope[matrix.first : matrix.first + SIZE] += np.einsum("kij,ij->k", matrix.G, Z)
-        interior += INTERIOR * float(np.trace(Z))
-    S = problem.S
-    mean = (S @ slope) / S.sum(axis=1)  # over the parts of a body
-    mismatch = float(np.abs((slope - S.T @ mean) * x).sum())
-    primal = problem.cost(S @ x)
-    # min over y of ‖A y − b‖² − mean · y is where A y is ½ A⁻ᵀ mean and what A reaches of b.
-    half = 0.5 * np.linalg.lstsq(problem.A.T, mean, rcond=None)[0]
-    unreached = float(np.abs((problem.A.T @ half - 0.5 * mean) * (S @ x)).sum())
-    beyond = problem.A @ np.linalg.lstsq(problem.A, problem.b, rcond=None)[0] - problem.b
-    dual = problem.constant + float(beyond @ beyond - half @ (half + 2 * problem.b)) + interior
-    return (primal - dual + mismatch + unreached) / max(primal, 1.0)
+    duals = [_nonnegative(Z) for Z in duals]
+    slope = _slope(problem, duals)
+    slope[problem.others[np.isfinite(problem.lower)]] += multipliers
+    shares = zip(problem.inequalities, duals, strict=True)
+    interior = sum(i.interior * float(np.trace(Z) if Z.ndim == 2 else Z.sum()) for i, Z in shares)
+    interior += float(multipliers @ problem.bounds)
+    z = problem.S @ x
+    tangent = np.zeros_like(z)
+    for term in problem.log_dets:
+        tangent[term.own] += term.gradient(z)
+    rest = sum(term.value(z) for term in problem.log_dets) - tangent @ z
+    downhill = 2 * problem.A.T @ (problem.A @ z - problem.b) + tangent - slope
+    mu = np.linalg.lstsq(problem.E.T, downhill, rcond=None)[0]
+    # min over z of ‖A z − b‖² − g · z is where A z − b is ½ A⁻ᵀ g.
+    half = 0.5 * np.linalg.solve(problem.A.T, slope + problem.E.T @ mu - tangent)
+    return problem.constant + float(rest - half @ (half + 2 * problem.b) + interior + mu @ problem.e)
+
+
+def _nonnegative(Z: Array) -> Array:
+    """The nearest positive semidefinite matrix, or nonnegative vector."""
+    if Z.ndim == 1:
+        return np.maximum(Z, 0)
+    values, vectors = np.linalg.eigh(0.5 * (Z + Z.T))
+    return np.asarray((vectors * np.maximum(values, 0)) @ vectors.T)
+
+
+def _slope(problem: Problem, duals: Sequence[Array]) -> Array:
+    """Σ ⟨G, Z⟩ in z, shape (p',), not counting the lower bounds.
+
+    A body of several pieces needs one slope g with basisᵀ g − Σ ⟨G, Z⟩ in the dual cone of every piece. The solver's
+    agree but for its tolerance, so their mean is raised, along the slope of Tr J, until it is above them all.
+    """
+    own: list[Array] = [np.zeros(len(part.piece.powers)) for part in problem.parts]
+    of_variable = np.repeat(np.arange(len(own)), [len(s) for s in own])
+    for inequality, Z in zip(problem.inequalities, duals, strict=True):
+        own[of_variable[inequality.first]] += np.tensordot(inequality.G, Z, axes=Z.ndim)
+    slope = np.zeros(len(problem.scale))
+    for body in dict.fromkeys(part.body for part in problem.parts):
+        pieces = [(part.basis, s) for part, s in zip(problem.parts, own, strict=True) if part.body == body]
+        first = next(part.first for part in problem.parts if part.body == body)
+        bases, slopes = (np.concatenate(columns) for columns in zip(*((B.T, s) for B, s in pieces), strict=True))
+        g = np.linalg.lstsq(bases, slopes, rcond=None)[0]
+        if len(slopes) > SIZE:
+            g += max(_shortfall(B, B.T @ g - s) for B, s in pieces) * _TRACE
+        slope[first : first + SIZE] = g
+    return slope
+
+
+def _shortfall(basis: Array, rest: Array) -> float:
+    """How much of the slope of Tr J it takes to bring ``rest``, shape (K,), into the dual cone of a piece."""
+    if len(rest) > SIZE:  # point masses
+        return max(float(np.max(-rest / (basis.T @ _TRACE))), 0.0)
+    rows = BASIS.reshape(SIZE, -1)
+    W = np.linalg.lstsq(rows, rest, rcond=None)[0].reshape(4, 4)  # ⟨BASIS_k, W⟩ = rest_k, symmetric
+    return max(-least(W), 0.0)

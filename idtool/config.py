@@ -20,7 +20,6 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
-    field_validator,
     model_validator,
 )
 
@@ -30,8 +29,6 @@ from idtool.safe_yaml import read_yaml
 
 _MOST = 1e12  # SI, of any number: powers of what is larger are not finite
 _LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finite
-_LATER = ("known", "mirror")  # keys and kinds of the contract that this version does not have
-_LATER_KINDS = ("entropic", "pullback")
 
 
 def _length(x: float) -> float:
@@ -45,7 +42,7 @@ Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
 Length = Annotated[Positive, AfterValidator(_length)]
 NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
-Constraints = Literal["none", "semi", "full", "com_ellipsoid", "ellipsoid"]
+Constraints = Literal["none", "semi", "full", "known_com", "com_ellipsoid", "ellipsoid", "shape", "points"]
 
 
 class Record(BaseModel):
@@ -74,6 +71,46 @@ class Bounding(Record):
     def ellipsoid(self) -> Ellipsoid:
         """The same as geometry."""
         return Ellipsoid(self.center, self.semi_axes, self.rpy)
+
+
+class Placed(Record):
+    """A bounding shape's place: centre [m], roll–pitch–yaw [rad]."""
+
+    center: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class BoxBound(Placed):
+    """A box with sides of lengths ``size`` [m]."""
+
+    kind: Literal["box"]
+    size: tuple[Length, Length, Length]
+
+
+class CylinderBound(Placed):
+    """A cylinder about its own z [m]."""
+
+    kind: Literal["cylinder"]
+    radius: Length
+    length: Length
+
+
+class CapsuleBound(Placed):
+    """A cylinder about its own z with half a ball on each end; ``length`` is the cylinder's [m]."""
+
+    kind: Literal["capsule"]
+    radius: Length
+    length: Length
+
+
+class HullBound(Record):
+    """The convex hull of a mesh: ``file``, from the URDF's folder, or else what the URDF gives the link."""
+
+    kind: Literal["hull"]
+    file: str | None = None
+
+
+BoundingShape = Annotated[BoxBound | CylinderBound | CapsuleBound | HullBound, Field(discriminator="kind")]
 
 
 class Uncertain(Record):
@@ -181,17 +218,61 @@ def _friction_form(data: Any) -> str:
 
 
 class Regularization(Record):
-    """The prior's kind and weight (27)."""
+    """The prior's kind and weight (27).
 
-    kind: Literal["none", "euclidean"] = "euclidean"
+    The Euclidean distance is taken in units of each body's own mass and size, or, as the paper has it, in SI units.
+    """
+
+    kind: Literal["none", "euclidean", "entropic", "pullback"] = "euclidean"
     weight: NonNegative = 1e-6
+    units: Literal["relative", "si"] = "relative"
 
-    @field_validator("kind", mode="before")
+    @model_validator(mode="after")
+    def _units_of_the_euclidean(self) -> Self:
+        if self.units == "si" and self.kind in ("entropic", "pullback"):
+            raise ValueError(f"units: si is for kind euclidean; {self.kind} does not depend on units")
+        return self
+
+
+class Measured(Record):
+    """A positive number measured by other means; with a standard error it is soft, without exact."""
+
+    value: Positive
+    standard_error: Positive | None = None
+
+    @model_validator(mode="before")
     @classmethod
-    def _kind(cls, kind: Any) -> Any:
-        if kind in _LATER_KINDS:
-            raise ValueError(f"{kind} is not in this version of idtool; use none or euclidean")
-        return kind
+    def _bare_number(cls, data: Any) -> Any:
+        return data if isinstance(data, Mapping) else {"value": data}
+
+
+class Known(Record):
+    """Masses [kg] by body, and of all bodies of the model together."""
+
+    mass: dict[str, Measured] = {}
+    total_mass: Measured | None = None
+
+
+class Mirror(Record):
+    """A body that is a copy of another, equal or mirrored in a plane of the link frames, or a joint with its friction.
+
+    Friction that depends on the direction, an offset, is left to each joint.
+    """
+
+    body: str | None = None
+    joint: str | None = None
+    of: str
+    plane: Literal["xy", "xz", "yz"] | None = None
+
+    @model_validator(mode="after")
+    def _one_thing(self) -> Self:
+        if (self.body is None) == (self.joint is None):
+            raise ValueError("give either body or joint, and of")
+        if self.joint is not None and self.plane is not None:
+            raise ValueError("plane is for bodies; friction has none")
+        if self.of in (self.body, self.joint):
+            raise ValueError(f"{self.of} is a copy of itself; name another")
+        return self
 
 
 class Filter(Record):
@@ -203,9 +284,9 @@ class Filter(Record):
 
 
 class Solver(Record):
-    """The conic solver."""
+    """The conic solver, or a local one on a manifold of realizable bodies."""
 
-    name: Literal["clarabel"] = "clarabel"
+    name: Literal["clarabel", "log_cholesky", "manifold"] = "clarabel"
 
 
 class Controller(Record):
@@ -240,6 +321,8 @@ class Config(Record):
     log: LogOptions = LogOptions()
     velocity: Literal["measured", "differentiated", "auto"] = "auto"
     bounding_ellipsoids: dict[str, tuple[Bounding, ...]] = {}
+    bounding_shapes: dict[str, tuple[BoundingShape, ...]] = {}
+    known_com: dict[str, Vector] = {}
     rotors: dict[str, Rotor] = {}
     friction: Annotated[
         Annotated[dict[str, Friction], Tag("by joint")] | Annotated[Friction, Tag("alike")],
@@ -248,6 +331,8 @@ class Config(Record):
     constraints: Constraints | None = None
     regularization: Regularization = Regularization()
     filter: Filter = Filter()
+    known: Known = Known()
+    mirror: tuple[Mirror, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     solver: Solver = Solver()
     controller: Controller | None = None
@@ -281,9 +366,6 @@ def parse_config(data: Any, where: str) -> Config:
         return Config()
     if not isinstance(data, Mapping):
         raise ConfigError(where, "is not a configuration: expected keys such as joints, rotors, filter")
-    for key in _LATER:
-        if key in data:
-            raise ConfigError(f"{where}: {key}", "is not in this version of idtool; take it out")
     return checked(Config, data, where)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.exceptions import ConfigError, LogError, ModelError
+from idtool.knowledge import Knowledge, knowledge
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
 from idtool.reduction import Reduction, empty, reduce_blocks
@@ -53,6 +54,8 @@ class Experiment:
         The tree of bodies.
     equation
         The torque equation.
+    known
+        What is known beside the logs.
     runs
         The logs.
     """
@@ -60,6 +63,7 @@ class Experiment:
     config: Config
     model: Model
     equation: LinearModel
+    known: Knowledge
     runs: tuple[Run, ...]
 
     @property
@@ -154,7 +158,7 @@ def prepare(
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
-    return Experiment(config, model, equation, tuple(runs))
+    return Experiment(config, model, equation, knowledge(config, model, equation), tuple(runs))
 
 
 def _check_signals(log: Log, joints: Sequence[str]) -> None:

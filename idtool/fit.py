@@ -13,7 +13,7 @@ from idtool.exceptions import LogError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify
 from idtool.inertia import SIZE, pseudo_inertia
-from idtool.sets import ConstraintSet, constraint_sets, tightest
+from idtool.sets import ConstraintSet, choose_set
 from idtool.uncertainty import Uncertainty, uncertainty
 from idtool.validate import Evaluation, evaluate
 
@@ -85,14 +85,15 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     sets, remarks = choose_sets(model.bodies, experiment.config.constraints)
     warnings += remarks
     progress("solving", 0.0)
-    estimate = identify(equation, model.bodies, reduction, sets, experiment.config.regularization)
+    known = experiment.known
+    estimate = identify(equation, model.bodies, reduction, sets, experiment.config.regularization, known)
     clock.append(time.perf_counter())
     unreal = [
         body.name for i, body in enumerate(model.bodies) if not _can_be(estimate.theta[SIZE * i : SIZE * (i + 1)])
     ]
     if unreal:
         warnings.append(f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them")
-    errors = uncertainty(equation, reduction, estimate.noise)
+    errors = uncertainty(equation, reduction, estimate.noise, known)
     models = {"identified": estimate.theta, "prior": equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)
     validation = evaluate(experiment, models, held_out=True, progress=progress)
@@ -114,10 +115,11 @@ def choose_sets(bodies: tuple[Body, ...], name: str | None) -> tuple[tuple[Const
     -------
     One set a body, and a remark on bodies that lack their ellipsoid.
     """
-    known = constraint_sets()
-    wanted = known[name] if name else tightest()
-    unbounded = [s for s in known.values() if not s.bounded][-1]
-    lacking = [body.name for body in bodies if wanted.bounded and not body.ellipsoids]
-    sets = tuple(unbounded if body.name in lacking else wanted for body in bodies)
-    remark = f"no bounding ellipsoid, only full consistency is demanded: {', '.join(lacking)}"
-    return sets, [remark] if lacking else []
+    sets = tuple(choose_set(body, name) for body in bodies)
+    lacking = [
+        body.name
+        for body, chosen in zip(bodies, sets, strict=True)
+        if (chosen.name != name if name else not (body.ellipsoids or body.shapes))
+    ]
+    lack = "known centre of mass" if name == "known_com" else "bounding shape" if name == "shape" else "bounding ellipsoid"
+    return sets, [f"no {lack}, only full consistency is demanded: {', '.join(lacking)}"] if lacking else []

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body
-from idtool.certificate import GAP, Certificate, duality_gap, violation
+from idtool.certificate import GAP, Certificate, lower_bound, violation
 from idtool.config import Regularization
 from idtool.exceptions import SolverError
-from idtool.inertia import SIZE
-from idtool.problem import INTERIOR, Matrix, Problem, build_problem, free_noise, freedom, residual_noise, weighted_rows
+from idtool.knowledge import Knowledge
+from idtool.problem import Matrix, Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 from idtool.sets import ConstraintSet
+from idtool.weights import free_noise, freedom, residual_noise, weighted_rows
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,7 @@ def identify(
     reduction: Reduction,
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
+    known: Knowledge | None = None,
 ) -> Estimate:
     """The identification with the joints weighted by their residual noise.
 
@@ -77,20 +79,29 @@ def identify(
         One set a body.
     regularization
         The prior's kind and weight.
+    known
+        What is known otherwise; default: nothing.
 
     Raises
     ------
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
-    active = model.active()
-    problem = build_problem(model, bodies, reduction, sets, regularization, free_noise(model, reduction))
+    known = known or Knowledge.none(len(model.coefficients))
+    noise = free_noise(model, reduction, known)
+    problem = build_problem(model, bodies, reduction, sets, regularization, noise, known)
     x, certificate = solve(problem)
-    theta = problem.scale * (problem.S @ x)
+    return estimate(model, reduction, problem, x, certificate)
+
+
+def estimate(model: LinearModel, reduction: Reduction, problem: Problem, x: Array, certificate: Certificate) -> Estimate:
+    """The coefficients of a solution x, shape (m,), and the noise that they leave."""
+    theta = problem.theta(problem.S @ x)
     share = freedom(reduction, int(np.linalg.matrix_rank(weighted_rows(model, reduction, np.ones(len(reduction))))))
-    noise = np.array([residual_noise(f, theta[columns], share) for f, columns in zip(reduction, active, strict=True)])
-    by_part = [(part.body.name, part.scales * x[SIZE * k : SIZE * (k + 1)]) for k, part in enumerate(problem.parts)]
-    parts = tuple(np.array([pi for name, pi in by_part if name == body.name]) for body in bodies)
+    pairs = zip(reduction, model.active(), strict=True)
+    noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in pairs])
+    pieces = problem.pieces(x)
+    parts = tuple(np.array([pi for body, pi in pieces if body == i]) for i in range(len(problem.labels)))
     return Estimate(theta, parts, noise, certificate)
 
 
@@ -122,12 +133,14 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
 def _attempt(problem: Problem, settings: Mapping[str, float]) -> tuple[Array, Certificate]:
     started = time.perf_counter()
     free = np.linalg.solve(problem.A, problem.b)  # the optimum without constraints: from there, b takes no digits
-    start = problem.S.T @ (free / problem.S.sum(axis=1))
+    start = np.linalg.lstsq(problem.S, free, rcond=None)[0]
     step = cp.Variable(len(start))
-    matrices = [_semidefinite(step, matrix, start) for matrix in problem.inequalities if matrix.G.shape[-1] > 1]
-    rows, least = _linear(problem)
-    limits = [rows @ step >= least - rows @ start] if len(least) else []
-    program = cp.Problem(cp.Minimize(cp.sum_squares((problem.A @ problem.S) @ step)), [*matrices, *limits])
+    limits = [_limit(step, inequality, start) for inequality in problem.inequalities]
+    rows = np.eye(len(start))[problem.bounded]
+    bounds = [rows @ step >= problem.bounds - rows @ start] if len(rows) else []
+    exact = [(problem.E @ problem.S) @ step == problem.e - problem.E @ (problem.S @ start)] if len(problem.e) else []
+    cost = cp.sum_squares((problem.A @ problem.S) @ step + (problem.A @ problem.S @ start - problem.b))
+    program = cp.Problem(cp.Minimize(cost + _log_dets(problem, step, start)), [*limits, *bounds, *exact])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of inaccuracy, which the certificate judges
@@ -136,9 +149,10 @@ def _attempt(problem: Problem, settings: Mapping[str, float]) -> tuple[Array, Ce
         raise SolverError("solver", f"gave up: {error}") from None
     if step.value is None:
         raise SolverError("solver", f"found the problem {program.status}; loosen constraints or add a prior")
-    x = start + step.value
-    x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)  # a bound is met to the last digit
-    certificate = _certify(problem, x, program, matrices, limits, time.perf_counter() - started)
+    x = _polished(problem, start + step.value)
+    duals = [np.asarray(limit.dual_value) for limit in limits]
+    multipliers = np.atleast_1d(bounds[0].dual_value) if bounds else np.zeros(0)
+    certificate = certify(problem, x, program, lower_bound(problem, x, duals, multipliers), started)
     if not certificate.holds:
         gap, violated = certificate.duality_gap, certificate.violation
         what = f"not solved well enough: relative duality gap {gap:.1e}, violation {violated:.1e}"
@@ -146,45 +160,50 @@ def _attempt(problem: Problem, settings: Mapping[str, float]) -> tuple[Array, Ce
     return x, certificate
 
 
-def _certify(
-    problem: Problem,
-    x: Array,
-    program: cp.Problem,
-    matrices: Sequence[cp.Constraint],
-    limits: Sequence[cp.Constraint],
-    seconds: float,
-) -> Certificate:
-    """The check of x with the solver's dual variables."""
-    linear = np.atleast_1d(limits[0].dual_value) if limits else np.zeros(0)
-    scalar = [matrix.G.shape[-1] == 1 for matrix in problem.inequalities]
-    of_scalars, of_matrices = iter(linear), iter(matrices)
-    duals = [np.atleast_2d(next(of_scalars) if one else next(of_matrices).dual_value) for one in scalar]
+def certify(problem: Problem, x: Array, program: cp.Problem, bound: float, started: float) -> Certificate:
+    """The check of x against a cost that nothing can be below."""
     largest, where = violation(problem, x)
+    cost = problem.cost(problem.S @ x)
     return Certificate(
         name="clarabel",
         status=program.status,
-        objective=problem.cost(problem.S @ x),
-        duality_gap=duality_gap(problem, x, duals, linear[sum(scalar) :]),
+        objective=cost,
+        duality_gap=(cost - bound) / max(cost, 1.0),
         iterations=int(program.solver_stats.num_iters or 0),
-        seconds=seconds,
+        seconds=time.perf_counter() - started,
         violation=largest,
         where=where,
     )
 
 
-def _semidefinite(step: cp.Variable, matrix: Matrix, start: Array) -> cp.Constraint:
-    """One matrix inequality at start + step in the solver's terms."""
-    n = matrix.G.shape[-1]
-    rows = np.zeros((n * n, len(start)))
-    rows[:, matrix.first : matrix.first + SIZE] = matrix.G.reshape(SIZE, -1).T
-    return cp.reshape(rows @ step, (n, n), order="C") >> INTERIOR * np.eye(n) - matrix.value(start)
+def _polished(problem: Problem, x: Array) -> Array:
+    """x with what is exact met to the last digit, where the solver comes within its tolerance."""
+    rows = problem.E @ problem.S
+    x = x + np.linalg.lstsq(rows, problem.e - rows @ x, rcond=None)[0] if len(rows) else x
+    x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)
+    negative = [i for i in problem.inequalities if not i.interior]
+    for inequality in negative:  # masses, each its own variable
+        x[inequality.own] = np.maximum(x[inequality.own], 0)
+    return x
 
 
-def _linear(problem: Problem) -> tuple[Array, Array]:
-    """The scalar inequalities, then the lower bounds: rows · x ≥ least."""
-    scalars = [matrix for matrix in problem.inequalities if matrix.G.shape[-1] == 1]
-    rows = np.zeros((len(scalars) + len(problem.bounds), problem.S.shape[1]))
-    for row, matrix in zip(rows, scalars, strict=False):
-        row[matrix.first : matrix.first + SIZE] = matrix.G.ravel()
-    rows[np.arange(len(scalars), len(rows)), problem.bounded] = 1.0
-    return rows, np.concatenate([np.full(len(scalars), INTERIOR), problem.bounds])
+def _limit(step: cp.Variable, inequality: Matrix, start: Array) -> cp.Constraint:
+    """One inequality at start + step in the solver's terms."""
+    n = inequality.G.shape[-1]
+    rows = np.zeros((inequality.G[0].size, len(start)))
+    rows[:, inequality.own] = inequality.G.reshape(len(inequality.G), -1).T
+    value = inequality.value(start)
+    if value.ndim == 1:
+        return rows @ step >= inequality.interior - value
+    return cp.reshape(rows @ step, (n, n), order="C") >> inequality.interior * np.eye(n) - value
+
+
+def _log_dets(problem: Problem, step: cp.Variable, start: Array) -> cp.Expression:
+    """The divergences at start + step but for a constant."""
+    total: cp.Expression = 0.0
+    for term in problem.log_dets:
+        rows = np.zeros((term.G[0].size, len(start)))
+        rows[:] = term.G.reshape(len(term.G), -1).T @ problem.S[term.own]
+        X = cp.reshape(rows @ step + rows @ start, term.G.shape[1:], order="C")
+        total = total + term.weight * (cp.trace(X) - cp.log_det(X))
+    return total

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 SIZE = len(NAMES)
+#: Powers of length in the parameters' units.
+POWERS = np.repeat([0.0, 1.0, 2.0], [1, 3, 6])
 
 # Row and column of the rotational inertia's entries, in the order of pi.
 _ROW = np.array([0, 0, 1, 0, 1, 2])
@@ -108,6 +110,12 @@ def transformation(R: ArrayLike, p: ArrayLike) -> Array:
     T[:3, :3] = R
     T[:3, 3] = p
     return from_pseudo_inertia(T @ BASIS @ T.T).T
+
+
+def mirrored(signs: ArrayLike) -> Array:
+    """The 10×10 matrix that takes pi to that of the body's image, in which x, y and z have these signs, shape (3,)."""
+    T = np.append(np.asarray(signs, dtype=float), 1.0)
+    return from_pseudo_inertia(T[:, None] * BASIS * T).T
 
 
 def triangle_margin(pi: ArrayLike) -> float:

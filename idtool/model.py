@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Body, Frame, Member
-from idtool.config import Bounding, Config
+from idtool.config import Bounding, BoundingShape, Config
 from idtool.config import Rotor as RotorConfig
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError, ModelError
 from idtool.inertia import SIZE, from_mass_com_inertia, symmetric
 from idtool.names import nearest, some
 from idtool.robot import Joint, Robot
+from idtool.shapes import Shape, known_shapes
+from idtool.shapes.hull import Hull
 
 Array = NDArray[np.float64]
 
@@ -104,6 +106,7 @@ class _Builder:
     frames: dict[str, Frame] = field(default_factory=dict)  # of every URDF link
     members: dict[int, list[Member]] = field(default_factory=dict)
     ellipsoids: dict[int, list[Ellipsoid]] = field(default_factory=dict)
+    shapes: dict[int, list[Shape]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     def build(self) -> Model:
@@ -116,7 +119,7 @@ class _Builder:
         links = len(self.bodies)
         for name, rotor in self.config.rotors.items():
             self._add_rotor(name, rotor)
-        bodies = tuple(self._finished(i, body) for i, body in enumerate(self.bodies))
+        bodies = self._with_centres(tuple(self._finished(i, body) for i, body in enumerate(self.bodies)))
         for body in bodies[:links]:
             if not body.pi[0] > 0:
                 self.warnings.append(f"link {body.name} has no mass in the URDF; its prior is empty")
@@ -155,6 +158,7 @@ class _Builder:
         for key, names, known, kind in (
             ("locked_joints", self.config.locked_joints, actuated, "actuated joint"),
             ("bounding_ellipsoids", self.config.bounding_ellipsoids, self.robot.links, "link"),
+            ("bounding_shapes", self.config.bounding_shapes, self.robot.links, "link"),
             ("friction", friction, actuated, "actuated joint"),
             ("controller.kp", controller.kp if controller else {}, actuated, "actuated joint"),
             ("controller.kd", controller.kd if controller else {}, actuated, "actuated joint"),
@@ -210,6 +214,8 @@ class _Builder:
             self.members.setdefault(frame.body, []).append(Member(link, pi, frame))
         for bounding in bounds:
             self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
+        for shape in self.config.bounding_shapes.get(link, ()):
+            self.shapes.setdefault(frame.body, []).append(_shape(shape, self.robot, link).moved(frame.R, frame.p))
 
     def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a rotor's angle; no ratios where all that drives it is locked."""
@@ -250,6 +256,7 @@ class _Builder:
                 ratios,
                 offset,
                 members=(own,) if name in self.robot.links else (),
+                shapes=tuple(_shape(s, self.robot, name) for s in self.config.bounding_shapes.get(name, ())),
             )
         )
 
@@ -297,6 +304,14 @@ class _Builder:
         """Orientation in the root link, moving joints at zero."""
         return frame.R if frame.body < 0 else self._rotation(self.bodies[frame.body].mount) @ frame.R
 
+    def _with_centres(self, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+        names = [body.name for body in bodies]
+        for name in self.config.known_com:
+            if name not in names:
+                hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
+                raise ConfigError(f"known_com: {name}", hint)
+        return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
+
     def _finished(self, index: int, body: Body) -> Body:
         if body.kind == "rotor":
             return body
@@ -305,4 +320,14 @@ class _Builder:
             own = Member(body.name, np.zeros(SIZE), Frame(index, np.eye(3), np.zeros(3)))
             members = (own, *members)
         pi = np.sum([member.pi_in_body for member in members], axis=0)
-        return replace(body, pi=pi, members=members, ellipsoids=tuple(self.ellipsoids.get(index, ())))
+        ellipsoids, shapes = (tuple(bounds.get(index, ())) for bounds in (self.ellipsoids, self.shapes))
+        return replace(body, pi=pi, members=members, ellipsoids=ellipsoids, shapes=shapes)
+
+
+def _shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
+    """A configured shape as geometry."""
+    if bound.kind == "hull":
+        from idtool.geometry import link_vertices
+        return Hull.around(link_vertices(robot, link, bound.file))
+    values = bound.model_dump()
+    return known_shapes()[values.pop("kind")](**values)

@@ -1,18 +1,20 @@
 """The optimization problem (27) on R-factors, in units in which all unknowns are of order one.
 
-    min over theta of f(theta) = (1/n) Σ_j ‖Y_j theta − tau_j‖² / sigma_j² + w Σ_bodies ‖(pi − pî) / scale‖²
+    min over theta of f(theta) = (1/n) Σ_j ‖Y_j theta − tau_j‖² / sigma_j² + w Σ_bodies d(pi, pî)
 
-subject to every body's inequalities and the coefficients' bounds. With y = theta / scale, f = ‖A y − b‖² + constant,
-and A is triangular with p rows whatever the log's length. A body on a union of ellipsoids is the sum of its parts
-(Cor. 2): y = S x.
+subject to every body's inequalities, the coefficients' bounds and what is known exactly. d is the prior's distance, of
+least squares or the log-det divergence. With theta = K (scale · z), z the coefficients that are no copies of others,
+f = ‖A z − b‖² + Σ log-dets + constant, and A is triangular with p' rows whatever the log's length. A body is the sum of
+its pieces (Cor. 2): z = S x.
 
-Letters: p coefficients theta; m solver variables x; A (p, p), b (p,); sigma_j noise of joint j's torque [N·m or N].
+Letters: p coefficients theta, p' of them free, z; m solver variables x; A (p', p'), b (p',); sigma_j noise of joint j's
+torque [N·m or N].
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -20,63 +22,89 @@ from numpy.typing import NDArray
 
 from idtool.body import Body
 from idtool.config import Regularization
-from idtool.inertia import SIZE
-from idtool.reduction import Factor, Reduction
+from idtool.effects.rigid_body import length
+from idtool.exceptions import ConfigError
+from idtool.inequality import Piece
+from idtool.inertia import POWERS, SIZE
+from idtool.knowledge import Knowledge
+from idtool.prior import LogDet, log_dets, prior_rows
+from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
-from idtool.sets import ConstraintSet, Inequality
+from idtool.sets import ConstraintSet
+from idtool.weights import weighted_rows
 
 Array = NDArray[np.float64]
 
 INTERIOR = 1e-6  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
-_RANK = 1e-10  # of the largest singular value: what lies below is not determined
-_WEIGHINGS = 2  # of the joints by their noise
-_LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear
 _LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization say anything, coefficients stay there
+_AGREE = 1e-6  # of exact facts that say the same
+_RANK = 1e-9  # of the largest singular value: facts that say less than that beyond the others say nothing
 
 
 @dataclass(frozen=True)
 class Part:
-    """One of the parameter vectors that a body is the sum of.
+    """A piece of a body among the variables.
 
     Attributes
     ----------
     body
-        The body.
+        Index of the body.
     first
-        Index of its first coefficient in theta.
-    scales
-        Units of its ten parameters, shape (10,).
-    inequalities
-        What they must fulfil.
+        Index of the body's first coefficient in z.
+    start
+        Index of its first variable in x.
+    piece
+        What it must fulfil.
+    length
+        The body's typical size [m].
     """
 
-    body: Body
+    body: int
     first: int
-    scales: Array
-    inequalities: tuple[Inequality, ...]
+    start: int
+    piece: Piece
+    length: float
+
+    @property
+    def stop(self) -> int:
+        """Index after its last variable in x."""
+        return self.start + len(self.piece.powers)
+
+    @property
+    def basis(self) -> Array:
+        """Share of z per unit of x, shape (10, K)."""
+        return np.asarray(self.piece.basis * self.length ** (self.piece.powers - POWERS[:, None]))
 
 
 @dataclass(frozen=True)
 class Matrix:
-    """One matrix inequality on x: Σ_k x[first + k] G_k ⪰ INTERIOR · 1.
+    """One inequality on x: Σ_k x[first + k] G_k ⪰ interior · 1, entry by entry where it is on a vector.
 
     Attributes
     ----------
     first
-        Index in x of the first of the ten variables.
+        Index in x of the first of the K variables.
     G
-        Symmetric matrices without unit, shape (10, n, n).
+        Symmetric matrices, shape (K, n, n), or vectors, shape (K, n), without unit.
     label
         The body and what is demanded of it.
+    interior
+        How far inside x is kept.
     """
 
     first: int
     G: Array
     label: str
+    interior: float = INTERIOR
+
+    @property
+    def own(self) -> slice:
+        """The K variables among x."""
+        return slice(self.first, self.first + len(self.G))
 
     def value(self, x: Array) -> Array:
-        """The matrix at x, shape (n, n)."""
-        return np.asarray(np.tensordot(x[self.first : self.first + SIZE], self.G, axes=1))
+        """The matrix or vector at x, shape (n, n) or (n,)."""
+        return np.asarray(np.tensordot(x[self.own], self.G, axes=1))
 
 
 @dataclass(frozen=True)
@@ -86,38 +114,65 @@ class Problem:
     Attributes
     ----------
     A, b, constant
-        f(theta) = ‖A (theta / scale) − b‖² + constant; shapes (p, p), of full rank, and (p,).
+        The quadratic part of f is ‖A z − b‖² + constant; shapes (p', p'), of full rank, and (p',).
     scale
-        Units of theta, shape (p,).
+        Units of z, shape (p',).
+    K
+        theta = K (scale · z), shape (p, p').
     parts
-        The bodies' parts, in the order of x, ten variables each; then come the other coefficients.
+        The bodies' pieces in the order of x; then come the other coefficients.
+    labels
+        Name of every body.
     others
-        Indices in theta of the coefficients that are no inertia parameters.
+        Indices in z of the coefficients that are no inertia parameters.
     lower
         Their lower bounds, in units of ``scale``.
+    E, e
+        What is known exactly: E z = e, rows of norm one; shapes (k, p') and (k,).
+    log_dets
+        The part of f that is not quadratic.
     """
 
     A: Array
     b: Array
     constant: float
     scale: Array
+    K: Array
     parts: tuple[Part, ...]
+    labels: tuple[str, ...]
     others: NDArray[np.intp]
     lower: Array
+    E: Array
+    e: Array
+    log_dets: tuple[LogDet, ...] = field(default=())
 
     @cached_property
     def inequalities(self) -> tuple[Matrix, ...]:
         """All matrix inequalities on x."""
         return tuple(
-            Matrix(SIZE * k, inequality.scaled(part.scales), f"{part.body.name}: {inequality.label}")
-            for k, part in enumerate(self.parts)
-            for inequality in part.inequalities
+            Matrix(
+                part.start,
+                inequality.scaled(part.length, part.piece.powers),
+                f"{self.labels[part.body]}: {inequality.label}",
+                INTERIOR if inequality.strict else 0.0,
+            )
+            for part in self.parts
+            for inequality in part.piece.inequalities
         )
+
+    @property
+    def variables(self) -> int:
+        """How many x there are, m."""
+        return self._split + len(self.others)
+
+    @property
+    def _split(self) -> int:
+        return self.parts[-1].stop if self.parts else 0
 
     @property
     def bounded(self) -> NDArray[np.intp]:
         """Indices in x of the coefficients that have a lower bound."""
-        return SIZE * len(self.parts) + np.flatnonzero(np.isfinite(self.lower))
+        return self._split + np.flatnonzero(np.isfinite(self.lower))
 
     @property
     def bounds(self) -> Array:
@@ -126,16 +181,28 @@ class Problem:
 
     @cached_property
     def S(self) -> Array:  # noqa: N802
-        """Sum of parts: theta / scale = S x, shape (p, m)."""
-        S = np.zeros((len(self.scale), SIZE * len(self.parts) + len(self.others)))
-        for k, part in enumerate(self.parts):
-            S[part.first : part.first + SIZE, SIZE * k : SIZE * (k + 1)] = np.eye(SIZE)
-        S[self.others, SIZE * len(self.parts) + np.arange(len(self.others))] = 1
+        """Sum of pieces: z = S x, shape (p', m)."""
+        S = np.zeros((len(self.scale), self.variables))
+        for part in self.parts:
+            S[part.first : part.first + SIZE, part.start : part.stop] = part.basis
+        S[self.others, self._split + np.arange(len(self.others))] = 1
         return S
 
-    def cost(self, y: Array) -> float:
-        """The objective at theta = scale · y."""
-        return float(np.square(self.A @ y - self.b).sum()) + self.constant
+    def theta(self, z: Array) -> Array:
+        """All coefficients, copies included, shape (p,), SI."""
+        return np.asarray(self.K @ (self.scale * z))
+
+    def pieces(self, x: Array) -> list[tuple[int, Array]]:
+        """Body index and parameters, shape (10,), SI, of every piece."""
+        return [
+            (part.body, self.scale[part.first : part.first + SIZE] * (part.basis @ x[part.start : part.stop]))
+            for part in self.parts
+        ]
+
+    def cost(self, z: Array) -> float:
+        """The objective f."""
+        quadratic = float(np.square(self.A @ z - self.b).sum()) + self.constant
+        return quadratic + sum(term.value(z) for term in self.log_dets)
 
 
 def build_problem(
@@ -145,30 +212,63 @@ def build_problem(
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
     noise: Array,
+    known: Knowledge | None = None,
 ) -> Problem:
-    """State (27) on R-factors; see `identify` for the parameters, ``noise`` is sigma, shape (nv,)."""
-    coefficients = model.coefficients
-    rows = weighted_rows(model, reduction, noise)
-    held = np.array([c.scale is not None for c in coefficients])
-    size = np.linalg.norm(rows[:, :-1], axis=0)
-    grown = _placeholder_factor(rows, np.where(held, model.prior, 0.0))
-    scale = np.array(
-        [grown * c.scale if c.scale is not None else 1 / (s or 1.0) for c, s in zip(coefficients, size, strict=True)]
+    """State (27) on R-factors.
+
+    Parameters
+    ----------
+    model
+        The torque equation; its first coefficients are the bodies' parameters.
+    bodies
+        The bodies.
+    reduction
+        The data.
+    sets
+        One set a body.
+    regularization
+        The prior's kind and weight.
+    noise
+        sigma, shape (nv,).
+    known
+        What is known otherwise; default: nothing.
+
+    Raises
+    ------
+    ConfigError
+        If what is known exactly contradicts itself.
+    """
+    p = len(model.coefficients)
+    known = known or Knowledge.none(p)
+    data = weighted_rows(model, reduction, noise)
+    units = _units(model, data)
+    rows = np.concatenate([data, _soft(known, reduction, p), prior_rows(model, bodies, regularization, units)])
+    least = np.array([np.sqrt(_LEAST_WEIGHT) if c.scale is not None else 0.0 for c in model.coefficients]) / units
+    rows = np.concatenate([rows, np.column_stack([np.diag(least), least * model.prior])])
+    scale = units[known.free]
+    R = np.asarray(np.linalg.qr(np.column_stack([rows[:, :p] @ known.K * scale, rows[:, p]]), mode="r"))
+    q = len(scale)
+    parts = _parts(bodies, sets, known)
+    others = np.flatnonzero(known.free >= SIZE * len(bodies))
+    lower = np.array([model.coefficients[known.free[i]].lower for i in others]) / scale[others]
+    E, e = _equalities(known, scale)
+    terms = log_dets(model, bodies, regularization, known, scale)
+    constant = float(np.square(R[q:, q]).sum())
+    names = tuple(body.name for body in bodies)
+    return Problem(R[:q, :q], R[:q, q], constant, scale, known.K, parts, names, others, lower, E, e, terms)
+
+
+def _units(model: LinearModel, data: Array) -> Array:
+    """Typical size of every coefficient, shape (p,): an inertia parameter's own, any other's by what it does."""
+    held = np.array([c.scale is not None for c in model.coefficients])
+    size = np.linalg.norm(data[:, :-1], axis=0)
+    grown = _placeholder_factor(data, np.where(held, model.prior, 0.0))
+    return np.array(
+        [
+            grown * c.scale if c.scale is not None else 1 / (s or 1.0)
+            for c, s in zip(model.coefficients, size, strict=True)
+        ]
     )
-    rows[:, :-1] *= scale
-    weight = held * (regularization.weight if regularization.kind == "euclidean" else 0.0)
-    pull = np.sqrt(np.maximum(weight, _LEAST_WEIGHT))
-    prior = np.column_stack([np.diag(pull), pull * model.prior / scale])
-    R = np.asarray(np.linalg.qr(np.concatenate([rows, prior]), mode="r"))
-    p = len(coefficients)
-    parts = tuple(
-        Part(body, SIZE * i, scale[SIZE * i : SIZE * (i + 1)], inequalities)
-        for i, (body, kind) in enumerate(zip(bodies, sets, strict=True))
-        for inequalities in kind.parts(body.ellipsoids)
-    )
-    others = np.arange(SIZE * len(bodies), p)
-    lower = np.array([coefficients[i].lower for i in others]) / scale[others]
-    return Problem(R[:p, :p], R[:p, p], float(np.square(R[p:, p]).sum()), scale, parts, others, lower)
 
 
 def _placeholder_factor(rows: Array, prior: Array) -> float:
@@ -180,51 +280,35 @@ def _placeholder_factor(rows: Array, prior: Array) -> float:
     return max(float(measured / explained), 1.0) if explained > 0 else 1.0
 
 
-def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
-    """All joints' factors over all coefficients, in units of their noise and per sample; shape (rows, p + 1)."""
-    samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
-    p = len(model.coefficients)
-    rows = np.zeros((sum(len(factor.R) for factor in reduction), p + 1))
-    first = 0
-    for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
-        last = first + len(factor.R)
-        rows[first:last, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
-        first = last
-    return rows
+def _soft(known: Knowledge, reduction: Reduction, p: int) -> Array:
+    """What is known with a standard error, weighted against samples that repeat each other; shape (facts, p + 1)."""
+    independent = sum(factor.independent for factor in reduction) / len(reduction)
+    return np.asarray(known.soft_rows().reshape(-1, p + 1) / np.sqrt(max(independent, 1.0)))
 
 
-def _floor(factor: Factor) -> float:
-    """The least noise that a joint's torque is believed to have."""
-    tau = float(np.linalg.norm(factor.R[:, -1]) / np.sqrt(max(factor.rows, 1)))
-    return _LEAST_NOISE * tau or 1.0
+def _parts(bodies: Sequence[Body], sets: Sequence[ConstraintSet], known: Knowledge) -> tuple[Part, ...]:
+    parts: list[Part] = []
+    place = {int(k): i for i, k in enumerate(known.free)}
+    for i, (body, kind) in enumerate(zip(bodies, sets, strict=True)):
+        if SIZE * i in place:  # else it is a copy, and its pieces are those of the other's
+            for piece in kind.pieces(body):
+                parts.append(Part(i, place[SIZE * i], parts[-1].stop if parts else 0, piece, length(body)))
+    return tuple(parts)
 
 
-def residual_noise(factor: Factor, theta: Array, share: float = 1.0) -> float:
-    """Residual noise of a joint; ``share`` of the samples' freedom is left after the fit."""
-    return max(float(np.sqrt(factor.squares(theta) / max(factor.rows, 1) / share)), _floor(factor))
-
-
-def freedom(reduction: Reduction, rank: int) -> float:
-    """Share of the independent samples that are left when a fit has taken ``rank`` of them, at least a half."""
-    independent = sum(factor.independent for factor in reduction)
-    return max(1 - rank / max(independent, 1.0), 0.5)
-
-
-def free_noise(model: LinearModel, reduction: Reduction) -> Array:
-    """What least squares leaves of each joint's torque, nothing constrained; shape (nv,).
-
-    All joints weigh the same at first, then as much as the fit before says, so that a joint of much noise does not pass
-    for noise of the others: iterated weighted least squares (Gautier 1997 takes one step). With fewer than two
-    independent samples for each parameter that they determine, the torques themselves are the weights.
-    """
-    sigma = np.ones(len(reduction))
-    for _ in range(_WEIGHINGS):
-        rows = weighted_rows(model, reduction, sigma)
-        size = np.linalg.norm(rows[:, :-1], axis=0)
-        size[size == 0] = 1.0
-        theta, _, rank, _ = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=_RANK)
-        theta = theta / size if sum(factor.independent for factor in reduction) >= 2 * rank else np.zeros_like(theta)
-        share = freedom(reduction, int(rank))
-        residuals = zip(reduction, model.active(), strict=True)
-        sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in residuals])
-    return sigma
+def _equalities(known: Knowledge, scale: Array) -> tuple[Array, Array]:
+    """The exact facts on z without those that follow from others; rows of norm one."""
+    if not known.hard:
+        return np.zeros((0, len(scale))), np.zeros(0)
+    E = np.array([fact.row for fact in known.hard]) @ known.K * scale
+    e = np.array([fact.value for fact in known.hard])
+    size = np.linalg.norm(E, axis=1)
+    E, e = E / size[:, None], e / size
+    U, s, Vt = np.linalg.svd(E, full_matrices=False)
+    seen = s > _RANK * s[0]
+    rows, values = Vt[seen], (U.T @ e)[seen] / s[seen]
+    wrong = np.abs(E @ rows.T @ values - e)
+    if wrong.max() > _AGREE * max(np.abs(e).max(), 1.0):
+        worst = known.hard[int(np.argmax(wrong))].label
+        raise ConfigError(worst, "contradicts what else is known exactly; give one of them a standard_error")
+    return rows, values

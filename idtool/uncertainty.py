@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
+from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 
@@ -35,8 +37,8 @@ class Uncertainty:
     identifiable: NDArray[np.bool_]
 
 
-def uncertainty(model: LinearModel, reduction: Reduction, noise: Array) -> Uncertainty:
-    """Standard errors of weighted least squares, without prior and constraints.
+def uncertainty(model: LinearModel, reduction: Reduction, noise: Array, known: Knowledge | None = None) -> Uncertainty:
+    """Standard errors of weighted least squares with what is known otherwise, without prior and inequalities.
 
     Filtered samples repeat each other, so rows count by how many independent ones they are worth.
 
@@ -48,19 +50,28 @@ def uncertainty(model: LinearModel, reduction: Reduction, noise: Array) -> Uncer
         The data.
     noise
         Residual noise of each joint [N·m or N], shape (nv,).
+    known
+        What is known otherwise; default: nothing.
     """
     p = len(model.coefficients)
-    rows = []
+    known = known or Knowledge.none(p)
+    rows = [known.soft_rows()[:, :p]]
     for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
         W = np.zeros((len(factor.R), p))
         W[:, columns] = factor.R[:, :-1] * np.sqrt(factor.independent / max(factor.rows, 1)) / sigma
         rows.append(W)
-    W = np.concatenate(rows)
+    W = np.concatenate(rows) @ known.K
     size = np.linalg.norm(W, axis=0)
-    size[size == 0] = 1.0
-    _, s, Vt = np.linalg.svd(W / size, full_matrices=True)
+    seen = size > 0
+    size[~seen] = 1.0
+    exact = np.array([fact.row @ known.K / size for fact in known.hard]).reshape(-1, len(size))
+    N = null_space(exact) if len(exact) else np.eye(len(size))
+    _, s, Vt = np.linalg.svd(W / size @ N, full_matrices=True)
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
-    unseen = np.square(Vt[rank:]).sum(axis=0)
-    identifiable = (unseen < _SHARE) & (np.linalg.norm(W, axis=0) > 0)
-    error = np.sqrt(np.square(Vt[:rank] / s[:rank, None]).sum(axis=0)) / size
-    return Uncertainty(np.where(identifiable, error, np.inf), identifiable)
+    directions = Vt @ N.T
+    unseen = np.square(directions[rank:]).sum(axis=0)
+    fixed = np.square(N).sum(axis=1) < _SHARE
+    error = np.sqrt(np.square(directions[:rank] / s[:rank, None]).sum(axis=0)) / size
+    doubtful = ~((unseen < _SHARE) & (seen | fixed))
+    identifiable = ~((known.K != 0) @ doubtful)  # a copy is what its original is
+    return Uncertainty(np.where(identifiable, np.abs(known.K) @ error, np.inf), identifiable)

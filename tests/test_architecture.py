@@ -18,7 +18,8 @@ PACKAGE = ROOT / "idtool"
 
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
-    *("exceptions", "names", "safe_yaml", "inertia", "ellipsoid", "config", "robot", "logs", "inspection"),
+    *("exceptions", "names", "safe_yaml", "inertia", "ellipsoid", "inequality", "shapes", "metric", "witness"),
+    *("config", "robot", "geometry", "bounding", "logs", "inspection"),
     *(
         "body",
         "model",
@@ -31,21 +32,26 @@ ORDER = (
         "regressor",
         "reduction",
         "sets",
+        "knowledge",
+        "weights",
+        "prior",
         "problem",
         "certificate",
+        "local",
     ),
-    *("identify", "uncertainty", "urdf", "experiment", "validate", "fit", "regression", "outputs", "report", "page"),
+    *("identify", "projection", "uncertainty", "urdf", "experiment", "validate", "fit", "regression", "adapt", "study", "outputs", "report", "page"),
     *("terminal", "cli"),
 )
 
 WALLS = {
-    "cvxpy": {"ellipsoid", "sets", "identify"},
+    "cvxpy": {"identify"},
     "clarabel": set(),
     "pinocchio": {"simulate"},
     "mcap": {"logs"},
     "yourdfpy": {"robot"},
     "typer": {"cli"},
     "rich": {"cli", "terminal", "progress"},
+    "trimesh": {"geometry"},
 }
 
 Described = ast.ClassDef | ast.FunctionDef

@@ -60,6 +60,7 @@ class TorqueOffset(JointTerm):
     name = "offset"
     unit = ("N·m", "N")
     lower = -np.inf
+    even = False
 
     def column(self, motion: Motion) -> Array:
         """One."""

@@ -26,6 +26,8 @@ class JointTerm(Effect):
         For a revolute joint, and for a prismatic one.
     lower
         The least value that physics allows.
+    even
+        Whether the coefficient stays as it is when the joint's direction is turned round.
     held
         Names of the effect's other parameters, on which its column depends.
 
@@ -45,6 +47,7 @@ class JointTerm(Effect):
     name: str
     unit: tuple[str, str]
     lower: float = 0.0
+    even: bool = True
     held: tuple[str, ...] = ()
 
     def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:

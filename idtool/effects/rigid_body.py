@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from idtool.body import Body
 from idtool.effects.base import Coefficient, Effect
-from idtool.inertia import NAMES, SIZE, UNITS, mass_com_inertia, skew
+from idtool.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
 from idtool.kinematics import BodyMotion, body_motions, cross
 from idtool.model import Model
 from idtool.signals import Motion
@@ -103,9 +103,10 @@ def typical_mass(bodies: Sequence[Body]) -> float:
 
 
 def length(body: Body) -> float:
-    """A body's typical length [m]: its ellipsoid's, or the prior's radius of gyration, or 0.1."""
-    if body.ellipsoids:
-        return max(ellipsoid.size for ellipsoid in body.ellipsoids)
+    """A body's typical length [m]: its bounds', or the prior's radius of gyration, or 0.1."""
+    bounds = (*body.ellipsoids, *body.shapes)
+    if bounds:
+        return max(bound.size for bound in bounds)
     mass, _, inertia = mass_com_inertia(body.pi)
     gyration = np.sqrt(np.trace(inertia) / (2 * mass)) if mass > 0 and np.trace(inertia) > 0 else 0.0
     return float(gyration) or 0.1
@@ -117,4 +118,4 @@ def scales(body: Body, typical: float) -> Array:
     A mass far below the others' may be there to hold a place, and is not measured by itself.
     """
     mass = max(body.pi[0], _LIGHT * typical)
-    return np.asarray(mass * length(body) ** np.repeat([0.0, 1.0, 2.0], [1, 3, 6]))
+    return np.asarray(mass * length(body) ** POWERS)

@@ -7,9 +7,10 @@ import inspect
 import pkgutil
 from functools import cache
 
-from idtool.sets.base import ConstraintSet, Inequality
+from idtool.body import Body
+from idtool.sets.base import ConstraintSet
 
-__all__ = ["ConstraintSet", "Inequality", "constraint_sets", "tightest"]
+__all__ = ["ConstraintSet", "choose_set", "constraint_sets"]
 
 
 @cache
@@ -23,6 +24,11 @@ def constraint_sets() -> dict[str, ConstraintSet]:
     return dict(sorted(found.items(), key=lambda item: item[1].tightness))
 
 
-def tightest() -> ConstraintSet:
-    """The set that says most."""
-    return list(constraint_sets().values())[-1]
+def choose_set(body: Body, name: str | None = None) -> ConstraintSet:
+    """The set of that name, or the tightest; where a body lacks what it needs, the tightest below that it has."""
+    known = constraint_sets()
+    wanted = known[name] if name else None
+    if wanted is not None and wanted.applies(body):
+        return wanted
+    most = wanted.tightness if wanted else len(known)
+    return [s for s in known.values() if s.chosen and s.applies(body) and s.tightness <= most][-1]

@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
+from idtool.body import Body
 from idtool.ellipsoid import Ellipsoid
+from idtool.inequality import DENSITY, Inequality, Piece
 from idtool.inertia import SIZE
-from idtool.sets.base import ConstraintSet, Inequality
-from idtool.sets.full import DENSITY
+from idtool.sets.base import ConstraintSet
 
 
 class ComInEllipsoid(ConstraintSet):
     """J(pi) ⪰ 0 and C(pi) = [m, (h − m x_s)ᵀ; h − m x_s, m Q_s] ⪰ 0, 4×4 each."""
 
     name = "com_ellipsoid"
-    tightness = 3
-    bounded = True
+    tightness = 4
 
-    def inequalities(self, ellipsoid: Ellipsoid | None) -> tuple[Inequality, ...]:
-        """See `ConstraintSet.inequalities`."""
-        if ellipsoid is None:
-            return (DENSITY,)
-        C = np.zeros((SIZE, 4, 4))
-        C[0, 0, 0] = 1
-        C[0, 1:, 0] = C[0, 0, 1:] = -np.asarray(ellipsoid.center)
-        C[0, 1:, 1:] = ellipsoid.Q_s
-        for k in (1, 2, 3):
-            C[k, 0, k] = C[k, k, 0] = 1
-        return (DENSITY, Inequality("centre of mass in its ellipsoid", C, np.array([0.0, 1.0, 1.0, 1.0])))
+    def applies(self, body: Body) -> bool:
+        """See `ConstraintSet.applies`."""
+        return bool(body.ellipsoids)
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return tuple(Piece((DENSITY, _centre_in(ellipsoid))) for ellipsoid in body.ellipsoids)
+
+
+def _centre_in(ellipsoid: Ellipsoid) -> Inequality:
+    C = np.zeros((SIZE, 4, 4))
+    C[0, 0, 0] = 1
+    C[0, 1:, 0] = C[0, 0, 1:] = -np.asarray(ellipsoid.center)
+    C[0, 1:, 1:] = ellipsoid.Q_s
+    for k in (1, 2, 3):
+        C[k, 0, k] = C[k, k, 0] = 1
+    return Inequality("centre of mass in its ellipsoid", C, np.array([0.0, 1.0, 1.0, 1.0]))

@@ -1,25 +1,22 @@
-"""P*_S: some mass density that is zero outside an ellipsoid has these moments (Thm 4, (25))."""
+"""P*_S: some mass density that is zero outside an ellipsoid, or a union of them, has these moments (Thm 4, Cor. 2)."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import BASIS
-from idtool.sets.base import ConstraintSet, Inequality
-from idtool.sets.full import DENSITY
+from idtool.body import Body
+from idtool.inequality import DENSITY, Piece, within
+from idtool.sets.base import ConstraintSet
 
 
 class DensityOnEllipsoid(ConstraintSet):
-    """J(pi) ⪰ 0 and Tr(J(pi) Q) ≥ 0."""
+    """J(pi) ⪰ 0 and Tr(J(pi) Q) ≥ 0 (25)."""
 
     name = "ellipsoid"
-    tightness = 4
-    bounded = True
+    tightness = 5
 
-    def inequalities(self, ellipsoid: Ellipsoid | None) -> tuple[Inequality, ...]:
-        """See `ConstraintSet.inequalities`."""
-        if ellipsoid is None:
-            return (DENSITY,)
-        trace = np.einsum("kij,ji->k", BASIS, ellipsoid.Q)
-        return (DENSITY, Inequality("mass within its bounding ellipsoid", trace[:, None, None], np.zeros(1)))
+    def applies(self, body: Body) -> bool:
+        """See `ConstraintSet.applies`."""
+        return bool(body.ellipsoids)
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return tuple(Piece((DENSITY, within(e.Q, "mass within its bounding ellipsoid"))) for e in body.ellipsoids)

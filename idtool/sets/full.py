@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import BASIS
-from idtool.sets.base import ConstraintSet, Inequality
-
-DENSITY = Inequality("positive definite pseudo-inertia (triangle inequalities)", BASIS, np.array([1.0, 1.0, 1.0, 0.0]))
+from idtool.body import Body
+from idtool.inequality import DENSITY, Piece
+from idtool.sets.base import ConstraintSet
 
 
 class FullyConsistent(ConstraintSet):
@@ -17,6 +13,6 @@ class FullyConsistent(ConstraintSet):
     name = "full"
     tightness = 2
 
-    def inequalities(self, ellipsoid: Ellipsoid | None) -> tuple[Inequality, ...]:
-        """See `ConstraintSet.inequalities`."""
-        return (DENSITY,)
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return (Piece((DENSITY,)),)

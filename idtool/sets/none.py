@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from idtool.ellipsoid import Ellipsoid
-from idtool.sets.base import ConstraintSet, Inequality
+from idtool.body import Body
+from idtool.inequality import Piece
+from idtool.sets.base import ConstraintSet
 
 
 class Unconstrained(ConstraintSet):
@@ -12,6 +13,6 @@ class Unconstrained(ConstraintSet):
     name = "none"
     tightness = 0
 
-    def inequalities(self, ellipsoid: Ellipsoid | None) -> tuple[Inequality, ...]:
-        """See `ConstraintSet.inequalities`."""
-        return ()
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return (Piece(()),)

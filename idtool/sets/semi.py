@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from idtool.ellipsoid import Ellipsoid
+from idtool.body import Body
+from idtool.inequality import Inequality, Piece
 from idtool.inertia import SIZE, spatial_inertia
-from idtool.sets.base import ConstraintSet, Inequality
+from idtool.sets.base import ConstraintSet
 
 _SPATIAL = Inequality(
     "positive definite spatial inertia", spatial_inertia(np.eye(SIZE)), np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -19,6 +20,6 @@ class SemiConsistent(ConstraintSet):
     name = "semi"
     tightness = 1
 
-    def inequalities(self, ellipsoid: Ellipsoid | None) -> tuple[Inequality, ...]:
-        """See `ConstraintSet.inequalities`."""
-        return (_SPATIAL,)
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return (Piece((_SPATIAL,)),)

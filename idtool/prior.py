@@ -1,0 +1,140 @@
+"""How far a body may stray from its prior: the distances d(pi, pî) of (27), each without units.
+
+- euclidean: ‖pi − pî‖² in units of the body's own mass and size, or as in the paper in SI units;
+- entropic: −log det J + log det Ĵ + Tr(Ĵ⁻¹ J) − 4, the log-det Bregman divergence (Lee, Wensing & Park 2020);
+- pullback: its second-order form at the prior, ½ Tr(Ĵ⁻¹ δJ Ĵ⁻¹ δJ).
+
+The last two do not depend on units and frames. They need a prior that a body can have; where it has not, the nearest
+that is well inside takes its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.body import Body
+from idtool.config import Regularization
+from idtool.inertia import BASIS, SIZE, from_pseudo_inertia, pseudo_inertia
+from idtool.knowledge import Knowledge
+from idtool.metric import pullback
+from idtool.regressor import LinearModel
+
+Array = NDArray[np.float64]
+
+_INNER = 1e-3  # least eigenvalue of a prior's pseudo-inertia, of the body's typical one
+
+
+@dataclass(frozen=True)
+class LogDet:
+    """weight · (−log det X + Tr X − n), X = Σ_k z[first + k] G_k.
+
+    Attributes
+    ----------
+    first
+        Index in z of the first of the ten.
+    G
+        Symmetric matrices, shape (10, 4, 4); X = 1 at the prior.
+    weight
+        Of the divergence.
+    """
+
+    first: int
+    G: Array
+    weight: float
+
+    @property
+    def own(self) -> slice:
+        """The ten among z."""
+        return slice(self.first, self.first + SIZE)
+
+    def value(self, z: Array) -> float:
+        """The term; infinite where X is not positive definite."""
+        X = np.tensordot(z[self.own], self.G, axes=1)
+        eigenvalues = np.linalg.eigvalsh(X)
+        if eigenvalues[0] <= 0:
+            return np.inf
+        return float(self.weight * (eigenvalues - 1 - np.log(eigenvalues)).sum())
+
+    def gradient(self, z: Array) -> Array:
+        """Its derivative with respect to the ten, shape (10,)."""
+        X = np.tensordot(z[self.own], self.G, axes=1)
+        return np.asarray(self.weight * np.einsum("kij,ji->k", self.G, np.eye(len(X)) - np.linalg.inv(X)))
+
+
+def reference(body: Body, scales: Array) -> Array:
+    """The body's prior, or where no body can have it or only just, the nearest well inside; shape (10,).
+
+    Parameters
+    ----------
+    body
+        The body.
+    scales
+        Units of its parameters, shape (10,).
+    """
+    units = np.sqrt(pseudo_inertia(scales).diagonal())  # of the rows of J, up to a constant
+    if body.pi[0] <= 0:
+        return from_pseudo_inertia(np.diag(units**2))
+    J = pseudo_inertia(body.pi) / np.outer(units, units)
+    values, vectors = np.linalg.eigh(J)
+    if values[0] >= _INNER:
+        return body.pi
+    inside = (vectors * np.maximum(values, _INNER)) @ vectors.T
+    return from_pseudo_inertia(inside * np.outer(units, units))
+
+
+def moved_priors(model: LinearModel, bodies: Sequence[Body]) -> tuple[str, ...]:
+    """Names of the bodies whose `reference` is not the prior itself."""
+    scales = np.array([c.scale or 0.0 for c in model.coefficients[: SIZE * len(bodies)]]).reshape(-1, SIZE)
+    pairs = zip(bodies, scales, strict=True)
+    return tuple(body.name for body, own in pairs if not np.array_equal(reference(body, own), body.pi))
+
+
+def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regularization, units: Array) -> Array:
+    """The distance as least squares, ‖rows · [theta; −1]‖²; shape (rows, p + 1), none for a divergence.
+
+    Parameters
+    ----------
+    model
+        The torque equation; its first coefficients are the bodies' parameters.
+    bodies
+        The bodies.
+    regularization
+        The prior's kind and weight.
+    units
+        Units of theta, shape (p,).
+    """
+    pull, prior = np.sqrt(regularization.weight), model.prior
+    p, inertial = len(prior), SIZE * len(bodies)
+    L = np.zeros((inertial, p))
+    if regularization.kind == "euclidean":
+        np.fill_diagonal(L, pull / (units[:inertial] if regularization.units == "relative" else 1.0))
+    elif regularization.kind == "pullback":
+        prior = prior.copy()
+        for i, body in enumerate(bodies):
+            own = slice(SIZE * i, SIZE * (i + 1))
+            prior[own] = reference(body, units[own])
+            M = units[own, None] * pullback(prior[own]) * units[own]
+            L[own, own] = pull * np.linalg.cholesky(M).T / units[own]
+    return np.column_stack([L, L @ prior])
+
+
+def log_dets(
+    model: LinearModel, bodies: Sequence[Body], regularization: Regularization, known: Knowledge, scale: Array
+) -> tuple[LogDet, ...]:
+    """The divergences of all bodies from their priors, of copies too, in terms of z in units of ``scale``, shape (p',)."""
+    if regularization.kind != "entropic" or not regularization.weight:
+        return ()
+    terms = []
+    for i, body in enumerate(bodies):
+        rows = known.K[SIZE * i : SIZE * (i + 1)]
+        first = int(np.flatnonzero(rows.any(axis=0))[0])
+        own = slice(first, first + SIZE)
+        J = pseudo_inertia(reference(body, np.array([c.scale for c in model.coefficients[SIZE * i : SIZE * (i + 1)]])))
+        inverse = np.linalg.inv(np.linalg.cholesky(J))
+        G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ BASIS @ inverse.T, axes=1)
+        terms.append(LogDet(first, G, regularization.weight))
+    return tuple(terms)
