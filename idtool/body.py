@@ -6,7 +6,7 @@ another, phi a body's own coordinate [rad or m].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -93,6 +93,19 @@ class Body:
     members: tuple[Member, ...] = ()
     shapes: tuple[Shape, ...] = ()
     com: tuple[float, float, float] | None = None
+
+    def bounded_as(self, other: Body, signs: Array) -> Body:
+        """The body with the mirror image of another's bounds, in which x, y and z have these signs, shape (3,)."""
+        return replace(
+            self,
+            ellipsoids=tuple(ellipsoid.mirrored(signs) for ellipsoid in other.ellipsoids),
+            shapes=tuple(shape.moved(np.diag(signs), np.zeros(3)) for shape in other.shapes),
+        )
+
+    @property
+    def bounds(self) -> tuple[Ellipsoid | Shape, ...]:
+        """All that bounds its mass; several are their union."""
+        return (*self.ellipsoids, *self.shapes)
 
     @property
     def lumped(self) -> tuple[str, ...]:

@@ -67,9 +67,9 @@ def violation(problem: Problem, x: Array) -> tuple[float, str]:
 def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers: Array) -> float:
     """A cost that no parameters can be below, from the solver's dual variables, these first made feasible.
 
-    With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of what is known exactly, the dual function
-    is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus the interior's share and mu · e. f is replaced by its quadratic
-    part and the tangent at x of its convex rest, which lies below it, so that this is a least-squares problem.
+    With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of what is known exactly, the dual
+    function is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus the interior's share and mu · e. f is replaced by its
+    quadratic part and the tangent at x of its convex rest, which lies below it: a least-squares problem.
 
     Parameters
     ----------
@@ -136,5 +136,7 @@ def _shortfall(basis: Array, rest: Array) -> float:
     if len(rest) > SIZE:  # point masses
         return max(float(np.max(-rest / (basis.T @ _TRACE))), 0.0)
     rows = BASIS.reshape(SIZE, -1)
-    W = np.linalg.lstsq(rows, rest, rcond=None)[0].reshape(4, 4)  # ⟨BASIS_k, W⟩ = rest_k, symmetric
+    W = np.asarray(np.linalg.lstsq(rows, rest, rcond=None)[0], dtype=float).reshape(
+        4, 4
+    )  # ⟨BASIS_k, W⟩ = rest_k, symmetric
     return max(-least(W), 0.0)

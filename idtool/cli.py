@@ -85,7 +85,7 @@ def fit_command(
     from idtool.fit import fit
     from idtool.outputs import as_json as dump
     from idtool.outputs import as_yaml, write_all
-    from idtool.page import fit_page
+    from idtool.pages import fit_page
     from idtool.report import fit_report, joint_dynamics, model_config
     from idtool.robot import read_robot
     from idtool.terminal import Terminal, show_fit
@@ -142,7 +142,7 @@ def validate_command(
     from idtool.experiment import coefficients_of, prepare
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
-    from idtool.page import validation_page
+    from idtool.pages import validation_page
     from idtool.report import validation_report
     from idtool.robot import read_robot
     from idtool.terminal import show_validation

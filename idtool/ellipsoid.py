@@ -42,6 +42,10 @@ class Ellipsoid:
         x, y, z = np.array([center, semi_axes, rpy], dtype=float).tolist()
         return cls(tuple(x), tuple(y), tuple(z))
 
+    def mirrored(self, signs: Array) -> Ellipsoid:
+        """Its image in which x, y and z have these signs, shape (3,)."""
+        return Ellipsoid.along(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
+
     @property
     def rotation(self) -> Array:
         """Axes as columns, shape (3, 3)."""
@@ -70,6 +74,21 @@ class Ellipsoid:
         """Whether points, shape (..., 3), lie inside, within a relative tolerance."""
         local = (np.asarray(points, dtype=float) - self.center) @ self.rotation / self.semi_axes
         return np.asarray(np.square(local).sum(axis=-1) <= 1 + tolerance)
+
+    def grid(self, count: int) -> Array:
+        """About ``count`` places spread evenly over the solid, shape (K, 3) [m]: its centre and shells to the surface.
+
+        Evenly in units of the semi-axes; on each shell along a spiral that turns by the golden angle.
+        """
+        shells = max(1, round((3 * count / (4 * np.pi)) ** (1 / 3)))
+        share = np.square(np.arange(1, shells + 1))
+        places = [np.zeros((1, 3))]
+        for shell, number in enumerate(np.maximum(6, np.round((count - 1) * share / share.sum())), start=1):
+            k = np.arange(number) + 0.5
+            turn, z = np.pi * (1 + np.sqrt(5)) * k, 1 - 2 * k / number
+            width = np.sqrt(1 - z**2)
+            places.append(shell / shells * np.column_stack([width * np.cos(turn), width * np.sin(turn), z]))
+        return np.asarray(np.concatenate(places) * self.semi_axes @ self.rotation.T + self.center)
 
 
 def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float = 0.05) -> Ellipsoid:

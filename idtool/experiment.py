@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.exceptions import ConfigError, LogError, ModelError
-from idtool.knowledge import Knowledge, knowledge
+from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
 from idtool.reduction import Reduction, empty, reduce_blocks
@@ -153,12 +153,13 @@ def prepare(
     for log in every:
         _check_signals(log, model.names)
     equation = LinearModel(model.names, build_effects(model, config))
+    known = knowledge(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         band = min(default_cutoff(log.dt) for log in every)
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
-    return Experiment(config, model, equation, knowledge(config, model, equation), tuple(runs))
+    return Experiment(config, with_equal_bounds(model, known), equation, known, tuple(runs))
 
 
 def _check_signals(log: Log, joints: Sequence[str]) -> None:

@@ -119,7 +119,7 @@ def choose_sets(bodies: tuple[Body, ...], name: str | None) -> tuple[tuple[Const
     lacking = [
         body.name
         for body, chosen in zip(bodies, sets, strict=True)
-        if (chosen.name != name if name else not (body.ellipsoids or body.shapes))
+        if (chosen.name != name if name else not body.bounds)
     ]
-    lack = "known centre of mass" if name == "known_com" else "bounding shape" if name == "shape" else "bounding ellipsoid"
+    lack = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
     return sets, [f"no {lack}, only full consistency is demanded: {', '.join(lacking)}"] if lacking else []

@@ -94,7 +94,9 @@ def identify(
     return estimate(model, reduction, problem, x, certificate)
 
 
-def estimate(model: LinearModel, reduction: Reduction, problem: Problem, x: Array, certificate: Certificate) -> Estimate:
+def estimate(
+    model: LinearModel, reduction: Reduction, problem: Problem, x: Array, certificate: Certificate
+) -> Estimate:
     """The coefficients of a solution x, shape (m,), and the noise that they leave."""
     theta = problem.theta(problem.S @ x)
     share = freedom(reduction, int(np.linalg.matrix_rank(weighted_rows(model, reduction, np.ones(len(reduction))))))
@@ -177,12 +179,11 @@ def certify(problem: Problem, x: Array, program: cp.Problem, bound: float, start
 
 
 def _polished(problem: Problem, x: Array) -> Array:
-    """x with what is exact met to the last digit, where the solver comes within its tolerance."""
+    """The same with what is exact met to the last digit, where the solver comes within its tolerance."""
     rows = problem.E @ problem.S
     x = x + np.linalg.lstsq(rows, problem.e - rows @ x, rcond=None)[0] if len(rows) else x
     x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)
-    negative = [i for i in problem.inequalities if not i.interior]
-    for inequality in negative:  # masses, each its own variable
+    for inequality in (i for i in problem.inequalities if not i.interior):  # point masses, each its own variable
         x[inequality.own] = np.maximum(x[inequality.own], 0)
     return x
 

@@ -8,7 +8,7 @@ Letters: theta (p,) coefficients; z (p',) those that are no copies; K (p, p').
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,11 +58,14 @@ class Knowledge:
         Which coefficients z are, shape (p',).
     facts
         Equations on theta.
+    copies
+        Index of a body to that of the one it is a copy of, and the signs of x, y and z in the image, shape (3,).
     """
 
     K: Array
     free: NDArray[np.intp]
     facts: tuple[Fact, ...] = ()
+    copies: Mapping[int, tuple[int, Array]] = field(default_factory=dict)
 
     @classmethod
     def none(cls, p: int) -> Knowledge:
@@ -92,7 +95,8 @@ def knowledge(config: Config, model: Model, equation: LinearModel) -> Knowledge:
     p = len(equation.coefficients)
     K, source = np.eye(p), np.arange(p)
     names = [body.name for body in model.bodies]
-    for copy, (of, plane) in _sources(config.mirror, names, "body").items():
+    bodies = _sources(config.mirror, names, "body")
+    for copy, (of, plane) in bodies.items():
         rows, columns = (slice(SIZE * i, SIZE * (i + 1)) for i in (copy, of))
         K[rows] = 0
         K[rows, columns] = mirrored(plane)
@@ -102,7 +106,16 @@ def knowledge(config: Config, model: Model, equation: LinearModel) -> Knowledge:
             K[to] = K[fro]
             source[to] = -1
     free = np.flatnonzero(source >= 0)
-    return Knowledge(K[:, free], free, (*_masses(config, names, p), *_centres(model, p)))
+    facts = (*_masses(config, names, p), *_centres(model, p))
+    return Knowledge(K[:, free], free, facts, bodies)
+
+
+def with_equal_bounds(model: Model, known: Knowledge) -> Model:
+    """The model in which the bounds of a body are those of the one that it is a copy of."""
+    bodies = list(model.bodies)
+    for copy, (of, signs) in known.copies.items():
+        bodies[copy] = bodies[copy].bounded_as(bodies[of], signs)
+    return replace(model, bodies=tuple(bodies))
 
 
 def _sources(mirrors: tuple[Mirror, ...], names: list[str], kind: str) -> dict[int, tuple[int, Array]]:
@@ -167,7 +180,7 @@ def _fact(label: str, row: Array, measured: Measured) -> Fact:
 
 
 def _centres(model: Model, p: int) -> list[Fact]:
-    """h − m c = 0 of every body whose centre of mass c is known."""
+    """That h − m c = 0 for every body whose centre of mass c is known."""
     facts = []
     for i, body in enumerate(model.bodies):
         for k, c in enumerate(body.com or ()):

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 FLOOR = 1e-6  # how far inside the set a projection ends, in units of the reference: survives rounding
 _ROUNDING = 1e-12  # of the multiplier's equation
+_SINGULAR = 1e-13  # of a pivot: what is left of it may be rounding
 _ITERATIONS = 200  # that bisection alone would need at the most
 
 
@@ -146,10 +147,15 @@ def nearest_realizable(pi: ArrayLike, reference: ArrayLike, Q: ArrayLike | None 
 
 def _factor(reference: Array) -> Array:
     """F with F Fᵀ = Ĵ, shape (..., 4, 4)."""
+    J = pseudo_inertia(reference)
     try:
-        return np.asarray(np.linalg.cholesky(pseudo_inertia(reference)))
-    except np.linalg.LinAlgError as error:
-        raise ValueError("a pseudo-inertia that is not positive definite measures nothing") from error
+        F = np.asarray(np.linalg.cholesky(J))
+    except np.linalg.LinAlgError:
+        F = np.zeros_like(J)
+    left = np.square(np.diagonal(F, axis1=-2, axis2=-1))  # of the diagonal, after each elimination
+    if not (left > _SINGULAR * np.diagonal(J, axis1=-2, axis2=-1)).all():
+        raise ValueError("a pseudo-inertia that is not positive definite measures nothing")
+    return F
 
 
 def _multiplier(X: Array, B: Array, least: Array, floor: float) -> Array:

@@ -320,7 +320,7 @@ class _Builder:
             own = Member(body.name, np.zeros(SIZE), Frame(index, np.eye(3), np.zeros(3)))
             members = (own, *members)
         pi = np.sum([member.pi_in_body for member in members], axis=0)
-        ellipsoids, shapes = (tuple(bounds.get(index, ())) for bounds in (self.ellipsoids, self.shapes))
+        ellipsoids, shapes = tuple(self.ellipsoids.get(index, ())), tuple(self.shapes.get(index, ()))
         return replace(body, pi=pi, members=members, ellipsoids=ellipsoids, shapes=shapes)
 
 
@@ -328,6 +328,7 @@ def _shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
     """A configured shape as geometry."""
     if bound.kind == "hull":
         from idtool.geometry import link_vertices
+
         return Hull.around(link_vertices(robot, link, bound.file))
     values = bound.model_dump()
     return known_shapes()[values.pop("kind")](**values)

@@ -65,23 +65,23 @@ class LogDet:
         return np.asarray(self.weight * np.einsum("kij,ji->k", self.G, np.eye(len(X)) - np.linalg.inv(X)))
 
 
-def reference(body: Body, scales: Array) -> Array:
-    """The body's prior, or where no body can have it or only just, the nearest well inside; shape (10,).
+def reference(pi: Array, scales: Array) -> Array:
+    """The parameters pi, or where no body can have them or only just, what is next to them well inside; shape (10,).
 
     Parameters
     ----------
-    body
-        The body.
+    pi
+        A body's prior, shape (10,).
     scales
         Units of its parameters, shape (10,).
     """
     units = np.sqrt(pseudo_inertia(scales).diagonal())  # of the rows of J, up to a constant
-    if body.pi[0] <= 0:
+    if pi[0] <= 0:
         return from_pseudo_inertia(np.diag(units**2))
-    J = pseudo_inertia(body.pi) / np.outer(units, units)
+    J = pseudo_inertia(pi) / np.outer(units, units)
     values, vectors = np.linalg.eigh(J)
     if values[0] >= _INNER:
-        return body.pi
+        return pi
     inside = (vectors * np.maximum(values, _INNER)) @ vectors.T
     return from_pseudo_inertia(inside * np.outer(units, units))
 
@@ -90,7 +90,7 @@ def moved_priors(model: LinearModel, bodies: Sequence[Body]) -> tuple[str, ...]:
     """Names of the bodies whose `reference` is not the prior itself."""
     scales = np.array([c.scale or 0.0 for c in model.coefficients[: SIZE * len(bodies)]]).reshape(-1, SIZE)
     pairs = zip(bodies, scales, strict=True)
-    return tuple(body.name for body, own in pairs if not np.array_equal(reference(body, own), body.pi))
+    return tuple(body.name for body, own in pairs if not np.array_equal(reference(body.pi, own), body.pi))
 
 
 def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regularization, units: Array) -> Array:
@@ -116,7 +116,7 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
         prior = prior.copy()
         for i, body in enumerate(bodies):
             own = slice(SIZE * i, SIZE * (i + 1))
-            prior[own] = reference(body, units[own])
+            prior[own] = reference(body.pi, units[own])
             M = units[own, None] * pullback(prior[own]) * units[own]
             L[own, own] = pull * np.linalg.cholesky(M).T / units[own]
     return np.column_stack([L, L @ prior])
@@ -125,7 +125,7 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
 def log_dets(
     model: LinearModel, bodies: Sequence[Body], regularization: Regularization, known: Knowledge, scale: Array
 ) -> tuple[LogDet, ...]:
-    """The divergences of all bodies from their priors, of copies too, in terms of z in units of ``scale``, shape (p',)."""
+    """The divergences of all bodies, copies too, from their priors in terms of z in units of ``scale``, shape (p',)."""
     if regularization.kind != "entropic" or not regularization.weight:
         return ()
     terms = []
@@ -133,7 +133,8 @@ def log_dets(
         rows = known.K[SIZE * i : SIZE * (i + 1)]
         first = int(np.flatnonzero(rows.any(axis=0))[0])
         own = slice(first, first + SIZE)
-        J = pseudo_inertia(reference(body, np.array([c.scale for c in model.coefficients[SIZE * i : SIZE * (i + 1)]])))
+        units = np.array([c.scale for c in model.coefficients[SIZE * i : SIZE * (i + 1)]])
+        J = pseudo_inertia(reference(body.pi, units))
         inverse = np.linalg.inv(np.linalg.cholesky(J))
         G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ BASIS @ inverse.T, axes=1)
         terms.append(LogDet(first, G, regularization.weight))

@@ -193,11 +193,15 @@ class Problem:
         return np.asarray(self.K @ (self.scale * z))
 
     def pieces(self, x: Array) -> list[tuple[int, Array]]:
-        """Body index and parameters, shape (10,), SI, of every piece."""
-        return [
-            (part.body, self.scale[part.first : part.first + SIZE] * (part.basis @ x[part.start : part.stop]))
-            for part in self.parts
-        ]
+        """Body index and parameters, shape (10,), SI, of every piece; of copies too."""
+        found = []
+        for body in range(len(self.labels)):
+            own = self.K[SIZE * body : SIZE * (body + 1)]
+            first = int(np.flatnonzero(own.any(axis=0))[0])
+            z = slice(first, first + SIZE)
+            for part in (part for part in self.parts if part.first == first):
+                found.append((body, own[:, z] @ (self.scale[z] * (part.basis @ x[part.start : part.stop]))))
+        return found
 
     def cost(self, z: Array) -> float:
         """The objective f."""
@@ -248,7 +252,7 @@ def build_problem(
     scale = units[known.free]
     R = np.asarray(np.linalg.qr(np.column_stack([rows[:, :p] @ known.K * scale, rows[:, p]]), mode="r"))
     q = len(scale)
-    parts = _parts(bodies, sets, known)
+    parts = parts_of(bodies, sets, known.free)
     others = np.flatnonzero(known.free >= SIZE * len(bodies))
     lower = np.array([model.coefficients[known.free[i]].lower for i in others]) / scale[others]
     E, e = _equalities(known, scale)
@@ -286,13 +290,21 @@ def _soft(known: Knowledge, reduction: Reduction, p: int) -> Array:
     return np.asarray(known.soft_rows().reshape(-1, p + 1) / np.sqrt(max(independent, 1.0)))
 
 
-def _parts(bodies: Sequence[Body], sets: Sequence[ConstraintSet], known: Knowledge) -> tuple[Part, ...]:
+def parts_of(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free: NDArray[np.intp]) -> tuple[Part, ...]:
+    """The pieces of the bodies that are no copies of others, whose pieces they share.
+
+    Parameters
+    ----------
+    bodies, sets
+        The bodies, one set each.
+    free
+        Which coefficients z are, shape (p',).
+    """
     parts: list[Part] = []
-    place = {int(k): i for i, k in enumerate(known.free)}
+    place = {int(k): i for i, k in enumerate(free)}
     for i, (body, kind) in enumerate(zip(bodies, sets, strict=True)):
-        if SIZE * i in place:  # else it is a copy, and its pieces are those of the other's
-            for piece in kind.pieces(body):
-                parts.append(Part(i, place[SIZE * i], parts[-1].stop if parts else 0, piece, length(body)))
+        for piece in kind.pieces(body) if SIZE * i in place else ():
+            parts.append(Part(i, place[SIZE * i], parts[-1].stop if parts else 0, piece, length(body)))
     return tuple(parts)
 
 

@@ -12,10 +12,13 @@ from idtool import __version__
 from idtool.body import Body
 from idtool.config import Config
 from idtool.effects import known_effects
+from idtool.ellipsoid import Ellipsoid
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.projection import Verdict, judge
 from idtool.urdf import JointDynamics
 from idtool.validate import Evaluation
+from idtool.witness import deviation_ellipsoid
 
 Array = NDArray[np.float64]
 
@@ -41,6 +44,16 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "noise": dict(zip(joints, estimate.noise.tolist(), strict=True)),
         "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         "friction": {joint: friction_report(fit, joint) for joint in joints},
+        "regularization": experiment.config.regularization.model_dump(mode="json"),
+        "known": [
+            {
+                "what": fact.label,
+                "value": fact.value,
+                "standard_error": fact.standard_error,
+                "identified": float(fact.row @ estimate.theta),
+            }
+            for fact in experiment.known.facts
+        ],
         "solver": {
             "name": certificate.name,
             "status": certificate.status,
@@ -79,7 +92,9 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
     pi = fit.parameters(index)
     mass, com, inertia = mass_com_inertia(pi)
     errors = fit.uncertainty.standard_error[part]
-    margin = ellipsoid_margin(body, fit.estimate.parts[index])
+    pieces = fit.estimate.parts[index]
+    copy = fit.experiment.known.copies.get(index)
+    verdict = judge(body, pi, pieces if len(pieces) else None)
     least = float(np.linalg.eigvalsh(pseudo_inertia(pi))[0])
     return {
         "kind": body.kind,
@@ -89,35 +104,48 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
         "pi": pi.tolist(),
         "standard_error": [error if np.isfinite(error) else None for error in errors.tolist()],
         "min_eig_pseudo_inertia": least,
-        "ellipsoid_margin": margin,
-        "realizable": least > 0 and (margin is None or margin >= 0),
+        "ellipsoid_margin": ellipsoid_margin(body, pi, verdict.pieces),
+        "realizable": least > 0 and not verdict.violations,
         "identifiable": fit.uncertainty.identifiable[part].tolist(),
         "constraints": fit.sets[index].name,
+        "copy_of": fit.experiment.model.bodies[copy[0]].name if copy else None,
         "lumped": list(body.lumped),
         "prior": body.pi.tolist(),
-        "ellipsoids": [
-            {"center": list(e.center), "semi_axes": list(e.semi_axes), "rpy": list(e.rpy)} for e in body.ellipsoids
-        ],
+        "ellipsoids": [_plain(ellipsoid) for ellipsoid in body.ellipsoids],
+        "shapes": [shape.to_dict() for shape in body.shapes],
+        "deviation_ellipsoid": _plain(deviation_ellipsoid(pi)) if mass > 0 else None,
+        "split": None if verdict.pieces is None else [{"mass": p[0], "pi": p} for p in verdict.pieces.tolist()],
+        "witness": _witness(verdict) if len(verdict.masses) else None,
+        "violations": list(verdict.violations),
     }
 
 
-def ellipsoid_margin(body: Body, parts: Array) -> float | None:
-    """Tr(J(pi) Q) [kg], of a union the least over its parts (Thm 4, Cor. 2); None without an ellipsoid.
+def _witness(verdict: Verdict) -> dict[str, Any]:
+    return {"masses": verdict.masses.tolist(), "points": verdict.points.tolist()}
+
+
+def _plain(ellipsoid: Ellipsoid) -> dict[str, list[float]]:
+    return {"center": list(ellipsoid.center), "semi_axes": list(ellipsoid.semi_axes), "rpy": list(ellipsoid.rpy)}
+
+
+def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | None:
+    """Tr(J(pi) Q) [kg], of a union the least over its pieces (Thm 4, Cor. 2); None without an ellipsoid.
 
     Parameters
     ----------
     body
         The body.
-    parts
-        The parameter vectors it is the sum of, shape (parts, 10).
+    pi
+        Its parameters, shape (10,).
+    pieces
+        What they are the sum of where its bounds are a union, shape (pieces, 10). Where nothing in the union has these
+        parameters, the margin is that of the ellipsoid they fit best.
     """
     if not body.ellipsoids:
         return None
-    if len(parts) != len(body.ellipsoids):  # identified without regard to the ellipsoids
-        parts = np.repeat(parts.sum(axis=0, keepdims=True), len(body.ellipsoids), axis=0)
-        margins = [float(np.trace(pseudo_inertia(pi) @ e.Q)) for pi, e in zip(parts, body.ellipsoids, strict=True)]
-        return max(margins)
-    return min(float(np.trace(pseudo_inertia(pi) @ e.Q)) for pi, e in zip(parts, body.ellipsoids, strict=True))
+    if pieces is None:
+        return max(float(np.trace(pseudo_inertia(pi) @ e.Q)) for e in body.ellipsoids)
+    return min(float(np.trace(pseudo_inertia(p) @ e.Q)) for p, e in zip(pieces, body.ellipsoids, strict=False))
 
 
 def _coefficient(fit: Fit, effect: str, owner: str) -> tuple[float, float | None] | None:

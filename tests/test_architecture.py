@@ -39,7 +39,7 @@ ORDER = (
         "certificate",
         "local",
     ),
-    *("identify", "projection", "uncertainty", "urdf", "experiment", "validate", "fit", "regression", "adapt", "study", "outputs", "report", "page"),
+    *("identify", "projection", "uncertainty", "urdf", "experiment", "validate", "fit", "regression", "adapt", "study", "outputs", "report", "pages"),
     *("terminal", "cli"),
 )
 

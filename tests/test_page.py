@@ -22,7 +22,7 @@ from idtool.config import parse_config
 from idtool.experiment import prepare
 from idtool.fit import Fit, fit
 from idtool.logs import make_log, write_log
-from idtool.page import by_unit, fit_page, merged, metres, number, percent, rounded, validation_page, with_error
+from idtool.pages import by_unit, fit_page, merged, metres, number, percent, rounded, validation_page, with_error
 from idtool.report import fit_report, validation_report
 from idtool.robot import read_robot
 from idtool.validate import Errors, Evaluation, Trace

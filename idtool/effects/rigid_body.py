@@ -104,9 +104,8 @@ def typical_mass(bodies: Sequence[Body]) -> float:
 
 def length(body: Body) -> float:
     """A body's typical length [m]: its bounds', or the prior's radius of gyration, or 0.1."""
-    bounds = (*body.ellipsoids, *body.shapes)
-    if bounds:
-        return max(bound.size for bound in bounds)
+    if body.bounds:
+        return max(bound.size for bound in body.bounds)
     mass, _, inertia = mass_com_inertia(body.pi)
     gyration = np.sqrt(np.trace(inertia) / (2 * mass)) if mass > 0 and np.trace(inertia) > 0 else 0.0
     return float(gyration) or 0.1

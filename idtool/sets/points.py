@@ -23,9 +23,9 @@ class PointMasses(ConstraintSet):
 
     def applies(self, body: Body) -> bool:
         """See `ConstraintSet.applies`."""
-        return bool(body.ellipsoids or body.shapes)
+        return bool(body.bounds)
 
     def pieces(self, body: Body) -> tuple[Piece, ...]:
         """See `ConstraintSet.pieces`."""
-        solids = (*body.ellipsoids, *body.shapes)
-        return (masses(np.concatenate([solid.grid(_PLACES // len(solids)) for solid in solids])),)
+        each = _PLACES // len(body.bounds)
+        return (masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)

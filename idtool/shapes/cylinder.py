@@ -21,7 +21,7 @@ class Cylinder(Placed):
 
     With (u, v, w) its coordinates in units of radius, radius and half length, a density on it has moments with J ⪰ 0,
     E[1 − u² − v²] ≥ 0, E[1 − w²] ≥ 0 and ‖E[(1 ± w)(u, v)]‖ ≤ E[1 ± w]: the product of each end's 1 ± w ≥ 0 with
-    ‖(u, v)‖ ≤ 1. They are also sufficient, as for the part of an ellipsoid between two parallel planes (Ye & Zhang 2003;
+    ‖(u, v)‖ ≤ 1. They also suffice, as for the part of an ellipsoid between two parallel planes (Ye & Zhang 2003;
     Burer & Anstreicher 2013), of which the cylinder is the limit where the ellipsoid's third axis grows.
 
     Attributes

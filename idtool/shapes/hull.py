@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from idtool.inequality import Piece, masses
-from idtool.shapes.base import Array, Shape, Vector, finest
+from idtool.shapes.base import Array, Shape, Vector
 
 _MOST_VERTICES = 100
-_PLACES = 160  # of point masses: what they lack against thrice as many is below the data's error
+_PLACES = 200  # of point masses, which the solver bears for every body
+_PLASTIC = 0.7548776662466927  # 1/p with p³ = p + 1: multiples of it and of its square fill a square evenly
 _FLATTEST = 0.01  # thickness against the largest extent, below which a solid is given that thickness
 
 
@@ -78,21 +79,42 @@ class Hull(Shape):
         return np.asarray(beyond.max(axis=-1) <= tolerance * self.size)
 
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least its vertices and their mean."""
-        corners = np.array(self.vertices)
-        middle = corners.mean(axis=0)
-        half = np.abs(corners - middle).max(axis=0)
+        """See `Shape.grid`; at least its vertices, then one by one the place farthest from all those before."""
+        chosen = np.array(self.vertices)
+        places = self._lattice(0.5 * (self.volume / max(count, 1)) ** (1 / 3))
+        nearest = np.min([np.square(places - x).sum(axis=1) for x in chosen], axis=0)
+        more = []
+        for _ in range(count - len(chosen)):
+            farthest = int(nearest.argmax())
+            more.append(places[farthest])
+            nearest = np.minimum(nearest, np.square(places - places[farthest]).sum(axis=1))
+        return np.concatenate([chosen, np.reshape(more, (-1, 3))])
 
-        def points(spacing: float) -> Array:
-            axes = [spacing * np.arange(-np.floor(h / spacing), np.floor(h / spacing) + 1) for h in half]
-            lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) + middle
-            return np.concatenate([corners, lattice[self.contains(lattice, tolerance=-1e-3)]])
-
-        return finest(points, 2 * half.max(), count)
+    def _lattice(self, spacing: float) -> Array:
+        """Places inside, on the faces and on the edges, about ``spacing`` apart [m]; shape (n, 3)."""
+        corners = self._hull.points
+        middle, axes = corners.mean(axis=0), _axes(corners)
+        reach = (corners - middle) @ axes.T
+        steps = [np.arange(low, high, spacing) for low, high in zip(reach.min(axis=0), reach.max(axis=0), strict=True)]
+        inside = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) @ axes + middle
+        places = [inside[self.contains(inside)]]
+        for a, b, c in corners[self._hull.simplices]:
+            k = np.arange(1, 1 + int(0.5 * np.linalg.norm(np.cross(b - a, c - a)) / spacing**2))[:, None]
+            u, v = k * _PLASTIC % 1, k * _PLASTIC**2 % 1  # even in a square, which is folded into a triangle
+            u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+            places.append(a + u * (b - a) + v * (c - a))
+            for start, end in ((a, b), (b, c), (c, a)):
+                share = np.linspace(0, 1, 2 + int(np.linalg.norm(end - start) / spacing))[:, None]
+                places.append(start + share * (end - start))
+        return np.concatenate(places)
 
     def pieces(self) -> tuple[Piece, ...]:
         """See `Shape.pieces`."""
-        return (masses(self.grid(_PLACES)),)
+        return (self._masses,)
+
+    @cached_property
+    def _masses(self) -> Piece:
+        return masses(self.grid(_PLACES))
 
     def to_dict(self) -> dict[str, Any]:
         """See `Shape.to_dict`."""
@@ -107,7 +129,7 @@ class Hull(Shape):
 def _thick(points: Array) -> Array:
     """Points, with more where they span no volume."""
     middle = points.mean(axis=0)
-    axes = np.linalg.svd(points - middle, full_matrices=len(points) < 3)[2]
+    axes = _axes(points)
     extent = np.ptp((points - middle) @ axes.T, axis=0)
     least = _FLATTEST * max(extent.max(), 1e-3)
     thin = 0.5 * least * axes[extent < least]
@@ -116,11 +138,15 @@ def _thick(points: Array) -> Array:
     return points
 
 
+def _axes(points: Array) -> Array:
+    """Directions in which points spread, as rows, shape (3, 3)."""
+    return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < 3)[2])
+
+
 def _outermost(corners: Array, most: int) -> Array:
     """At most so many of the corners: the extreme ones along directions even in units of the solid's own extents."""
     spread = corners - corners.mean(axis=0)
-    _, _, axes = np.linalg.svd(spread, full_matrices=False)
-    local = spread @ axes.T
+    local = spread @ _axes(corners).T
     local /= np.ptp(local, axis=0)
     count = 4 * most
     while len(corners) > most:

@@ -1,0 +1,51 @@
+"""Bounding ellipsoids from the geometry that a URDF gives its links."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from idtool.ellipsoid import Ellipsoid, smallest_around
+from idtool.geometry import link_geometry
+from idtool.robot import Robot
+
+
+def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, Ellipsoid], list[str]]:
+    """The smallest ellipsoid around each link's geometry, its semi-axes longer by a margin.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    margin
+        Share by which the semi-axes grow.
+
+    Returns
+    -------
+    By link that has mass and whose geometry was read in full; and what is said of the others, a line each.
+    """
+    ellipsoids: dict[str, Ellipsoid] = {}
+    notes = []
+    for link, pi in robot.links.items():
+        if pi is None or not pi[0] > 0:
+            continue
+        geometry = link_geometry(robot, link)
+        if geometry.read and not geometry.missing:
+            least = smallest_around(geometry.points)
+            x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
+            ellipsoids[link] = replace(least, semi_axes=(x, y, z))
+        elif not geometry.missing:
+            notes.append(f"link {link}: no ellipsoid, for the URDF gives it no collision or visual")
+        else:
+            more = f" (and {len(geometry.missing) - 1} more)" if len(geometry.missing) > 1 else ""
+            notes.append(f"link {link}: no ellipsoid; {geometry.missing[0]}{more}")
+    return ellipsoids, notes
+
+
+def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
+    """Ellipsoids by link as the value of the configuration's ``bounding_ellipsoids``: plain data, lengths in m."""
+    return {
+        link: [{"center": list(S.center), "semi_axes": list(S.semi_axes), "rpy": list(S.rpy)}]
+        for link, S in ellipsoids.items()
+    }

@@ -1,0 +1,33 @@
+"""The configuration: YAML into frozen records. An unknown key is an error that names the nearest known one.
+
+Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic joint takes the second of each pair.
+"""
+
+from idtool.config.base import Positive, Record, checked
+from idtool.config.bounds import Bounding, BoundingShape
+from idtool.config.config import Config, parse_config, read_config
+from idtool.config.estimation import Known, Measured, Mirror, Regularization, Solver
+from idtool.config.rotors import Rotor
+from idtool.config.signals import Controller
+from idtool.config.terms import EffectEntry, Friction, Uncertain
+
+__all__ = [
+    "Bounding",
+    "BoundingShape",
+    "Config",
+    "Controller",
+    "EffectEntry",
+    "Friction",
+    "Known",
+    "Measured",
+    "Mirror",
+    "Positive",
+    "Record",
+    "Regularization",
+    "Rotor",
+    "Solver",
+    "Uncertain",
+    "checked",
+    "parse_config",
+    "read_config",
+]

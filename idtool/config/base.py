@@ -1,0 +1,69 @@
+"""What every record of the configuration is made of: its base, its numbers, and the errors that name a key."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from idtool.exceptions import ConfigError
+
+_MOST = 1e12  # SI, of any number: powers of what is larger are not finite
+LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finite
+
+
+def _length(x: float) -> float:
+    if x < LEAST:
+        raise ValueError(f"input should be at least {LEAST:g} m")
+    return x
+
+
+Finite = Annotated[float, Field(ge=-_MOST, le=_MOST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
+Length = Annotated[Positive, AfterValidator(_length)]
+NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+class Record(BaseModel):
+    """Base of the configuration's records: frozen, strict about its keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if isinstance(data, Mapping):
+            for key in data:
+                if key not in cls.model_fields:
+                    near = difflib.get_close_matches(str(key), cls.model_fields, n=1, cutoff=0.0)
+                    raise ValueError(f"unknown key '{key}'; did you mean '{near[0]}'?")
+        return data
+
+
+def bare_number(data: Any) -> Any:
+    """A number that stands where a mapping with ``value`` may stand, as that mapping."""
+    return data if isinstance(data, Mapping) else {"value": data}
+
+
+R = TypeVar("R", bound=Record)
+
+
+def checked(kind: type[R], data: Any, where: str) -> R:
+    """A record from plain data.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value does not fit; the message names the key.
+    """
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"] if part not in ("by joint", "alike", "[key]"))
+        message = first["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
+        message = message.split(" or instance of ")[0].replace("valid dictionary", "mapping of keys to values")
+        raise ConfigError(f"{where}: {key}" if key else where, message[0].lower() + message[1:]) from None

@@ -1,0 +1,19 @@
+"""Results → HTML: one file each that needs nothing else, readable without a network. One file here a page."""
+
+from idtool.pages.curves import curves, merged, rounded
+from idtool.pages.figures import by_unit, metres, number, percent, with_error
+from idtool.pages.fit import fit_page
+from idtool.pages.validation import validation_page
+
+__all__ = [
+    "by_unit",
+    "curves",
+    "fit_page",
+    "merged",
+    "metres",
+    "number",
+    "percent",
+    "rounded",
+    "validation_page",
+    "with_error",
+]

@@ -1,0 +1,47 @@
+"""Figures as text, and the rows of tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+
+def by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
+    """Rows of tables whose figures have one unit each: joints of a kind, and ``overall`` below or by itself."""
+    groups: dict[str, list[str]] = {}
+    for name, unit in units.items():
+        groups.setdefault(unit, []).append(name)
+    if len(groups) == 1:
+        return [(unit, [*names, "overall"]) for unit, names in groups.items()]
+    return [*groups.items(), (f"{' and '.join(groups)} together", ["overall"])]
+
+
+def number(x: float | None, digits: int = 3) -> str:
+    """A figure to so many digits; a dash for none."""
+    if x is None or not math.isfinite(x):
+        return "–"
+    size = math.floor(math.log10(abs(x))) if x else 0
+    return f"{x:.{max(digits - 1 - size, 0)}f}" if -5 < size < 6 else f"{x:.{digits - 1}e}"
+
+
+def with_error(x: float | None, error: float | None) -> tuple[str, str]:
+    """A figure and its standard error, to two digits of the error."""
+    if x is None:
+        return "–", ""
+    if error is None:
+        return number(x, 4), "not determined"
+    size = math.floor(math.log10(error)) if error else -9
+    if not -9 < size < 6:
+        return number(x, 4), number(error, 2)
+    decimals = max(1 - size, 0)
+    return f"{x:.{decimals}f}", f"{error:.{decimals}f}"
+
+
+def metres(x: float) -> str:
+    """A length to a tenth of a millimetre."""
+    return f"{round(x, 4) + 0:.4f}" if abs(x) < 1000 else number(x)
+
+
+def percent(x: float | None) -> str:
+    """A share in percent."""
+    return "–" if x is None else f"{number(100 * x, 2)} %"

@@ -1,0 +1,52 @@
+"""report.html."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from idtool.fit import Fit
+from idtool.pages.base import render
+from idtool.pages.curves import curves
+from idtool.pages.figures import by_unit
+
+_SECTIONS = (
+    ("What was found", "fit_findings.html"),
+    ("Torque error", "fit_errors.html"),
+    ("Measured and predicted torque", "torques.html"),
+    ("Friction", "friction.html"),
+    ("Bodies", "bodies.html"),
+    ("Solver", "solver.html"),
+    ("How this was made", "origin.html"),
+)
+
+
+def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
+    """report.html.
+
+    Parameters
+    ----------
+    fit
+        The result.
+    report
+        The content of report.json.
+    command
+        The command line that made it.
+    """
+    units = report["units"]
+    own, prior = report["rms"]["validation"], report["rms"]["prior_validation"]
+    held_out = own is not None
+    return render(
+        f"{Path(report['urdf']).stem}: identified dynamics",
+        _SECTIONS,
+        ["torques.js"],
+        curves(fit.validation if held_out else fit.train, "identified", units),
+        report=report,
+        groups=by_unit(units),
+        where="On the held-out data" if held_out else "On the data that the model was fitted to",
+        worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
+        determined=fit.uncertainty.identifiable,
+        closest=fit.estimate.certificate.where,
+        command=command,
+        inputs={"URDF": [report["urdf"]], "logs": report["logs"]},
+    )

@@ -1,0 +1,43 @@
+"""validation.html."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from idtool.pages.base import render
+from idtool.pages.curves import curves
+from idtool.pages.figures import by_unit
+from idtool.validate import Evaluation
+
+_SECTIONS = (
+    ("What was found", "validation_findings.html"),
+    ("Torque error", "validation_errors.html"),
+    ("Measured and predicted torque", "torques.html"),
+    ("How this was made", "origin.html"),
+)
+
+
+def validation_page(evaluation: Evaluation, report: dict[str, Any], command: str) -> str:
+    """validation.html.
+
+    Parameters
+    ----------
+    evaluation
+        Errors and curves of ``model`` and, where one was given, ``prior``.
+    report
+        The content of validation.json.
+    command
+        The command line that made it.
+    """
+    units = report["units"]
+    return render(
+        "Validation of a dynamics model",
+        _SECTIONS,
+        ["torques.js"],
+        curves(evaluation, "model", units),
+        report=report,
+        groups=by_unit(units),
+        where="On the validation logs",
+        command=command,
+        inputs={"logs": [trace.name for trace in evaluation.traces]},
+    )

@@ -1,0 +1,183 @@
+"""Projection: the nearest parameters of a set (Remark 5), and whether a body can be.
+
+Letters: pi (10,) parameters; z = pi in units of the body's own mass and size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from idtool.body import Body
+from idtool.effects.rigid_body import length, scales
+from idtool.identify import solve
+from idtool.inequality import Piece
+from idtool.inertia import POWERS, SIZE
+from idtool.metric import nearest_realizable, pullback
+from idtool.prior import reference
+from idtool.problem import Problem, parts_of
+from idtool.sets import ConstraintSet, choose_set
+from idtool.witness import explain, violations, witness
+
+Array = NDArray[np.float64]
+
+Metric = Literal["euclidean", "pullback"]
+
+_ROUNDING = 1e-9  # by which an inequality may fail, in units of the body
+_NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the projection ends inside
+
+
+@dataclass(frozen=True)
+class Projection:
+    """The nearest parameters of a set.
+
+    Attributes
+    ----------
+    pi
+        Shape (10,).
+    pieces
+        What they are the sum of (Cor. 2), shape (pieces, 10).
+    distance
+        From the parameters projected, in units of the body's mass and size or of the pull-back metric.
+    """
+
+    pi: Array
+    pieces: Array
+    distance: float
+
+
+def project(pi: Array, chosen: ConstraintSet, body: Body, metric: Metric = "euclidean") -> Projection:
+    """The nearest parameters of a set.
+
+    Parameters
+    ----------
+    pi
+        Any finite parameters, shape (10,).
+    chosen
+        The set.
+    body
+        Whose bounds the set takes, and whose size the Euclidean metric is relative to.
+    metric
+        ``euclidean``: relative deviations; ``pullback``: ½ Tr(Ĵ⁻¹ dJ Ĵ⁻¹ dJ) at pi or, where pi is not well inside the
+        realizable parameters, at what is next to it there. The latter does not depend on units and frames.
+
+    Raises
+    ------
+    SolverError
+        If the problem could not be solved.
+    """
+    pi = np.asarray(pi, dtype=float)
+    unit = scales(body, abs(float(pi[0])) or 1.0)
+    at = reference(pi, unit)
+    M = np.eye(SIZE) if metric == "euclidean" else unit[:, None] * pullback(at) * unit
+    if metric == "pullback" and chosen.name in ("full", "ellipsoid") and len(body.ellipsoids) < 2 and not body.com:
+        bounded = chosen.name == "ellipsoid" and body.ellipsoids
+        nearest = nearest_realizable(pi, at, body.ellipsoids[0].Q if bounded else None)
+        off = (nearest - pi) / unit
+        return Projection(nearest, nearest[None], float(np.sqrt(off @ M @ off)))
+    size = float(np.linalg.norm(M))
+    A = np.asarray(np.linalg.cholesky(M / size).T)
+    known = np.array([[-c, *np.eye(3)[k], *np.zeros(6)] for k, c in enumerate(body.com or ())]).reshape(-1, SIZE)
+    E = known * unit / np.linalg.norm(known * unit, axis=1, keepdims=True)
+    none = np.zeros(0)
+    parts = parts_of([body], [chosen], np.arange(SIZE))
+    others = none.astype(np.intp)
+    problem = Problem(
+        A, A @ (pi / unit), 0.0, unit, np.eye(SIZE), parts, (body.name,), others, none, E, np.zeros(len(E))
+    )
+    x, certificate = solve(problem)
+    return Projection(
+        problem.theta(problem.S @ x),
+        np.array([piece for _, piece in problem.pieces(x)]),
+        float(np.sqrt(size * max(certificate.objective, 0.0))),
+    )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a body can be, within its bounds.
+
+    Attributes
+    ----------
+    violations
+        Why not, a plain sentence each; none for a body that can.
+    pieces
+        What its parameters are the sum of where its bounds are a union, shape (pieces, 10), else None.
+    masses, points
+        Point masses within the bounds that have its parameters exactly, shapes (n,) [kg] and (n, 3) [m] (Thm 4); none
+        where it cannot be, or where its bounds have only necessary conditions.
+    """
+
+    violations: tuple[str, ...]
+    pieces: Array | None
+    masses: Array
+    points: Array
+
+
+def judge(body: Body, pi: Array, pieces: Array | None = None) -> Verdict:
+    """Whether a body can have parameters within its bounds, and what shows it.
+
+    Parameters
+    ----------
+    body
+        The body.
+    pi
+        The parameters, shape (10,).
+    pieces
+        What they are the sum of, if that is known, shape (pieces, 10).
+    """
+    if reasons := explain(pi):
+        return _refused(*reasons)
+    chosen = choose_set(body)
+    demanded = chosen.pieces(body)
+    split = None
+    if len(demanded) > 1:
+        if pieces is None or len(pieces) != len(demanded):
+            nearest = project(pi, chosen, body)
+            if nearest.distance > _NEAR:
+                what = f"no density on the union of its {len(demanded)} bounding shapes has these parameters"
+                return _refused(f"{what}; the nearest are {nearest.distance:.2g} away, in units of its mass and size")
+            pieces = nearest.pieces
+        split = pieces
+    elif len(demanded[0].powers) == SIZE:
+        found = violations(pi, demanded[0].inequalities, float(pi[0]), length(body), tolerance=_ROUNDING)
+        if found:
+            return _refused(*(violation.text for violation in found))
+    elif (rest := _point_masses(demanded[0], pi, length(body))[1]) > _NEAR:
+        return _refused(f"point masses at the vertices and inside of its hull leave {rest:.2g} of these parameters")
+    parts = pi[None] if split is None else split
+    return Verdict((), split, *_shown(body, demanded, parts))
+
+
+def _refused(*reasons: str) -> Verdict:
+    return Verdict(reasons, None, np.zeros(0), np.zeros((0, 3)))
+
+
+def _shown(body: Body, demanded: Sequence[Piece], parts: Array) -> tuple[Array, Array]:
+    """Point masses that are the parts; none where a part's bounds are only necessary conditions."""
+    masses, points = [np.zeros(0)], [np.zeros((0, 3))]
+    for i, (piece, part) in enumerate(zip(demanded, parts, strict=True)):
+        ellipsoid = body.ellipsoids[i] if i < len(body.ellipsoids) else None
+        if len(piece.powers) != SIZE:
+            own, _ = _point_masses(piece, part, length(body))
+            places = piece.basis[1:4].T
+        elif (ellipsoid is None and body.shapes) or explain(part, ellipsoid):
+            return masses[0], points[0]
+        else:
+            found = witness(part, ellipsoid)
+            own, places = found.masses, found.points
+        masses.append(own[own > 0])
+        points.append(places[own > 0])
+    return np.concatenate(masses), np.concatenate(points)
+
+
+def _point_masses(piece: Piece, pi: Array, unit: float) -> tuple[Array, float]:
+    """Masses at a piece's places that come nearest to pi, shape (K,), and what they leave of it, relative to it."""
+    weight = unit**-POWERS / pi[0]
+    masses, rest = nnls(piece.basis * weight[:, None], pi * weight)
+    return np.asarray(masses), float(rest)
