@@ -1,22 +1,21 @@
-"""The identification: the problem (27) solved to the global optimum by cvxpy and Clarabel, and checked."""
+"""The identification: the problem (27) solved to the global optimum, and checked."""
 
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body
 from idtool.certificate import GAP, Certificate, lower_bound, violation
 from idtool.config import Regularization
+from idtool.conic import solve_conic
 from idtool.exceptions import SolverError
 from idtool.knowledge import Knowledge
-from idtool.problem import Matrix, Problem, build_problem
+from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 from idtool.sets import ConstraintSet
@@ -107,7 +106,7 @@ def estimate(
     return Estimate(theta, parts, noise, certificate)
 
 
-def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
+def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate]:
     """Solve, and check the result.
 
     Parameters
@@ -132,29 +131,13 @@ def solve(problem: Problem, **options: float) -> tuple[Array, Certificate]:
         return _attempt(problem, {**_SETTINGS, "equilibrate_enable": True, **options})
 
 
-def _attempt(problem: Problem, settings: Mapping[str, float]) -> tuple[Array, Certificate]:
+def _attempt(problem: Problem, settings: Mapping[str, float | bool]) -> tuple[Array, Certificate]:
     started = time.perf_counter()
     free = np.linalg.solve(problem.A, problem.b)  # the optimum without constraints: from there, b takes no digits
-    start = np.linalg.lstsq(problem.S, free, rcond=None)[0]
-    step = cp.Variable(len(start))
-    limits = [_limit(step, inequality, start) for inequality in problem.inequalities]
-    rows = np.eye(len(start))[problem.bounded]
-    bounds = [rows @ step >= problem.bounds - rows @ start] if len(rows) else []
-    exact = [(problem.E @ problem.S) @ step == problem.e - problem.E @ (problem.S @ start)] if len(problem.e) else []
-    cost = cp.sum_squares((problem.A @ problem.S) @ step + (problem.A @ problem.S @ start - problem.b))
-    program = cp.Problem(cp.Minimize(cost + _log_dets(problem, step, start)), [*limits, *bounds, *exact])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of inaccuracy, which the certificate judges
-            program.solve(solver=cp.CLARABEL, **settings)
-    except cp.SolverError as error:
-        raise SolverError("solver", f"gave up: {error}") from None
-    if step.value is None:
-        raise SolverError("solver", f"found the problem {program.status}; loosen constraints or add a prior")
-    x = _polished(problem, start + step.value)
-    duals = [np.asarray(limit.dual_value) for limit in limits]
-    multipliers = np.atleast_1d(bounds[0].dual_value) if bounds else np.zeros(0)
-    certificate = certify(problem, x, program, lower_bound(problem, x, duals, multipliers), started)
+    solution = solve_conic(problem, np.linalg.lstsq(problem.S, free, rcond=None)[0], settings)
+    x = _polished(problem, solution.x)
+    bound = lower_bound(problem, x, solution.duals, solution.multipliers)
+    certificate = certify(problem, x, bound, "clarabel", solution.status, solution.iterations, started)
     if not certificate.holds:
         gap, violated = certificate.duality_gap, certificate.violation
         what = f"not solved well enough: relative duality gap {gap:.1e}, violation {violated:.1e}"
@@ -162,16 +145,18 @@ def _attempt(problem: Problem, settings: Mapping[str, float]) -> tuple[Array, Ce
     return x, certificate
 
 
-def certify(problem: Problem, x: Array, program: cp.Problem, bound: float, started: float) -> Certificate:
+def certify(
+    problem: Problem, x: Array, bound: float, name: str, status: str, iterations: int, started: float
+) -> Certificate:
     """The check of x against a cost that nothing can be below."""
     largest, where = violation(problem, x)
     cost = problem.cost(problem.S @ x)
     return Certificate(
-        name="clarabel",
-        status=program.status,
+        name=name,
+        status=status,
         objective=cost,
         duality_gap=(cost - bound) / max(cost, 1.0),
-        iterations=int(program.solver_stats.num_iters or 0),
+        iterations=iterations,
         seconds=time.perf_counter() - started,
         violation=largest,
         where=where,
@@ -186,25 +171,3 @@ def _polished(problem: Problem, x: Array) -> Array:
     for inequality in (i for i in problem.inequalities if not i.interior):  # point masses, each its own variable
         x[inequality.own] = np.maximum(x[inequality.own], 0)
     return x
-
-
-def _limit(step: cp.Variable, inequality: Matrix, start: Array) -> cp.Constraint:
-    """One inequality at start + step in the solver's terms."""
-    n = inequality.G.shape[-1]
-    rows = np.zeros((inequality.G[0].size, len(start)))
-    rows[:, inequality.own] = inequality.G.reshape(len(inequality.G), -1).T
-    value = inequality.value(start)
-    if value.ndim == 1:
-        return rows @ step >= inequality.interior - value
-    return cp.reshape(rows @ step, (n, n), order="C") >> inequality.interior * np.eye(n) - value
-
-
-def _log_dets(problem: Problem, step: cp.Variable, start: Array) -> cp.Expression:
-    """The divergences at start + step but for a constant."""
-    total: cp.Expression = 0.0
-    for term in problem.log_dets:
-        rows = np.zeros((term.G[0].size, len(start)))
-        rows[:] = term.G.reshape(len(term.G), -1).T @ problem.S[term.own]
-        X = cp.reshape(rows @ step + rows @ start, term.G.shape[1:], order="C")
-        total = total + term.weight * (cp.trace(X) - cp.log_det(X))
-    return total

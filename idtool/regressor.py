@@ -74,19 +74,17 @@ class LinearModel:
         Samples that owe more than 30 % of their weight to moments where a column is not defined, such as the sign of
         a velocity of zero, are left out of that joint's block.
         """
-        kept = self._defined(batch)
-        filtered = map(batch.filter, self.columns(batch.motion))
-        return [block if keep is None else block[:, keep] for block, keep in zip(filtered, kept, strict=True)]
+        return [b if keep.all() else b[:, keep] for b, keep in zip(*self.rows(batch), strict=True)]
 
-    def _defined(self, batch: Batch) -> list[NDArray[np.bool_] | None]:
-        kept: list[NDArray[np.bool_] | None] = [None] * len(self.joints)
+    def rows(self, batch: Batch) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """The same with all samples, and per joint whether each counts, shape (n,)."""
+        blocks = [batch.filter(columns) for columns in self.columns(batch.motion)]
+        kept = [np.ones(block.shape[1], dtype=bool) for block in blocks]
         for effect in self.effects:
             for joint, mask in effect.undefined(batch.motion).items():
                 if mask.any():
-                    defined = batch.filter(mask.astype(float)) <= _UNDEFINED
-                    previous = kept[joint]
-                    kept[joint] = defined if previous is None else previous & defined
-        return kept
+                    kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
+        return blocks, kept
 
     def torque(self, motion: Motion, theta: Array) -> Array:
         """The torque that the model predicts, unfiltered.

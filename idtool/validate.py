@@ -83,7 +83,9 @@ class Evaluation:
     traces: tuple[Trace, ...]
 
 
-def evaluate(experiment: Experiment, models: Mapping[str, Array], held_out: bool, progress: Progress) -> Evaluation:
+def evaluate(
+    experiment: Experiment, models: Mapping[str, Array], held_out: bool, progress: Progress, angles: bool = False
+) -> Evaluation:
     """Predict the torque of the training or the held-out parts with one or more models.
 
     Parameters
@@ -96,6 +98,8 @@ def evaluate(experiment: Experiment, models: Mapping[str, Array], held_out: bool
         Which parts.
     progress
         Told how far it has come.
+    angles
+        Whether the traces hold the joints' positions too, as ``q``.
     """
     joints = experiment.equation.joints
     errors = {name: Errors(0, np.zeros(len(joints)), np.zeros(len(joints))) for name in models}
@@ -119,7 +123,8 @@ def evaluate(experiment: Experiment, models: Mapping[str, Array], held_out: bool
             moments += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
             residual = measured - next(iter(predicted.values()))
-            envelope.add(batch.motion.t[inner], {"measured": measured, "residual": residual, **predicted})
+            curves = {"measured": measured, "residual": residual, **predicted}
+            envelope.add(batch.motion.t[inner], {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
         traces.append(envelope.trace(log.path.name))
     mean, square = moments / max(samples, 1)
     spread = np.sqrt(np.maximum(square - mean**2, 0))

@@ -37,6 +37,7 @@ ORDER = (
         "prior",
         "problem",
         "certificate",
+        "conic",
         "local",
     ),
     *("identify", "projection", "uncertainty", "urdf", "experiment", "validate", "fit", "regression", "adapt", "study", "outputs", "report", "pages"),
@@ -44,8 +45,7 @@ ORDER = (
 )
 
 WALLS = {
-    "cvxpy": {"identify"},
-    "clarabel": set(),
+    "clarabel": {"conic"},
     "pinocchio": {"simulate"},
     "mcap": {"logs"},
     "yourdfpy": {"robot"},

@@ -1,0 +1,187 @@
+"""The optimization problem as Clarabel takes it: minimize ½ vᵀ P v + qᵀ v subject to A v + s = b, s in a cone.
+
+v = (d, r, Z): the step d of x from a start, the residual r = A S d + r₀ whose square is minimized, so that no normal
+equations are formed, and for every log-det the triangle Z of a matrix with
+
+    [[diag Z, Zᵀ], [Z, X]] ⪰ 0,  t_i ≤ log Z_ii,  Σ t_i ≤ log det X,
+
+equal at the optimum (Ben-Tal & Nemirovski, Lectures on Modern Convex Optimization, section 4.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from idtool.exceptions import SolverError
+from idtool.prior import LogDet
+from idtool.problem import Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What the solver returns.
+
+    Attributes
+    ----------
+    x
+        The optimum, shape (m,).
+    duals
+        Dual variable of every inequality, shape (n, n) or (n,).
+    multipliers
+        Of the lower bounds.
+    status
+        The solver's word for how it went.
+    iterations
+        How many.
+    """
+
+    x: Array
+    duals: list[Array]
+    multipliers: Array
+    status: str
+    iterations: int
+
+
+@dataclass
+class _Rows:
+    """Blocks of rows A v + s = b with their cones."""
+
+    width: int
+    A: list[Array] = field(default_factory=list)
+    b: list[Array] = field(default_factory=list)
+    cones: list[Any] = field(default_factory=list)
+
+    def add(self, columns: slice, M: Array, b: Array, cone: Any) -> int:
+        """Rows M on some columns of v; returns their place among the blocks."""
+        rows = np.zeros((len(b), self.width))
+        rows[:, columns] = M
+        self.A.append(rows)
+        self.b.append(b)
+        self.cones.append(cone)
+        return len(self.b) - 1
+
+
+def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> Solution:
+    """Solve, from a start near which the step is small.
+
+    Parameters
+    ----------
+    problem
+        From `problem.build_problem`.
+    start
+        Any x, shape (m,); at the optimum without inequalities, b takes no digits.
+    settings
+        Of Clarabel.
+
+    Raises
+    ------
+    SolverError
+        If the problem is infeasible or the solver gives up.
+    """
+    m, p = problem.variables, len(problem.b)
+    places_of_terms = np.cumsum([m + p, *(_extra(term) for term in problem.log_dets)])
+    rows = _Rows(int(places_of_terms[-1]))
+    q = np.zeros(rows.width)
+    AS = problem.A @ problem.S
+    step, whole = slice(0, m), slice(0, m + p)
+    rows.add(whole, np.hstack([-AS, np.eye(p)]), AS @ start - problem.b, clarabel.ZeroConeT(p))
+    if len(problem.e):
+        ES = problem.E @ problem.S
+        rows.add(step, ES, problem.e - ES @ start, clarabel.ZeroConeT(len(ES)))
+    places = []
+    for inequality in problem.inequalities:
+        value = inequality.value(start)
+        if value.ndim == 1:
+            cone = clarabel.NonnegativeConeT(len(value))
+            places.append(rows.add(inequality.own, -inequality.G.T, value - inequality.interior, cone))
+        else:
+            n = len(value)
+            inside = value - inequality.interior * np.eye(n)
+            G, cone = -svec(inequality.G).T, clarabel.PSDTriangleConeT(n)
+            places.append(rows.add(inequality.own, G, svec(inside), cone))
+    bounded = problem.bounded
+    if len(bounded):
+        cone = clarabel.NonnegativeConeT(len(bounded))
+        last = rows.add(step, -np.eye(m)[bounded], start[bounded] - problem.bounds, cone)
+    for term, first in zip(problem.log_dets, places_of_terms, strict=False):
+        _add_log_det(rows, q, term, problem, start, int(first))
+    P = sparse.diags(np.repeat([0.0, 2.0, 0.0], [m, p, rows.width - m - p]), format="csc")
+    answer = _run(P, q, rows, settings)
+    z = np.split(np.asarray(answer.z), np.cumsum([len(b) for b in rows.b])[:-1])
+    matrices = zip(problem.inequalities, places, strict=True)
+    duals = [
+        z[place] if inequality.G.ndim == 2 else smat(z[place], inequality.G.shape[-1]) for inequality, place in matrices
+    ]
+    multipliers = z[last] if len(bounded) else np.zeros(0)
+    return Solution(start + np.asarray(answer.x)[:m], duals, multipliers, str(answer.status), int(answer.iterations))
+
+
+def _extra(term: LogDet) -> int:
+    """How many variables a log-det takes: the triangle Z and the logarithms t."""
+    n = len(term.G[0])
+    return n * (n + 1) // 2 + n
+
+
+def _add_log_det(rows: _Rows, q: Array, term: LogDet, problem: Problem, start: Array, first: int) -> None:
+    """The variables and cones of one log-det, and its share of the cost."""
+    n = term.G.shape[-1]
+    lower = np.tril_indices(n)
+    k = len(lower[0])
+    S = problem.S[term.own]
+    q[: problem.variables] += term.weight * np.trace(term.G, axis1=1, axis2=2) @ S
+    q[first + k : first + k + n] = -term.weight
+    G = np.zeros((rows.width, 2 * n, 2 * n))
+    G[: problem.variables, n:, n:] = np.tensordot(S.T, term.G, axes=1)
+    for place, (i, j) in enumerate(np.transpose(lower).tolist()):
+        G[first + place, n + i, j] = G[first + place, j, n + i] = 1
+        if i == j:
+            G[first + place, i, i] = 1
+    offset = np.zeros((2 * n, 2 * n))
+    offset[n:, n:] = np.tensordot(S @ start, term.G, axes=1)
+    rows.add(slice(None), -svec(G).T, svec(offset), clarabel.PSDTriangleConeT(2 * n))
+    diagonal = np.flatnonzero(lower[0] == lower[1])
+    for i in range(n):
+        exponential = np.zeros((3, rows.width))
+        exponential[0, first + k + i] = exponential[2, first + diagonal[i]] = -1
+        rows.add(slice(None), exponential, np.array([0.0, 1.0, 0.0]), clarabel.ExponentialConeT())
+
+
+def svec(matrices: Array) -> Array:
+    """Upper triangles column by column, off the diagonal times √2; shape (..., n, n) to (..., n (n + 1) / 2)."""
+    column, row = np.tril_indices(matrices.shape[-1])
+    return np.asarray(matrices[..., row, column] * np.where(row == column, 1.0, np.sqrt(2)))
+
+
+def smat(vector: Array, n: int) -> Array:
+    """The symmetric matrix of `svec`, shape (n, n)."""
+    column, row = np.tril_indices(n)
+    matrix = np.empty((n, n))
+    matrix[row, column] = matrix[column, row] = vector / np.where(row == column, 1.0, np.sqrt(2))
+    return matrix
+
+
+def _run(P: Any, q: Array, rows: _Rows, settings: Mapping[str, Any]) -> Any:
+    """The solver's answer, if it has one."""
+    options = clarabel.DefaultSettings()
+    options.verbose = False
+    for name, value in settings.items():
+        setattr(options, name, value)
+    A = sparse.csc_matrix(np.concatenate(rows.A))
+    try:
+        answer = clarabel.DefaultSolver(P, q, A, np.concatenate(rows.b), rows.cones, options).solve()
+    except BaseException as error:  # a panic of the solver's own is no Exception
+        if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
+            raise
+        raise SolverError("solver", f"broke down on these numbers ({error}); check units and magnitudes") from None
+    if "Infeasible" in str(answer.status):
+        raise SolverError("solver", "found no parameters that fulfil all constraints; loosen them")
+    return answer

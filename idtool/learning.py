@@ -1,0 +1,198 @@
+"""The validation error against the number of training samples, for several constraint sets: the paper's Fig. 5.
+
+The log is read once: its samples' rows go into a pool of bounded size, and a draw of n samples is the R-factor of n of
+them, merged from that of fewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.exceptions import SolverError
+from idtool.experiment import Experiment, Progress, tracked
+from idtool.identify import solve
+from idtool.inertia import SIZE, pseudo_inertia
+from idtool.problem import Problem
+from idtool.reduction import Factor, Reduction, empty, merge
+
+Array = NDArray[np.float64]
+
+_POOL = 4096  # samples that draws are taken from, at random from all: a log of any length fits into memory
+_STEPS = (1, 2, 5)  # times a power of ten: the counts
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Rows of single samples.
+
+    Attributes
+    ----------
+    blocks
+        Per joint, columns and torque in the band, shape (m_j + 1, samples).
+    kept
+        Per joint, whether the sample counts, shape (samples,).
+    redundancy
+        How many of them are worth an independent one.
+    """
+
+    blocks: list[Array]
+    kept: list[NDArray[np.bool_]]
+    redundancy: float
+
+    def reduction(self, chosen: NDArray[np.intp]) -> Reduction:
+        """The R-factors of some of the samples."""
+        pairs = zip(self.blocks, self.kept, strict=True)
+        return tuple(Factor.of(block[:, chosen[kept[chosen]]], self.redundancy) for block, kept in pairs)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a constraint set makes of few and of many samples; each shape (counts,), over the draws.
+
+    Attributes
+    ----------
+    median, lower, upper
+        Median and quartiles of the RMS validation error over all joints [N·m or N].
+    violation
+        Median of the worst body's violation of realizability: the least eigenvalue of its pseudo-inertia, in units of
+        its typical mass and size, where that is negative.
+    unsolved
+        Draws that the solver gave up on.
+    """
+
+    median: Array
+    lower: Array
+    upper: Array
+    violation: Array
+    unsolved: int
+
+
+def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress) -> tuple[Reduction, Pool]:
+    """The training data as R-factors, and samples drawn from it at random; one pass over the logs."""
+    total = empty(experiment.equation.active())
+    pool: Pool | None = None
+    keys = np.zeros(0)
+    for run in experiment.runs:
+        redundancy = run.signals.low_pass.redundancy
+        stage = f"reading {run.signals.log.path.name}"
+        for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
+            blocks, kept = experiment.equation.rows(batch)
+            new = Pool(blocks, kept, redundancy)
+            everything = np.arange(blocks[0].shape[1])
+            total = merge(total, new.reduction(everything))
+            # Every sample draws a random key; the pool is those with the least ones.
+            keys = np.concatenate([keys, rng.random(len(everything))])
+            if pool is not None:
+                blocks = [np.concatenate(pair, axis=1) for pair in zip(pool.blocks, blocks, strict=True)]
+                kept = [np.concatenate(pair) for pair in zip(pool.kept, kept, strict=True)]
+            least = np.argsort(keys)[:_POOL]
+            keys = keys[least]
+            pool = Pool([block[:, least] for block in blocks], [k[least] for k in kept], redundancy)
+    if pool is None:
+        raise AssertionError  # `Signals` refuses a log without a stretch that can be used
+    return total, pool
+
+
+def held_out(experiment: Experiment, progress: Progress) -> Reduction:
+    """The held-out data as R-factors, every sample counting for every joint."""
+    total = empty(experiment.equation.active())
+    for run in experiment.runs:
+        for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
+            blocks, _ = experiment.equation.rows(batch)
+            total = merge(total, tuple(Factor.of(block) for block in blocks))
+    return total
+
+
+def counts(samples: int) -> list[int]:
+    """1, 2, 5, 10, … up to a number of samples, and that number."""
+    powers = range(len(str(samples)))
+    return [*(c for k in powers for s in _STEPS if (c := s * 10**k) < samples), samples]
+
+
+def learn(
+    pool: Pool,
+    total: Reduction,
+    validation: Reduction,
+    active: Sequence[NDArray[np.intp]],
+    state: dict[str, Callable[[Reduction], Problem]],
+    draws: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[list[int], dict[str, Curve]]:
+    """The curves of several constraint sets, all from the same draws.
+
+    Parameters
+    ----------
+    pool
+        Samples to draw from, each draw's larger counts around its smaller ones.
+    total
+        All training data, at the end of each curve.
+    validation
+        The data that the error is on.
+    active
+        Per joint, its coefficients.
+    state
+        By set, what states the problem for a reduction.
+    draws
+        How many.
+    rng
+        Source of the draws.
+    progress
+        Told how far it has come.
+
+    Returns
+    -------
+    The counts of samples, and a curve a set.
+    """
+    steps = counts(pool.blocks[0].shape[1])
+    results = {name: np.full((draws, len(steps) + 1, 2), np.nan) for name in state}
+    for draw in range(draws):
+        order = rng.permutation(steps[-1])
+        data, first = empty(active), 0
+        for k, count in enumerate(steps):
+            data, first = merge(data, pool.reduction(order[first:count])), count
+            for name, problem in state.items():
+                results[name][draw, k] = _outcome(problem(data), validation, active)
+            progress("drawing samples", (draw + (k + 1) / len(steps)) / draws)
+    for name, problem in state.items():
+        results[name][:, -1] = _outcome(problem(total), validation, active)
+    every = max(factor.rows for factor in total)
+    if every == steps[-1]:  # all samples are in the pool
+        results = {name: result[:, :-1] for name, result in results.items()}
+    else:
+        steps = [*steps, every]
+    return steps, {name: _curve(result) for name, result in results.items()}
+
+
+def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
+    """RMS validation error over all joints, and the worst violation of realizability; NaN where not solved."""
+    try:
+        x, _ = solve(problem)
+    except SolverError:
+        return np.nan, np.nan
+    z = problem.S @ x
+    return rms(validation, active, problem.theta(z))[-1], violation(problem, z)
+
+
+def rms(data: Reduction, active: Sequence[NDArray[np.intp]], theta: Array) -> Array:
+    """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
+    squares = [f.squares(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
+    return np.sqrt(np.array([*squares, float(np.mean(squares))]))
+
+
+def violation(problem: Problem, z: Array) -> float:
+    """How far the worst body is from full consistency, in units of its typical mass and size; 0 where all can be."""
+    inertial = np.setdiff1d(np.arange(len(z)), problem.others)
+    least = np.linalg.eigvalsh(pseudo_inertia(z[inertial].reshape(-1, SIZE)))[:, 0]
+    return max(-float(least.min()), 0.0)
+
+
+def _curve(result: Array) -> Curve:
+    unsolved = np.isnan(result[..., 0])
+    error, worst = result[..., 0], result[..., 1]
+    lower, median, upper = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
+    return Curve(median, lower, upper, np.nanmedian(worst, axis=0), int(unsolved.sum()))
