@@ -122,7 +122,8 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
         z[place] if inequality.G.ndim == 2 else smat(z[place], inequality.G.shape[-1]) for inequality, place in matrices
     ]
     multipliers = z[last] if len(bounded) else np.zeros(0)
-    return Solution(start + np.asarray(answer.x)[:m], duals, multipliers, str(answer.status), int(answer.iterations))
+    status = "optimal" if answer.status == clarabel.SolverStatus.Solved else str(answer.status)
+    return Solution(start + np.asarray(answer.x)[:m], duals, multipliers, status, int(answer.iterations))
 
 
 def _extra(term: LogDet) -> int:

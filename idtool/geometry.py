@@ -7,6 +7,7 @@ geometry, and bounded in size. What cannot be read is said.
 from __future__ import annotations
 
 import io
+import logging
 import math
 import os
 import warnings
@@ -35,6 +36,8 @@ _MOST = 1e6  # m; what is larger is no robot
 _FORMATS = ("stl", "obj", "ply", "off", "dae")
 _SIDES = 32  # of the polygon around a circle, 0.5 % larger
 _DIRECTIONS = 400  # of the points around a ball, less than 1 % larger
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its remarks on materials are not for the user
 
 
 class _UnreadableError(Exception):
@@ -196,7 +199,8 @@ def _mesh(urdf: Path, name: str) -> Array:
         raise _UnreadableError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
     points = _vertices(path, data, kind)
     if not len(points) or not (np.abs(points) < _MOST).all():
-        raise _UnreadableError(f"mesh {path} holds {'a vertex that is not finite' if len(points) else 'no faces'}")
+        what = f"a vertex that is not within {_MOST:g} m" if len(points) else "no faces"
+        raise _UnreadableError(f"mesh {path} holds {what}")
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:

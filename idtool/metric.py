@@ -116,7 +116,8 @@ def nearest_realizable(pi: ArrayLike, reference: ArrayLike, Q: ArrayLike | None 
         Homogeneous matrices of shapes, [x; 1]ᵀ Q [x; 1] ≥ 0 inside, that broadcast with pi as shape (..., 4, 4). A
         body without one among others that have one is given diag(0, 0, 0, 1), which demands a positive mass.
     floor
-        f; J ⪰ f Ĵ and Tr(JQ) ≥ b = f m̂ are kept, in all units and frames alike.
+        f; J ⪰ f Ĵ and Tr(JQ) ≥ b = f m̂ are kept, in all units and frames alike. The default is above rounding as long
+        as pi deviates from the reference by less than a million times the reference.
 
     Returns
     -------
@@ -171,10 +172,10 @@ def _multiplier(X: Array, B: Array, least: Array, floor: float) -> Array:
     for _ in range(_ITERATIONS):
         value, slope = _trace(X + mu[..., None, None] * B, B, floor)
         value -= least + error
-        done = (np.abs(value) <= error) | ((mu == 0) & (value >= -error)) | (high * (1 - _ROUNDING) <= low)
+        low, high = np.where(value < 0, mu, low), np.where(value < 0, high, mu)
+        done = (np.abs(value) <= error) | (high * (1 - _ROUNDING) <= low)  # or both 0: nothing is demanded
         if done.all():
             break
-        low, high = np.where(value < 0, mu, low), np.where(value < 0, high, mu)
         with np.errstate(divide="ignore", invalid="ignore"):  # where the slope is zero, or a body is done
             step = mu - value / slope
             middle = np.where(np.isinf(high), 2 * low + size, 0.5 * (low + high))

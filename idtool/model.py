@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Body, Frame, Member
-from idtool.config import Bounding, BoundingShape, Config
+from idtool.config import Bounding, BoundingShape, Config, HullBound
 from idtool.config import Rotor as RotorConfig
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError, ModelError
+from idtool.geometry import link_vertices
 from idtool.inertia import SIZE, from_mass_com_inertia, symmetric
 from idtool.names import nearest, some
 from idtool.robot import Joint, Robot
-from idtool.shapes import Shape, known_shapes
-from idtool.shapes.hull import Hull
+from idtool.shapes import Hull, Shape, known_shapes
 
 Array = NDArray[np.float64]
 
@@ -215,7 +215,7 @@ class _Builder:
         for bounding in bounds:
             self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
         for shape in self.config.bounding_shapes.get(link, ()):
-            self.shapes.setdefault(frame.body, []).append(_shape(shape, self.robot, link).moved(frame.R, frame.p))
+            self.shapes.setdefault(frame.body, []).append(bounding_shape(shape, self.robot, link).moved(frame.R, frame.p))
 
     def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a rotor's angle; no ratios where all that drives it is locked."""
@@ -256,7 +256,7 @@ class _Builder:
                 ratios,
                 offset,
                 members=(own,) if name in self.robot.links else (),
-                shapes=tuple(_shape(s, self.robot, name) for s in self.config.bounding_shapes.get(name, ())),
+                shapes=tuple(bounding_shape(s, self.robot, name) for s in self.config.bounding_shapes.get(name, ())),
             )
         )
 
@@ -324,11 +324,8 @@ class _Builder:
         return replace(body, pi=pi, members=members, ellipsoids=ellipsoids, shapes=shapes)
 
 
-def _shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
+def bounding_shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
     """A configured shape as geometry."""
-    if bound.kind == "hull":
-        from idtool.geometry import link_vertices
-
+    if isinstance(bound, HullBound):
         return Hull.around(link_vertices(robot, link, bound.file))
-    values = bound.model_dump()
-    return known_shapes()[values.pop("kind")](**values)
+    return known_shapes()[bound.kind].from_dict(bound.model_dump())

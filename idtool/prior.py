@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from idtool.body import Body
 from idtool.config import Regularization
-from idtool.inertia import BASIS, SIZE, from_pseudo_inertia, pseudo_inertia
+from idtool.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
 from idtool.knowledge import Knowledge
 from idtool.metric import pullback
 from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
 
-_INNER = 1e-3  # least eigenvalue of a prior's pseudo-inertia, of the body's typical one
+_INNER = 1e-3  # least second moment of a prior about its centre of mass, in units of its mass and typical size
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,8 @@ class LogDet:
 def reference(pi: Array, scales: Array) -> Array:
     """The parameters pi, or where no body can have them or only just, what is next to them well inside; shape (10,).
 
+    Mass and centre of mass stay, so this does not depend on the frame.
+
     Parameters
     ----------
     pi
@@ -75,15 +77,16 @@ def reference(pi: Array, scales: Array) -> Array:
     scales
         Units of its parameters, shape (10,).
     """
-    units = np.sqrt(pseudo_inertia(scales).diagonal())  # of the rows of J, up to a constant
+    unit = float(scales[1] / scales[0])
     if pi[0] <= 0:
-        return from_pseudo_inertia(np.diag(units**2))
-    J = pseudo_inertia(pi) / np.outer(units, units)
-    values, vectors = np.linalg.eigh(J)
-    if values[0] >= _INNER:
+        return from_mass_com_inertia(float(scales[0]), np.zeros(3), unit**2 * float(scales[0]) * np.eye(3))
+    mass, com, inertia = mass_com_inertia(pi)
+    moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)  # of Sigma_C
+    least = _INNER * mass * unit**2
+    if moments[0] >= least:
         return pi
-    inside = (vectors * np.maximum(values, _INNER)) @ vectors.T
-    return from_pseudo_inertia(inside * np.outer(units, units))
+    covariance = (axes * np.maximum(moments, least)) @ axes.T
+    return from_mass_com_inertia(mass, com, np.trace(covariance) * np.eye(3) - covariance)
 
 
 def moved_priors(model: LinearModel, bodies: Sequence[Body]) -> tuple[str, ...]:

@@ -247,7 +247,7 @@ def build_problem(
     data = weighted_rows(model, reduction, noise)
     units = _units(model, data)
     rows = np.concatenate([data, _soft(known, reduction, p), prior_rows(model, bodies, regularization, units)])
-    least = np.array([np.sqrt(_LEAST_WEIGHT) if c.scale is not None else 0.0 for c in model.coefficients]) / units
+    least = np.sqrt(_LEAST_WEIGHT) / units
     rows = np.concatenate([rows, np.column_stack([np.diag(least), least * model.prior])])
     scale = units[known.free]
     R = np.asarray(np.linalg.qr(np.column_stack([rows[:, :p] @ known.K * scale, rows[:, p]]), mode="r"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from idtool import __version__
 from idtool.body import Body
+from idtool.check import LinkCheck
 from idtool.config import Config
 from idtool.effects import known_effects
 from idtool.ellipsoid import Ellipsoid
@@ -126,6 +127,36 @@ def _witness(verdict: Verdict) -> dict[str, Any]:
 
 def _plain(ellipsoid: Ellipsoid) -> dict[str, list[float]]:
     return {"center": list(ellipsoid.center), "semi_axes": list(ellipsoid.semi_axes), "rpy": list(ellipsoid.rpy)}
+
+
+def check_report(checks: Sequence[LinkCheck], nearest: Mapping[str, Array]) -> dict[str, Any]:
+    """What `idtool ellipsoids --check` prints as JSON.
+
+    Parameters
+    ----------
+    checks
+        The links.
+    nearest
+        Inertials that some body can have, for those that none can, shape (10,) each.
+    """
+    return {
+        "links": {
+            c.body.name: {
+                "mass": float(c.body.pi[0]),
+                "violations": list(c.violations),
+                "nearest": _nearest(c.body.pi, nearest[c.body.name]) if c.body.name in nearest else None,
+            }
+            for c in checks
+        }
+    }
+
+
+def _nearest(pi: Array, nearest: Array) -> dict[str, Any]:
+    """A repaired inertial, and how much of the inertia about the centre of mass it changes, of its largest entry."""
+    mass, com, inertia = mass_com_inertia(nearest)
+    before = mass_com_inertia(pi)[2]
+    moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
+    return {"mass": mass, "com": com.tolist(), "inertia_com": six(inertia).tolist(), "moved": moved}
 
 
 def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | None:

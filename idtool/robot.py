@@ -145,7 +145,7 @@ def parse_xml(path: Path, data: bytes) -> etree._Element:
     except etree.XMLSyntaxError as error:
         raise ModelError(path, f"is not XML: {error.msg}") from None
     if root.getroottree().docinfo.internalDTD is not None:
-        raise ModelError(path, "declares a document type, which a URDF does not need; remove it")
+        raise ModelError(path, "declares a document type, which it does not need; remove it")
     return root
 
 

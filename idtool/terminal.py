@@ -6,7 +6,7 @@ import itertools
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -57,7 +57,7 @@ class Terminal:
         for warning in warnings:
             self.say(f"note: {warning}", "yellow")
 
-    def result(self, result: dict[str, Any]) -> None:
+    def result(self, result: Mapping[str, Any]) -> None:
         """The result as JSON, if it was asked for."""
         if self.as_json:
             sys.stdout.write(json.dumps(result, indent=2, allow_nan=False) + "\n")
@@ -200,3 +200,72 @@ def show_inspection(terminal: Terminal, inspection: Inspection) -> None:
             terminal.say(f"{finding.severity}: {where}{finding.what}", _STYLE[finding.severity])
         terminal.say(f"    {meaning}")
     terminal.warn(inspection.warnings)
+
+
+def show_check(terminal: Terminal, report: dict[str, Any], repair: Path | None) -> None:
+    """Which links' inertias no body can have, and what was written for them."""
+    table = _table("Links", "link", "mass kg", "can exist", *(["repaired kg", "moved"] if repair else []))
+    for name, link in report["links"].items():
+        nearest = link["nearest"]
+        moved = [_figure(nearest["mass"]), f"{nearest['moved']:.2%}"] if nearest else ["", ""]
+        table.add_row(
+            escape(name), _figure(link["mass"]), "NO" if link["violations"] else "yes", *(moved if repair else [])
+        )
+    terminal.show(table)
+    for name, link in report["links"].items():
+        for violation in link["violations"]:
+            terminal.say(f"{name}: {violation}", _STYLE["problem"])
+    wrong = sum(bool(link["violations"]) for link in report["links"].values())
+    terminal.say(f"{wrong} of {len(report['links'])} links have an inertia that no body can have")
+    if repair:
+        terminal.say(f"written: {repair}")
+
+
+def show_study(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:
+    """Constraint sets, estimators, learning curves and Remark 5 in tables."""
+    unit, band = _units(report), report["band_hz"]
+    table = _table(
+        f"Constraint sets: RMS torque error, {unit}, below {band:g} Hz",
+        *("set", "inequalities", "train", "held out", "unrealizable", "ms", "gap"),
+    )
+    for name, s in report["sets"].items():
+        rms = [_figure(s["rms"][part]["overall"]) for part in ("train", "validation")]
+        table.add_row(
+            name, s["lmi"], *rms, str(s["violations"]), _figure(1000 * s["seconds"]), f"{abs(s['duality_gap']):.0e}"
+        )
+    terminal.show(table)
+    table = _table("Estimators", "estimator", "train", "held out", "ms", "gap", "iterations")
+    for name, e in report["estimators"].items():
+        rms = [_figure(e["rms"][part]["overall"]) for part in ("train", "validation")]
+        table.add_row(name, *rms, _figure(1000 * e["seconds"]), f"{abs(e['duality_gap']):.0e}", str(e["iterations"]))
+    terminal.show(table)
+    learning = report["learning"]
+    title = f"Median held-out RMS, {unit}, against training samples, {learning['draws']} draws"
+    table = _table(title, "samples", *learning["curves"], *(f"{name} violation" for name in learning["violation"]))
+    for k, count in enumerate(learning["counts"]):
+        medians = [_figure(curve["median"][k]) for curve in learning["curves"].values()]
+        table.add_row(str(count), *medians, *(_figure(v[k]) for v in learning["violation"].values()))
+    terminal.show(table)
+    settled = report["adaptation"]["time_to_10_percent"]
+    table = _table("Online: time to 10 % parameter error", "set", "s")
+    for name, seconds in settled.items():
+        table.add_row(name, "not reached" if seconds is None else _figure(seconds))
+    terminal.show(table)
+    terminal.warn([e["note"] for e in report["estimators"].values() if e["note"]] + report["warnings"])
+    terminal.say(f"written: {folder}/study.json, study.html ({report['seconds']:.0f} s)")
+
+
+def show_adaptation(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:
+    """The error of the prediction one sample ahead, and the bodies at the end."""
+    title = f"RMS error of the torque predicted one sample ahead, {_units(report)}, below {report['band_hz']:g} Hz"
+    table = _table(title, "joint", "rms")
+    for name in (*report["joints"], "overall"):
+        table.add_row(escape(name), _figure(report["prediction_rms"][name]))
+    terminal.show(table)
+    table = _table("Bodies at the end", "body", "mass kg", "realizable")
+    for name, body in report["final"]["bodies"].items():
+        table.add_row(escape(name), _figure(body["mass"]), "yes" if body["realizable"] else "NO")
+    terminal.show(table)
+    terminal.warn(report["warnings"])
+    terminal.say(f"{report['samples']} samples in {report['seconds']:.1f} s")
+    terminal.say(f"written: {folder}/adapt.json, adapt.html")

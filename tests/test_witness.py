@@ -36,7 +36,7 @@ def check(pi: Array, S: Ellipsoid | None, tolerance: float = 1e-9) -> None:
     assert found.masses.shape == (4,)
     assert found.points.shape == (4, 3)
     assert (found.masses >= 0).all()
-    size = 0.1 if S is None else max(np.linalg.norm(S.center), *S.semi_axes)
+    size = 0.1 if S is None else max(float(np.linalg.norm(S.center)), *S.semi_axes)
     sizes = pi[0] * size**POWERS
     np.testing.assert_allclose(point_parameters(found.masses, found.points) / sizes, pi / sizes, atol=tolerance)
     np.testing.assert_allclose(found.pi / sizes, pi / sizes, atol=tolerance)
@@ -171,6 +171,34 @@ def test_rounding_does_not_forbid_a_body_without_volume(
         witness(pi)
 
 
+@pytest.mark.parametrize(("relative", "accepted"), [(1e-10, True), (1e-7, False)])
+def test_a_plate_may_break_its_triangle_inequality_by_what_rounding_does(relative: float, accepted: bool) -> None:
+    pi = from_mass_com_inertia(1.0, np.zeros(3), np.diag([0.3, 0.2, 0.5 * (1 + relative)]))
+    assert (explain(pi) == []) == accepted
+    assert (violations(pi, [DENSITY], 1.0, 1.0) == []) == accepted
+    assert violations(pi, [DENSITY], 1.0, 1.0, tolerance=0.0)
+    if accepted:
+        check(pi, Ellipsoid((0, 0, 0), (1, 1, 1)))
+
+
+def test_points_stay_inside_where_the_trace_is_negative_by_what_rounding_does(rng: np.random.Generator) -> None:
+    """Nearly all of the mass at one place of the surface leaves the others light, and their places uncertain."""
+    S = random_ellipsoid(rng)
+    places = (on_surface(rng, S, 2) - S.center) * (1 + 1e-10) + S.center
+    pi = point_parameters(np.array([1.0, 1e-9]), places)
+    assert np.trace(pseudo_inertia(pi) @ S.Q) < -1e-10
+    check(pi, S)
+
+
+def test_a_point_that_is_too_light_to_have_a_place_is_put_at_the_centre_of_mass() -> None:
+    """A rod of 1e-7 radii that ends at a ball's surface: its points are that end, and 2.5e-15 of it opposite."""
+    s = 1e-7
+    c = np.array([np.sqrt(1 - s**2), 0, 0])
+    found = witness(from_mass_com_inertia(1.0, c, s**2 * np.diag([0.0, 1, 1])), Ellipsoid((0, 0, 0), (1, 1, 1)))
+    assert found.masses.min() < 1e-14
+    np.testing.assert_allclose(found.points, np.tile(c, (4, 1)), atol=1e-6)
+
+
 @given(seeds)
 def test_reach_is_the_root_mean_square_distance_in_semi_axes(rng: np.random.Generator) -> None:
     S = random_ellipsoid(rng)
@@ -254,6 +282,11 @@ def test_what_is_not_an_ellipsoid_is_told_in_its_own_terms() -> None:
     assert "at least 50 % farther from the centre" in beyond.text
     (above,) = violations(point, [within(below, "below z = 0")], 2.0, 1.0)
     assert above.text == "below z = 0: short by 0.65 in units of the body's mass and length"
+    for A, b in (([1.0, 1.0, -1.0], 0.0), ([1.0, 1.0, 0.0], 0.5)):  # a hyperboloid and a paraboloid have no inside
+        Q = np.diag([*(-np.array(A)), 1.0])
+        Q[2, 3] = Q[3, 2] = b
+        (open_,) = violations(point, [within(Q, "open")], 2.0, 1.0)
+        assert open_.text.startswith("open: short by")
     unit = Ellipsoid((3, 0, 0), (1, 1, 1)).Q
     (both,) = violations(point, [within(np.stack([unit, below]), "half a ball")], 2.0, 1.0)
     assert both.amount == pytest.approx(0.65)

@@ -4,7 +4,7 @@ Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic 
 """
 
 from idtool.config.base import Positive, Record, checked
-from idtool.config.bounds import Bounding, BoundingShape
+from idtool.config.bounds import Bounding, BoundingShape, HullBound
 from idtool.config.config import Config, parse_config, read_config
 from idtool.config.estimation import Known, Measured, Mirror, Regularization, Solver
 from idtool.config.rotors import Rotor
@@ -18,6 +18,8 @@ __all__ = [
     "Controller",
     "EffectEntry",
     "Friction",
+    "HullBound",
+    "HullBound",
     "Known",
     "Measured",
     "Mirror",

@@ -49,7 +49,10 @@ class Shape(ABC):
 
     @abstractmethod
     def moved(self, R: Array, p: Array) -> Self:
-        """The same solid in the frame in which its present frame sits at rotation R (3, 3), position p (3,) [m]."""
+        """The same solid in the frame in which its present frame sits at R (3, 3), p (3,) [m].
+
+        R is a rotation or, for the solid's mirror image, a reflection.
+        """
 
     @abstractmethod
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
@@ -76,6 +79,8 @@ class Shape(ABC):
 class Placed(Shape):
     """A solid described in a frame of its own, at its middle: a frozen dataclass with these two fields.
 
+    It is symmetric to the planes of that frame.
+
     Attributes
     ----------
     center
@@ -99,7 +104,9 @@ class Placed(Shape):
     def moved(self, R: Array, p: Array) -> Self:
         """See `Shape.moved`."""
         with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
-            rpy = Rotation.from_matrix(R @ self.rotation).as_euler("xyz")
+            own = R @ self.rotation
+            own[:, 0] *= np.sign(np.linalg.det(own))  # a mirror image: the solid is its own, x turned round
+            rpy = Rotation.from_matrix(own).as_euler("xyz")
         return replace(self, center=tuple((R @ self.center + p).tolist()), rpy=tuple(rpy.tolist()))
 
     def to_dict(self) -> dict[str, Any]:

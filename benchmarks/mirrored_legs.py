@@ -1,0 +1,84 @@
+"""A quadruped's legs as two and two mirrored copies against four free ones: what repeats, and what predicts.
+
+Run ``python benchmarks/mirrored_legs.py FOLDER``, where FOLDER holds go2.urdf and chirp_4.csv to chirp_7.csv (not part of
+this repository). Each chirp is fitted alone; the spread is the standard deviation over the four fits, and the error that
+on the other three chirps.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import Config, Mirror, read_config
+from idtool.experiment import Experiment, prepare
+from idtool.fit import choose_sets
+from idtool.identify import identify
+from idtool.learning import held_out, rms
+from idtool.robot import Robot, read_robot
+
+Array = NDArray[np.float64]
+
+CONFIG = Path(__file__).parents[1] / "configs" / "go2.yaml"
+CHIRPS = (4, 5, 6, 7)
+BODIES = ("hip", "thigh", "calf", "hip_rotor", "thigh_rotor", "calf_rotor")
+JOINTS = ("hip_joint", "thigh_joint", "calf_joint")
+PAIRS = (("FR", "FL"), ("RR", "RL"))
+
+
+def silent(stage: str, share: float) -> None:
+    """No progress to show."""
+
+
+def fitted(experiment: Experiment) -> Array:
+    """The coefficients that one chirp gives."""
+    sets, _ = choose_sets(experiment.model.bodies, None)
+    data, known = experiment.reduce(silent), experiment.known
+    return identify(
+        experiment.equation, experiment.model.bodies, data, sets, experiment.config.regularization, known
+    ).theta
+
+
+def compare(robot: Robot, config: Config, folder: Path, name: str) -> None:
+    """Fit every chirp by itself and print spread and error."""
+    logs = [folder / f"chirp_{n}.csv" for n in CHIRPS]
+    thetas, errors = [], []
+    for log in logs:
+        experiment = prepare(robot, config, [log], [other for other in logs if other != log])
+        thetas.append(fitted(experiment))
+        errors.append(rms(held_out(experiment, silent), experiment.equation.active(), thetas[-1])[-1])
+    coefficients = experiment.equation.coefficients
+    theta, spread = np.mean(thetas, axis=0), np.std(thetas, axis=0, ddof=1)
+    inertial = np.array([c.scale is not None for c in coefficients])
+    friction = ~inertial & (theta > 0)
+    masses = np.array([c.name == "m" for c in coefficients])
+    scale = np.array([c.scale or 1.0 for c in coefficients])
+    print(
+        f"{name:34s} rms on other chirps {np.mean(errors):.4f} N·m; spread: "
+        f"masses {np.median(spread[masses] / theta[masses]):.1%}, "
+        f"inertia parameters {np.median((spread / scale)[inertial]):.2%} of body, "
+        f"friction {np.median(spread[friction] / theta[friction]):.1%}"
+    )
+
+
+def main() -> None:
+    """Compare free legs, mirrored bodies, and mirrored bodies with equal friction."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    robot, config = read_robot(folder / "go2.urdf"), read_config(CONFIG)
+    bodies = tuple(Mirror(body=f"{a}_{b}", of=f"{of}_{b}", plane="xz") for a, of in PAIRS for b in BODIES)
+    joints = tuple(Mirror(joint=f"{a}_{j}", of=f"{of}_{j}") for a, of in PAIRS for j in JOINTS)
+    for name, mirror in (
+        ("four free legs", ()),
+        ("two and two mirrored", bodies),
+        ("mirrored, friction equal as well", (*bodies, *joints)),
+    ):
+        compare(robot, config.model_copy(update={"mirror": mirror}), folder, name)
+
+
+if __name__ == "__main__":
+    main()

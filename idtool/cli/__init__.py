@@ -1,0 +1,44 @@
+"""The command line: one thin function a command. What is heavy is imported where it is used, so that help is quick."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING
+
+from idtool.cli import adapt, ellipsoids, fit, inspect, study, validate  # noqa: F401  # each adds its command
+from idtool.cli.app import app
+from idtool.exceptions import IdtoolError
+
+if TYPE_CHECKING:
+    from typer.exceptions import TyperException
+
+__all__ = ["app", "main"]
+
+
+def main() -> None:
+    """Run the command line; an error a user can act on is one line and exit code 2."""
+    from typer.exceptions import Abort, TyperException
+
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would wait for each other
+
+    try:
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+    except IdtoolError as error:
+        code = _fail(str(error))
+    except TyperException as error:
+        code = _fail(_usage(error))
+    except (Abort, KeyboardInterrupt):
+        code = 130
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> int:
+    sys.stderr.write(f"error: {message}\n")
+    return 2
+
+
+def _usage(error: TyperException) -> str:
+    """A mistake in the command's words as one line."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    return f"command: {text[:1].lower()}{text[1:]}; try idtool --help"

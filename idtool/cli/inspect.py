@@ -1,0 +1,36 @@
+"""`idtool inspect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from idtool.cli.app import app
+from idtool.cli.options import JsonOption, QuietOption, finish
+
+
+@app.command("inspect", epilog="Example: idtool inspect run1.mcap")
+def inspect_command(
+    log: Annotated[Path, typer.Argument(help="A log: MCAP or CSV.", show_default=False)],
+    config: Annotated[Path | None, typer.Option("--config", help="Configuration; its log section is used.")] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Tell what is in a log, what is wrong with it, and what that means for the fit."""
+    from idtool.config import Config, read_config
+    from idtool.inspection import inspect_log
+    from idtool.logs import read_log
+    from idtool.report import HEADER
+    from idtool.terminal import Terminal, show_inspection
+
+    terminal = Terminal(quiet, as_json)
+    options = (read_config(config) if config else Config()).log
+    with terminal.progress() as progress:
+        progress("reading", 0.0)
+        record = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+        progress("inspecting", 0.0)
+        inspection = inspect_log(record)
+    show_inspection(terminal, inspection)
+    finish(terminal, {**HEADER, **inspection.to_dict()}, {})

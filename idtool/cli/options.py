@@ -1,0 +1,85 @@
+"""What commands share: arguments and options, the configuration, bounds, and how they end."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from idtool.exceptions import ConfigError
+
+if TYPE_CHECKING:
+    from idtool.config import Config
+    from idtool.experiment import Experiment
+    from idtool.terminal import Terminal
+
+UrdfArgument = Annotated[Path, typer.Argument(help="The robot's URDF.", show_default=False)]
+LogsArgument = Annotated[list[Path], typer.Argument(help="Logs: MCAP or CSV.", show_default=False)]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="Configuration (YAML); default: <urdf stem>.yaml beside the URDF.")
+]
+OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to; default: <urdf stem>_idtool/.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
+HoldoutOption = Annotated[float, typer.Option(help="Share at the end of every log that is kept for validation.")]
+ValidateOption = Annotated[
+    list[Path] | None, typer.Option(help="A whole log kept for validation, in place of the holdout; repeatable.")
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+MaxRmsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--max-rms",
+        help="Largest RMS torque error in the band that is accepted, for all joints together (0.5) or one (hip=0.5); "
+        "exit code 1 above it.",
+    ),
+]
+
+
+def config_of(urdf: Path, given: Path | None) -> Config:
+    """The configuration: the one given, else the one beside the URDF, else the defaults."""
+    from idtool.config import Config, read_config
+
+    beside = [urdf.with_suffix(".yaml"), *([urdf.with_name("model.yaml")] if urdf.stem == "identified" else [])]
+    path = given or next((path for path in beside if path.is_file()), None)
+    return read_config(path) if path else Config()
+
+
+def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
+    """Bounds by joint or ``overall`` from the options."""
+    from idtool.names import nearest
+
+    bounds = {}
+    for text in given:
+        name, _, number = text.rpartition("=")
+        name = name or "overall"
+        known = (*experiment.equation.joints, "overall")
+        if name not in known:
+            raise ConfigError("--max-rms", f"{name} is no joint; {nearest(name, known)}")
+        try:
+            bounds[name] = float(number)
+        except ValueError:
+            bounds[name] = math.nan
+        if not 0 < bounds[name] < math.inf:
+            raise ConfigError("--max-rms", f"{text or 'nothing'} is not NUMBER or JOINT=NUMBER, with a number above 0")
+    return bounds
+
+
+def command() -> str:
+    """The command line, as a person would type it."""
+    return shlex.join(["idtool", *sys.argv[1:]])
+
+
+def finish(
+    terminal: Terminal, result: Mapping[str, Any], met: Mapping[str, bool], missing: str = "bound not met"
+) -> None:
+    """Print the result where asked for; exit with 1 where a bound was not met."""
+    terminal.result(result)
+    missed = [name for name, ok in met.items() if not ok]
+    if missed:
+        terminal.say(f"{missing}: {', '.join(missed)}")
+        raise typer.Exit(1)

@@ -1,0 +1,57 @@
+"""`idtool study`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from idtool.cli.app import app
+from idtool.cli.options import (
+    ConfigOption,
+    HoldoutOption,
+    JsonOption,
+    LogsArgument,
+    OutOption,
+    QuietOption,
+    UrdfArgument,
+    ValidateOption,
+    command,
+    config_of,
+    finish,
+)
+
+
+@app.command("study", epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap")
+def study_command(
+    urdf: UrdfArgument,
+    logs: LogsArgument,
+    config: ConfigOption = None,
+    out: OutOption = None,
+    holdout: HoldoutOption = 0.3,
+    validate: ValidateOption = None,
+    draws: Annotated[int, typer.Option(min=1, help="Random draws of samples for each count.")] = 60,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Compare all constraint sets, priors and estimators on the same data, and error against sample count."""
+    from idtool.experiment import prepare
+    from idtool.outputs import as_json as dump
+    from idtool.outputs import write_all
+    from idtool.pages import study_page
+    from idtool.report import HEADER
+    from idtool.robot import read_robot
+    from idtool.study import study, study_report
+    from idtool.terminal import Terminal, show_study
+
+    terminal = Terminal(quiet, as_json)
+    folder = out or Path(f"{urdf.stem}_idtool")
+    with terminal.progress() as progress:
+        progress("reading", 0.0)
+        experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
+        result = study(experiment, progress, draws)
+        report = {**HEADER, **study_report(result)}
+        write_all(folder, {"study.json": dump(report), "study.html": study_page(result.validation, report, command())})
+    show_study(terminal, report, folder)
+    finish(terminal, report, {})

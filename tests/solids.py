@@ -1,0 +1,104 @@
+"""Bounding shapes anywhere, places in them, bodies of point masses, and what a shape's pieces make of these."""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idtool.inequality import Piece
+from idtool.inertia import BASIS, from_pseudo_inertia
+from idtool.shapes import Hull, Shape
+from idtool.shapes.box import Box
+from idtool.shapes.capsule import Capsule
+from idtool.shapes.cylinder import Cylinder
+
+Array = NDArray[np.float64]
+
+seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+KINDS = ("box", "cylinder", "capsule", "hull")
+kinds = st.sampled_from(KINDS)
+one_piece = st.sampled_from(("box", "cylinder"))
+
+
+def random_shape(rng: np.random.Generator, kind: str) -> Shape:
+    """A shape anywhere, turned any way, some ten centimetres large."""
+    a, b, c = rng.uniform(0.03, 0.4, 3).tolist()
+    x, y, z = rng.normal(size=3).tolist()
+    place, rpy = (x, y, z), (float(rng.uniform(-3, 3)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3, 3)))
+    if kind == "box":
+        return Box(place, (a, b, c), rpy)
+    if kind == "cylinder":
+        return Cylinder(place, a, b, rpy)
+    if kind == "capsule":
+        return Capsule(place, a, b, rpy)
+    return Hull.around(rng.normal(size=(rng.integers(4, 60), 3)) * [a, b, c] + place)
+
+
+def turned(shape: Box | Cylinder | Capsule, local: Array) -> Array:
+    """Points of a shape's own frame in the body's."""
+    return np.asarray(local @ Rotation.from_euler("xyz", shape.rpy).as_matrix().T + shape.center)
+
+
+def on_ball(rng: np.random.Generator, count: int, dimension: int) -> Array:
+    x = rng.normal(size=(count, dimension))
+    return np.asarray(x / np.linalg.norm(x, axis=1, keepdims=True))
+
+
+def inside(rng: np.random.Generator, shape: Shape, count: int, reach: float = 1.0) -> Array:
+    """Places in a shape, half of them on its surface or at ``reach`` times it; shape (count, 3)."""
+    share = np.where(np.arange(count) % 2 == 0, 1.0, rng.random(count))[:, None] * reach
+    if isinstance(shape, Box):
+        x = rng.uniform(-1, 1, (count, 3))
+        return turned(shape, share * x / np.abs(x).max(axis=1, keepdims=True) * np.divide(shape.sides, 2))
+    if isinstance(shape, Cylinder):
+        height = rng.choice([-1, 1, rng.uniform(-1, 1)], (count, 1)) * shape.length / 2
+        return turned(shape, np.column_stack([on_ball(rng, count, 2) * shape.radius * share, height]))
+    if isinstance(shape, Capsule):
+        spine = np.column_stack([np.zeros((count, 2)), rng.uniform(-0.5, 0.5, count) * shape.length])
+        return turned(shape, spine + on_ball(rng, count, 3) * shape.radius * share)
+    assert isinstance(shape, Hull)
+    corners = np.array(shape.vertices)
+    x = rng.dirichlet(np.full(len(corners), 0.3), count) @ corners
+    return np.asarray(np.where(np.arange(count)[:, None] % 2, x, corners[rng.integers(len(corners), size=count)]))
+
+
+def body(masses: Array, places: Array) -> Array:
+    """The pi of point masses."""
+    lifted = np.column_stack([places, np.ones(len(masses))])
+    return from_pseudo_inertia(lifted.T @ (lifted * masses[:, None]))
+
+
+def margins(piece: Piece, pi: Array, length: float) -> list[float]:
+    """Of a piece whose unknowns are pi itself."""
+    np.testing.assert_array_equal(piece.basis, np.eye(10))
+    return [inequality.margin(pi, pi[0], length, piece.powers) for inequality in piece.inequalities]
+
+
+def margin(shape: Shape, pi: Array) -> float:
+    (piece,) = shape.pieces()
+    return min(margins(piece, pi, shape.size))
+
+
+class Problem:
+    """The least W · pi of a body of mass 1 kg that a shape's pieces admit."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.cost = cp.Parameter(10)
+        pieces = shape.pieces()
+        x = [cp.Variable(piece.basis.shape[1]) for piece in pieces]
+        pi = sum(piece.basis @ part for piece, part in zip(pieces, x, strict=True))
+        demands = [pi[0] == 1]
+        for piece, part in zip(pieces, x, strict=True):
+            for inequality in piece.inequalities:
+                G = inequality.G
+                value = sum(part[k] * G[k] for k in range(len(G)))
+                demands.append(value >= 0 if G.ndim == 2 else 0.5 * (value + value.T) >> 0)
+        self.problem = cp.Problem(cp.Minimize(self.cost @ pi), demands)
+
+    def least(self, W: Array) -> float:
+        """Of Tr(J W)."""
+        self.cost.value = np.einsum("kij,ij->k", BASIS, W)
+        return float(self.problem.solve(solver="CLARABEL"))
