@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from idtool.body import Body
 from idtool.exceptions import LogError
 from idtool.experiment import Experiment, Progress
-from idtool.identify import Estimate, identify
+from idtool.identify import Estimate, identify, stuck_note
 from idtool.inertia import SIZE, pseudo_inertia
+from idtool.local import LOCAL
+from idtool.prior import moved_priors
 from idtool.sets import ConstraintSet, choose_set
 from idtool.uncertainty import Uncertainty, uncertainty
 from idtool.validate import Evaluation, evaluate
@@ -82,17 +84,25 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
                 experiment.runs[0].signals.log.path,
                 f"joint {name} hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints",
             )
-    sets, remarks = choose_sets(model.bodies, experiment.config.constraints)
+    config = experiment.config
+    wanted = config.constraints or ("full" if config.solver.name in LOCAL else None)  # all that a local solver knows
+    sets, remarks = choose_sets(model.bodies, wanted)
     warnings += remarks
     progress("solving", 0.0)
     known = experiment.known
-    estimate = identify(equation, model.bodies, reduction, sets, experiment.config.regularization, known)
+    estimate = identify(
+        equation, model.bodies, reduction, sets, config.regularization, known, solver=config.solver.name
+    )
+    if stuck := stuck_note(estimate.certificate):
+        warnings.append(stuck)
     clock.append(time.perf_counter())
     unreal = [
         body.name for i, body in enumerate(model.bodies) if not _can_be(estimate.theta[SIZE * i : SIZE * (i + 1)])
     ]
     if unreal:
         warnings.append(f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them")
+    if config.regularization.kind in ("entropic", "pullback") and (moved := moved_priors(equation, model.bodies)):
+        warnings.append(f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it")
     errors = uncertainty(equation, reduction, estimate.noise, known)
     models = {"identified": estimate.theta, "prior": equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)

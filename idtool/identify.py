@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from idtool.config import Regularization
 from idtool.conic import solve_conic
 from idtool.exceptions import SolverError
 from idtool.knowledge import Knowledge
+from idtool.local import LOCAL
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
@@ -23,6 +24,7 @@ from idtool.weights import free_noise, freedom, residual_noise, weighted_rows
 
 Array = NDArray[np.float64]
 
+_CLOSE = 1e-3  # to the limit of an inequality, in units of the body
 _SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 
@@ -63,6 +65,7 @@ def identify(
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
     known: Knowledge | None = None,
+    solver: str = "clarabel",
 ) -> Estimate:
     """The identification with the joints weighted by their residual noise.
 
@@ -80,6 +83,8 @@ def identify(
         The prior's kind and weight.
     known
         What is known otherwise; default: nothing.
+    solver
+        ``clarabel``, or a local one of `local`.
 
     Raises
     ------
@@ -89,7 +94,10 @@ def identify(
     known = known or Knowledge.none(len(model.coefficients))
     noise = free_noise(model, reduction, known)
     problem = build_problem(model, bodies, reduction, sets, regularization, noise, known)
-    x, certificate = solve(problem)
+    if solver == "clarabel":
+        x, certificate = solve(problem)
+    else:
+        x, certificate = solve_locally(problem, solver, model.prior[known.free] / problem.scale)
     return estimate(model, reduction, problem, x, certificate)
 
 
@@ -129,6 +137,46 @@ def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate
         return _attempt(problem, {**_SETTINGS, **options})
     except SolverError:  # a problem in units of order one loses accuracy by being scaled again, but for a few
         return _attempt(problem, {**_SETTINGS, "equilibrate_enable": True, **options})
+
+
+def solve_locally(problem: Problem, name: str, start: Array) -> tuple[Array, Certificate]:
+    """Solve on a manifold of realizable bodies, and check the result against the global optimum.
+
+    Parameters
+    ----------
+    problem
+        From `build_problem`, every body in the set ``full``.
+    name
+        One of `local.LOCAL`.
+    start
+        z to start from, shape (p',).
+
+    Returns
+    -------
+    x, shape (m,), and its certificate: the gap is that to the dual of the convex problem, so that it shows where the
+    solver got stuck.
+
+    Raises
+    ------
+    SolverError
+        If the problem holds what a local solver does not know.
+    """
+    found = LOCAL[name](problem, start)
+    _, best = solve(problem)
+    bound = best.objective - best.duality_gap * max(best.objective, 1.0)
+    certificate = certify(problem, found.x, bound, name, found.status, found.iterations, 0.0)
+    return found.x, replace(certificate, seconds=found.seconds)
+
+
+def stuck_note(certificate: Certificate) -> str:
+    """What to say of a local solver that did not reach the global optimum; nothing of one that did."""
+    if certificate.duality_gap <= GAP:
+        return ""
+    at = f", with {certificate.where} at its limit" if -certificate.violation < _CLOSE else ""
+    return (
+        f"{certificate.name} stopped after {certificate.iterations} iterations at a cost "
+        f"{certificate.duality_gap:.1e} above the global optimum, relative to it{at}"
+    )
 
 
 def _attempt(problem: Problem, settings: Mapping[str, float | bool]) -> tuple[Array, Certificate]:

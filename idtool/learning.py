@@ -22,7 +22,8 @@ from idtool.reduction import Factor, Reduction, empty, merge
 Array = NDArray[np.float64]
 
 _POOL = 4096  # samples that draws are taken from, at random from all: a log of any length fits into memory
-_STEPS = (1, 2, 5)  # times a power of ten: the counts
+_MORE = 4  # times as many draws of few samples
+_STEPS = (1, 3)  # times a power of ten: the counts
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,14 @@ class Pool:
         Per joint, whether the sample counts, shape (samples,).
     redundancy
         How many of them are worth an independent one.
+    whole
+        Whether these are all samples.
     """
 
     blocks: list[Array]
     kept: list[NDArray[np.bool_]]
     redundancy: float
+    whole: bool = True
 
     def reduction(self, chosen: NDArray[np.intp]) -> Reduction:
         """The R-factors of some of the samples."""
@@ -75,7 +79,7 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
     """The training data as R-factors, and samples drawn from it at random; one pass over the logs."""
     total = empty(experiment.equation.active())
     pool: Pool | None = None
-    keys = np.zeros(0)
+    keys, samples = np.zeros(0), 0
     for run in experiment.runs:
         redundancy = run.signals.low_pass.redundancy
         stage = f"reading {run.signals.log.path.name}"
@@ -84,6 +88,7 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
             new = Pool(blocks, kept, redundancy)
             everything = np.arange(blocks[0].shape[1])
             total = merge(total, new.reduction(everything))
+            samples += len(everything)
             # Every sample draws a random key; the pool is those with the least ones.
             keys = np.concatenate([keys, rng.random(len(everything))])
             if pool is not None:
@@ -91,7 +96,8 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
                 kept = [np.concatenate(pair) for pair in zip(pool.kept, kept, strict=True)]
             least = np.argsort(keys)[:_POOL]
             keys = keys[least]
-            pool = Pool([block[:, least] for block in blocks], [k[least] for k in kept], redundancy)
+            chosen = [block[:, least] for block in blocks], [k[least] for k in kept]
+            pool = Pool(*chosen, redundancy, samples <= _POOL)
     if pool is None:
         raise AssertionError  # `Signals` refuses a log without a stretch that can be used
     return total, pool
@@ -108,7 +114,7 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
 
 
 def counts(samples: int) -> list[int]:
-    """1, 2, 5, 10, … up to a number of samples, and that number."""
+    """1, 3, 10, 30, … up to a number of samples, and that number."""
     powers = range(len(str(samples)))
     return [*(c for k in powers for s in _STEPS if (c := s * 10**k) < samples), samples]
 
@@ -138,7 +144,7 @@ def learn(
     state
         By set, what states the problem for a reduction.
     draws
-        How many.
+        How many; four times as many where there are fewer samples than parameters, where errors spread widely.
     rng
         Source of the draws.
     progress
@@ -149,23 +155,25 @@ def learn(
     The counts of samples, and a curve a set.
     """
     steps = counts(pool.blocks[0].shape[1])
-    results = {name: np.full((draws, len(steps) + 1, 2), np.nan) for name in state}
-    for draw in range(draws):
+    few = sum(count < np.max(np.concatenate(active)) for count in steps)
+    results = {name: np.full((_MORE * draws, len(steps), 2), np.nan) for name in state}
+    for draw in range(_MORE * draws):
         order = rng.permutation(steps[-1])
         data, first = empty(active), 0
-        for k, count in enumerate(steps):
+        for k, count in enumerate(steps[: few if draw >= draws else None]):
             data, first = merge(data, pool.reduction(order[first:count])), count
             for name, problem in state.items():
                 results[name][draw, k] = _outcome(problem(data), validation, active)
-            progress("drawing samples", (draw + (k + 1) / len(steps)) / draws)
-    for name, problem in state.items():
-        results[name][:, -1] = _outcome(problem(total), validation, active)
-    every = max(factor.rows for factor in total)
-    if every == steps[-1]:  # all samples are in the pool
-        results = {name: result[:, :-1] for name, result in results.items()}
-    else:
-        steps = [*steps, every]
-    return steps, {name: _curve(result) for name, result in results.items()}
+        progress("drawing samples", (draw + 1) / (_MORE * draws))
+    curves = {
+        name: [result[: _MORE * draws if k < few else draws, k] for k in range(len(steps))]
+        for name, result in results.items()
+    }
+    if not pool.whole:
+        steps = [*steps, max(factor.rows for factor in total)]
+        for name, problem in state.items():
+            curves[name].append(np.array([_outcome(problem(total), validation, active)]))
+    return steps, {name: _curve(columns) for name, columns in curves.items()}
 
 
 def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
@@ -191,8 +199,10 @@ def violation(problem: Problem, z: Array) -> float:
     return max(-float(least.min()), 0.0)
 
 
-def _curve(result: Array) -> Curve:
-    unsolved = np.isnan(result[..., 0])
-    error, worst = result[..., 0], result[..., 1]
-    lower, median, upper = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
-    return Curve(median, lower, upper, np.nanmedian(worst, axis=0), int(unsolved.sum()))
+def _curve(columns: Sequence[Array]) -> Curve:
+    """Median and quartiles of error and violation, shape (draws, 2), for each count."""
+    solved = [column[~np.isnan(column[:, 0])] for column in columns]
+    quartiles = [np.quantile(c[:, 0], [0.25, 0.5, 0.75]) if len(c) else np.full(3, np.nan) for c in solved]
+    lower, median, upper = np.transpose(quartiles)
+    worst = np.array([np.median(c[:, 1]) if len(c) else np.nan for c in solved])
+    return Curve(median, lower, upper, worst, sum(len(c) - len(s) for c, s in zip(columns, solved, strict=True)))

@@ -12,16 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from reference import Reference
-from robots import actuated
+from robots import actuated, rotation
 
-from idtool.body import Body
-from idtool.config import parse_config
+from idtool.body import Body, Frame
+from idtool.config import Config, parse_config
 from idtool.effects import build_effects
 from idtool.ellipsoid import Ellipsoid
+from idtool.inertia import SIZE
+from idtool.knowledge import Knowledge, knowledge
 from idtool.model import Model, build_model
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
+from idtool.shapes import Shape
 
 Array = NDArray[np.float64]
 
@@ -32,6 +35,7 @@ FRICTION: dict[str, Callable[[Array], Array]] = {"viscous": lambda v: v, "coulom
 class Synthetic:
     """A robot, its true coefficients, and the rows of a motion in which no sample knows of the others."""
 
+    config: Config
     model: Model
     linear: LinearModel
     Y: Array
@@ -42,6 +46,16 @@ class Synthetic:
         """Torque without noise."""
         return np.asarray(self.Y @ self.theta)
 
+    @property
+    def known(self) -> Knowledge:
+        """What the configuration knows beside the data."""
+        return knowledge(self.config, self.model, self.linear)
+
+    def noisy(self, share: float, seed: int = 0) -> Array:
+        """The torque with white noise of a share of its own spread, joint by joint."""
+        noise = np.random.default_rng(seed).normal(size=self.tau.shape)
+        return np.asarray(self.tau + share * self.tau.std(axis=1, keepdims=True) * noise)
+
     def reduction(self, tau: Array) -> Reduction:
         """The rows and a torque as R-factors."""
         return tuple(
@@ -50,14 +64,20 @@ class Synthetic:
         )
 
 
-def synthetic(rng: np.random.Generator, robot: Robot, count: int, config: Mapping[str, Any] | None = None) -> Synthetic:
-    """Random states of a robot whose bodies are, in truth, points of mass within their ellipsoids."""
+def synthetic(
+    rng: np.random.Generator,
+    robot: Robot,
+    count: int,
+    config: Mapping[str, Any] | None = None,
+    states: Array | None = None,
+) -> Synthetic:
+    """Random states, or those given (3, n, nv), of a robot whose bodies are, in truth, points of mass in ellipsoids."""
     everything: dict[str, Any] = {"gravity": [0.0, 0.0, -9.81], **(config or {})}
     parsed = parse_config(everything, "")
     model = build_model(robot, parsed, actuated(robot))
     linear = LinearModel(model.names, build_effects(model, parsed))
     reference = Reference(robot.text.decode(), model.names, everything)
-    q, v, a = rng.normal(size=(3, count, len(model.names))) * np.array([1.0, 3.0, 20.0])[:, None, None]
+    q, v, a = random_states(rng, count, len(model.names)) if states is None else states
     names = [body.name for body in model.bodies]
     rigid = np.stack([reference.regressor(names, *state) for state in zip(q, v, a, strict=True)], axis=1)
     others = [c for c in linear.coefficients if c.effect != "rigid_body"]
@@ -66,7 +86,12 @@ def synthetic(rng: np.random.Generator, robot: Robot, count: int, config: Mappin
         j = model.names.index(coefficient.owner)
         friction[j, :, k] = FRICTION[coefficient.name](v[:, j])
     truth = np.concatenate([*(true_body(rng, body) for body in model.bodies), rng.uniform(0.2, 2, len(others))])
-    return Synthetic(model, linear, np.concatenate([rigid, friction], axis=2), truth)
+    return Synthetic(parsed, model, linear, np.concatenate([rigid, friction], axis=2), truth)
+
+
+def random_states(rng: np.random.Generator, count: int, nv: int) -> Array:
+    """Positions, velocities and accelerations that know nothing of each other, shape (3, count, nv)."""
+    return np.asarray(rng.normal(size=(3, count, nv)) * np.array([1.0, 3.0, 20.0])[:, None, None])
 
 
 def true_body(rng: np.random.Generator, body: Body) -> Array:
@@ -87,6 +112,22 @@ def points_in(rng: np.random.Generator, ellipsoid: Ellipsoid, count: int) -> Arr
     directions = rng.normal(size=(count, 3))
     radii = rng.uniform(size=count) ** (1 / 3) / np.linalg.norm(directions, axis=1)
     return np.asarray(directions * radii[:, None] * ellipsoid.semi_axes @ ellipsoid.rotation.T + ellipsoid.center)
+
+
+def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
+    """At any place and angle, of 0.2 to 2 m half length."""
+    center, semi_axes = rng.normal(size=3), rng.uniform(0.2, 2, 3)
+    return Ellipsoid.along(center, semi_axes, rotation(rng))
+
+
+def bounded_body(*bounds: Ellipsoid | Shape, com: Array | None = None) -> Body:
+    """A link without mass or place within the union of its bounds, its centre known or not."""
+    ellipsoids = tuple(bound for bound in bounds if isinstance(bound, Ellipsoid))
+    shapes = tuple(bound for bound in bounds if isinstance(bound, Shape))
+    mount = Frame(-1, np.eye(3), np.zeros(3))
+    center = None if com is None else (float(com[0]), float(com[1]), float(com[2]))
+    turn = np.array([0.0, 0.0, 1.0]), False, np.ones(1)
+    return Body("body", "link", np.zeros(SIZE), ellipsoids, mount, *turn, shapes=shapes, com=center)
 
 
 def random_bound(rng: np.random.Generator) -> dict[str, Any]:

@@ -40,7 +40,8 @@ ORDER = (
         "conic",
         "local",
     ),
-    *("identify", "projection", "uncertainty", "urdf", "check", "experiment", "validate", "fit", "regression", "barrier", "causal", "recursive", "adapt", "learning", "study", "outputs", "report", "pages"),
+    *("identify", "projection", "uncertainty", "urdf", "check", "experiment", "validate", "fit", "regression"),
+    *("barrier", "causal", "recursive", "adapt", "learning", "study", "outputs", "report", "pages"),
     *("terminal", "cli"),
 )
 

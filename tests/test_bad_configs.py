@@ -16,6 +16,7 @@ from commands import LEG, csv_text, idtool, refuse, sample_table
 LEG_YAML = yaml.safe_load(LEG.with_suffix(".yaml").read_text())
 SPRING = {"effect": "parallel_spring", "joint": "hip", "parameters": {"stiffness": 1.0, "rest_position": 0.0}}
 ROTOR = "rotors.hip_rotor"
+BODIES = ("abad_link", "thigh_link", "shank_link", "abad_rotor", "hip_rotor", "knee_rotor")
 BOMB = "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
 )
@@ -56,18 +57,71 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     ),
     "unknown in an effect": ("effects", [{**SPRING, "joints": "hip"}], "effects.0: unknown key 'joints'"),
     "unknown signal to scale": ("log.scale", {"torque": {"hip": 1}}, "log.scale: unknown key 'torque'; did you mean"),
-    "not in this version: known": ("known", {"total_mass": 2.3}, "known: is not in this version"),
-    "not in this version: mirror": ("mirror", [], "mirror: is not in this version"),
-    "not in this version: entropic": (
-        "regularization.kind",
-        "entropic",
-        "regularization.kind: entropic is not in this v",
+    "known: an unknown body": (
+        "known",
+        {"mass": {"thigh": 0.6}},
+        "known.mass: thigh: is no body of the model (give what is fixed to it along with it); did you mean thigh_link?",
     ),
-    "not in this version: pullback": (
-        "regularization.kind",
-        "pullback",
-        "regularization.kind: pullback is not in this v",
+    "known: a lumped link": ("known", {"mass": {"foot": 0.06}}, "known.mass: foot: is no body of the model"),
+    "known: a negative mass": ("known", {"mass": {"thigh_link": -0.6}}, "known.mass.thigh_link.value: "),
+    "known: a mass of nothing": ("known", {"total_mass": 0}, "known.total_mass.value: "),
+    "known: contradicting masses": (
+        "known",
+        {"mass": dict.fromkeys(BODIES, 0.5), "total_mass": 4},
+        "contradicts what else is known exactly; give one of them a standard_error",
     ),
+    "known: masses beyond their total": (
+        "known",
+        {"mass": {"thigh_link": 3, "shank_link": 2}, "total_mass": 1},
+        "solver: found ",
+    ),
+    "known_com: an unknown body": ("known_com", {"thigh": [0, 0, 0]}, "known_com: thigh: is no body of the model"),
+    "known_com: outside the ellipsoid": ("known_com", {"thigh_link": [9, 0, 0]}, ": "),
+    "mirror: itself": ("mirror", [{"body": "hip_rotor", "of": "hip_rotor"}], "mirror.0: hip_rotor is a copy of itself"),
+    "mirror: a circle": (
+        "mirror",
+        [{"body": "hip_rotor", "of": "knee_rotor"}, {"body": "knee_rotor", "of": "hip_rotor"}],
+        "mirror: hip_rotor: and hip_rotor are copies of each other; leave one of them free",
+    ),
+    "mirror: of two": (
+        "mirror",
+        [{"body": "hip_rotor", "of": "knee_rotor"}, {"body": "hip_rotor", "of": "abad_rotor"}],
+        "mirror: hip_rotor: is the copy of two; keep one entry",
+    ),
+    "mirror: an unknown body": (
+        "mirror",
+        [{"body": "hip_roter", "of": "knee_rotor"}],
+        "mirror: hip_roter: is no moving body of the model; did you mean hip_rotor?",
+    ),
+    "mirror: of an unknown joint": (
+        "mirror",
+        [{"joint": "hip", "of": "knees"}],
+        "mirror: knees: is no moving joint of the model; did you mean knee?",
+    ),
+    "mirror: a joint in a plane": ("mirror", [{"joint": "hip", "of": "knee", "plane": "xz"}], "mirror.0: plane is for"),
+    "SI units with an entropic prior": (
+        "regularization",
+        {"kind": "entropic", "units": "si"},
+        "regularization: units: si is for kind euclidean",
+    ),
+    "shapes: an unknown kind": (
+        "bounding_shapes",
+        {"thigh_link": [{"kind": "cone", "radius": 1}]},
+        "bounding_shapes.thigh_link.0: needs a kind that is one of box, cylinder, capsule, hull, not cone",
+    ),
+    "shapes: an unknown link": (
+        "bounding_shapes",
+        {"thigh": [{"kind": "box", "size": [1, 1, 1]}]},
+        "bounding_shapes: thigh: is no link of the URDF; did you mean thigh_link?",
+    ),
+    "shapes: a mesh that is not there": (
+        "bounding_shapes",
+        {"thigh_link": [{"kind": "hull", "file": "thigh.stl"}]},
+        "thigh.stl",
+    ),
+    "a signal scaled by 0": ("log.scale", {"tau": {"hip": 0}}, "log.scale.tau.hip: a signal times 0 is lost"),
+    "a joint twice": ("joints", ["hip", "knee", "hip"], "joints: hip stands there twice; name each joint once"),
+    "negative friction": ("friction", {"coulomb": -0.1}, "friction.coulomb: friction of -0.1 would drive the joint"),
     "no kind of regularization": ("regularization.kind", "ridge", "regularization.kind: "),
     "no constraint set": ("constraints", "tight", "constraints: "),
     "no solver": ("solver.name", "mosek", "solver.name: "),
@@ -101,7 +155,7 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "an ellipsoid too small for its link": (
         "bounding_ellipsoids.thigh_link",
         [{"center": [1e6, 0, 0], "semi_axes": [1e-6, 1e-6, 1e-6]}],
-        "solver: ",
+        "thigh_link: mass within its bounding ellipsoid: not solved well enough",
     ),
     "joints: an unknown joint": (
         "joints",

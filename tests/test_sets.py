@@ -8,30 +8,30 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from robots import rotation
-from synthetic import point_parameters, points_in
+from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
+from idtool.body import Body
 from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import from_mass_com_inertia, mass_com_inertia
-from idtool.sets import ConstraintSet, constraint_sets, tightest
+from idtool.inertia import POWERS, from_mass_com_inertia, mass_com_inertia
+from idtool.sets import choose_set, constraint_sets
+from idtool.shapes.box import Box
 
 Array = NDArray[np.float64]
 
 SETS = constraint_sets()
-UNIT = np.ones(10)  # SI
+LMIS = ("semi", "full", "com_ellipsoid", "ellipsoid")
+BOX = Box((0.0, 0.0, 0.0), (0.1, 0.2, 0.3))
 CLEAR = 1e-6  # a sample nearer to a set's boundary than this share of its size is no sample
 
 seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-def margin(kind: str | ConstraintSet, pi: Array, ellipsoid: Ellipsoid | None = None, scales: Array = UNIT) -> float:
-    """The least margin of a set's inequalities; negative: not a member."""
-    chosen = SETS[kind] if isinstance(kind, str) else kind
-    return min((i.margin(pi, scales) for i in chosen.inequalities(ellipsoid)), default=np.inf)
-
-
-def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
-    center, semi_axes = rng.normal(size=3), rng.uniform(0.2, 2, 3)
-    return Ellipsoid.along(center, semi_axes, rotation(rng))
+def margin(kind: str, pi: Array, body: Body | Ellipsoid | None = None, mass: float = 1.0, length: float = 1.0) -> float:
+    """The least margin of a set's inequalities for a body of one piece; negative: not a member."""
+    if body is None or isinstance(body, Ellipsoid):
+        body = bounded_body(*([body] if body else []))
+    (piece,) = SETS[kind].pieces(body)
+    return min((i.margin(pi, mass, length) for i in piece.inequalities), default=np.inf)
 
 
 def random_parameters(rng: np.random.Generator) -> Array:
@@ -119,41 +119,59 @@ def test_a_tighter_set_lies_within_a_looser_one(rng: np.random.Generator) -> Non
 
 
 def test_each_set_is_smaller_than_the_one_before_it(rng: np.random.Generator) -> None:
-    members = dict.fromkeys(SETS, 0)
+    members = dict.fromkeys(("none", *LMIS), 0)
     S = random_ellipsoid(rng)
     for _ in range(600):
         pi = random_body(rng, S, spread=rng.uniform(0.5, 2.5)) + 0.3 * rng.normal(size=10)
-        for kind in SETS:
+        for kind in members:
             members[kind] += margin(kind, pi, S) > 0
-    counts = [members[kind] for kind in ("none", "semi", "full", "com_ellipsoid", "ellipsoid")]
+    counts = list(members.values())
     assert counts == sorted(counts, reverse=True)
     assert len(set(counts)) == len(counts), counts
     assert counts[0] == 600
     assert counts[-1] > 0
 
 
-@given(seeds, st.sampled_from(["semi", "full", "com_ellipsoid", "ellipsoid"]))
+@given(seeds, st.sampled_from(LMIS))
 def test_whether_a_body_is_a_member_does_not_depend_on_units(rng: np.random.Generator, kind: str) -> None:
-    """Grams and millimetres, and whatever else a body's scales say."""
+    """Grams and millimetres, and whatever else a body is measured in."""
     S = random_ellipsoid(rng)
     pi = random_body(rng, S, spread=rng.uniform(0.5, 2.5)) + 0.1 * rng.normal(size=10)
     here = margin(kind, pi, S)
     assume(abs(here) > CLEAR)
-    power = np.repeat([0.0, 1.0, 2.0], [1, 3, 6])
     for mass, length in ((1e-3, 1e-3), (50.0, 0.01), *rng.uniform(0.01, 100, (2, 2))):
-        assert (margin(kind, pi, S, scales=mass * length**power) > 0) == (here > 0)
+        assert (margin(kind, pi, S, mass, length) > 0) == (here > 0)
 
 
-@given(seeds, st.sampled_from(["semi", "full", "com_ellipsoid", "ellipsoid"]))
-def test_a_body_in_other_units_with_scales_in_them_has_the_same_margin(rng: np.random.Generator, kind: str) -> None:
+@given(seeds, st.sampled_from(LMIS))
+def test_a_body_in_other_units_measured_in_them_has_the_same_margin(rng: np.random.Generator, kind: str) -> None:
     S = random_ellipsoid(rng)
     pi = random_body(rng, S, spread=rng.uniform(0.5, 2.5))
-    power = np.repeat([0.0, 1.0, 2.0], [1, 3, 6])
-    scales = 0.7 * 0.3**power
     millimetres = Ellipsoid.along(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
-    units = 1e3 * 1e3**power  # grams and millimetres
-    there = margin(kind, pi * units, millimetres, scales=scales * units)
-    assert there == pytest.approx(margin(kind, pi, S, scales=scales), rel=1e-9, abs=1e-9)
+    grams = pi * 1e3 * 1e3**POWERS
+    there = margin(kind, grams, millimetres, mass=700.0, length=300.0)
+    assert there == pytest.approx(margin(kind, pi, S, mass=0.7, length=0.3), rel=1e-9, abs=1e-9)
+
+
+@given(seeds)
+def test_where_the_centre_is_known_its_3x3_form_is_full_consistency(rng: np.random.Generator) -> None:
+    """Corollary 1, for masses and inertias of either sign."""
+    pi = random_parameters(rng)
+    known = bounded_body(com=pi[1:4] / pi[0])
+    here, full = margin("known_com", pi, known), margin("full", pi)
+    assume(min(abs(here), abs(full)) > CLEAR)
+    assert (here > 0) == (full > 0)
+
+
+@given(seeds)
+def test_where_the_centre_is_known_no_more_than_3_by_3_is_demanded(rng: np.random.Generator) -> None:
+    """The eigenvalues are those of Sigma_C = ½ Tr(I_C) 1 − I_C (17), and the mass."""
+    pi = random_body(rng, random_ellipsoid(rng))
+    mass, com, inertia = mass_com_inertia(pi)
+    (piece,) = SETS["known_com"].pieces(bounded_body(com=com))
+    covariance, weight = (np.tensordot(pi, inequality.G, axes=1) for inequality in piece.inequalities)
+    np.testing.assert_allclose(covariance, 0.5 * np.trace(inertia) * np.eye(3) - inertia, atol=1e-12)
+    np.testing.assert_allclose(weight, [mass])
 
 
 @pytest.mark.parametrize(
@@ -162,7 +180,7 @@ def test_a_body_in_other_units_with_scales_in_them_has_the_same_margin(rng: np.r
 def test_figure_2(moments: tuple[float, ...], flat: int) -> None:
     """Σ_C of a solid, a plate and a rod: the flat ones lie on the set's boundary, and have as many zero eigenvalues."""
     pi = from_mass_com_inertia(1.0, np.zeros(3), np.diag(moments))
-    (density,) = SETS["full"].inequalities(None)
+    ((density,),) = (piece.inequalities for piece in SETS["full"].pieces(bounded_body()))
     eigenvalues = np.linalg.eigvalsh(np.tensordot(pi, density.G, axes=1))
     np.testing.assert_allclose(eigenvalues[:flat], 0, atol=1e-12)
     assert eigenvalues[flat] == pytest.approx(1)
@@ -177,17 +195,36 @@ def test_figure_3(long_axis: str, com: float, trace: float) -> None:
     sigma = np.diag([0.9 if axis == long_axis else 0.2 for axis in "xyz"])
     pi = from_mass_com_inertia(1.0, [com, 0, 0], np.trace(sigma) * np.eye(3) - sigma)
     assert margin("com_ellipsoid", pi, S) > 0
-    _, inside = SETS["ellipsoid"].inequalities(S)
-    assert inside.margin(pi, UNIT) == pytest.approx(trace)
+    (piece,) = SETS["ellipsoid"].pieces(bounded_body(S))
+    assert piece.inequalities[1].margin(pi, 1.0, 1.0) == pytest.approx(trace)
 
 
-def test_the_sets_are_the_contracts_in_order_of_tightness() -> None:
-    assert list(SETS) == ["none", "semi", "full", "com_ellipsoid", "ellipsoid"]
-    assert tightest() is SETS["ellipsoid"]
-    assert [kind.bounded for kind in SETS.values()] == [False, False, False, True, True]
+def test_the_sets_stand_in_order_of_tightness() -> None:
+    assert list(SETS) == ["none", "semi", "full", "known_com", "com_ellipsoid", "ellipsoid", "shape", "points"]
 
 
-@given(seeds, st.sampled_from(["com_ellipsoid", "ellipsoid"]))
-def test_without_an_ellipsoid_a_bounded_set_is_full_consistency(rng: np.random.Generator, kind: str) -> None:
-    pi = random_parameters(rng)
-    assert margin(kind, pi) == margin("full", pi)
+BALL = Ellipsoid((0, 0, 0), (1, 1, 1))
+CENTRE = np.array([0.1, 0.0, 0.0])
+FULL, KNOWN = bounded_body(), bounded_body(com=CENTRE)
+ROUND, BOTH = bounded_body(BALL), bounded_body(BALL, com=CENTRE)
+SQUARE, UNION = bounded_body(BOX), bounded_body(BALL, BOX)
+
+
+@pytest.mark.parametrize(
+    ("asked", "body", "chosen"),
+    [
+        # Not asked: the tightest that the body has what it takes for, but none that leaves out bodies that could exist.
+        *((None, FULL, "full"), (None, KNOWN, "known_com"), (None, ROUND, "ellipsoid"), (None, BOTH, "ellipsoid")),
+        *((None, SQUARE, "shape"), (None, UNION, "shape")),
+        # Asked, and the body has what it takes.
+        *((kind, ROUND, kind) for kind in SETS if kind not in ("known_com", "shape")),
+        *(("known_com", BOTH, "known_com"), ("shape", SQUARE, "shape"), ("points", SQUARE, "points")),
+        # Asked, and it has not: the next looser one that it has.
+        *(("ellipsoid", FULL, "full"), ("com_ellipsoid", FULL, "full"), ("points", FULL, "full")),
+        *(("known_com", ROUND, "full"), ("shape", ROUND, "ellipsoid"), ("ellipsoid", KNOWN, "known_com")),
+        *(("points", KNOWN, "known_com"), ("ellipsoid", SQUARE, "full")),
+    ],
+)
+def test_which_set_a_body_gets(asked: str | None, body: Body, chosen: str) -> None:
+    assert choose_set(body, asked) is SETS[chosen]
+    assert choose_set(body, asked).applies(body)

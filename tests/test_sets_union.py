@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from robots import rotation
-from synthetic import point_parameters, points_in
+from synthetic import bounded_body, point_parameters, points_in
 
 from idtool.ellipsoid import Ellipsoid
-from idtool.sets import Inequality, constraint_sets
+from idtool.inequality import Piece
+from idtool.sets import constraint_sets
+from idtool.shapes import Shape
+from idtool.shapes.box import Box
 
 Array = NDArray[np.float64]
 
@@ -24,16 +27,17 @@ def two_ellipsoids(rng: np.random.Generator) -> tuple[Ellipsoid, Ellipsoid]:
     return first, second
 
 
-def union_margin(kind: str, ellipsoids: tuple[Ellipsoid, ...], pi: Array) -> float:
+def union_margin(kind: str, bounds: tuple[Ellipsoid | Shape, ...], pi: Array) -> float:
     """How far inside their sets parts can be that sum to pi; negative: there are none."""
-    parts = SETS[kind].parts(ellipsoids)
+    parts = SETS[kind].pieces(bounded_body(*bounds))
     x = [cp.Variable(10) for _ in parts]
     t = cp.Variable()
-    inside = [
-        sum(x_k[i] * G for i, G in enumerate(inequality.G)) >> t * np.eye(inequality.G.shape[-1])
-        for x_k, inequalities in zip(x, parts, strict=True)
-        for inequality in inequalities
-    ]
+    inside = []
+    for x_k, piece in zip(x, parts, strict=True):
+        for inequality in piece.inequalities:
+            value = sum(x_k[i] * G for i, G in enumerate(inequality.G))
+            matrix = inequality.G.ndim == 3
+            inside.append(value >> t * np.eye(inequality.G.shape[-1]) if matrix else value >= t)
     program = cp.Problem(cp.Maximize(t), [*inside, sum(x) == pi])
     program.solve(solver=cp.CLARABEL)
     return float(program.value)
@@ -44,8 +48,14 @@ def mass_in(rng: np.random.Generator, *ellipsoids: Ellipsoid) -> Array:
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 
 
-def margin(inequalities: tuple[Inequality, ...], pi: Array) -> float:
-    return min(inequality.margin(pi, np.ones(10)) for inequality in inequalities)
+def margin(piece: Piece, pi: Array) -> float:
+    return min(inequality.margin(pi, 1.0, 1.0) for inequality in piece.inequalities)
+
+
+def alone(kind: str, *ellipsoids: Ellipsoid) -> Piece:
+    """The one piece of a body on its own."""
+    (piece,) = SETS[kind].pieces(bounded_body(*ellipsoids))
+    return piece
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -54,7 +64,7 @@ def test_a_body_with_mass_in_both_is_a_member_of_the_union_and_of_neither_alone(
     both = two_ellipsoids(rng)
     pi = mass_in(rng, *both)
     for S in both:
-        assert margin(SETS["ellipsoid"].inequalities(S), pi) < 0
+        assert margin(alone("ellipsoid", S), pi) < 0
     assert union_margin("ellipsoid", both, pi) > 0
 
 
@@ -64,7 +74,7 @@ def test_a_body_with_mass_in_one_is_a_member_too(seed: int) -> None:
     rng = np.random.default_rng(seed)
     first, second = two_ellipsoids(rng)
     pi = mass_in(rng, first)
-    assert margin(SETS["ellipsoid"].inequalities(first), pi) > 0
+    assert margin(alone("ellipsoid", first), pi) > 0
     assert union_margin("ellipsoid", (first, second), pi) > -1e-7
 
 
@@ -80,15 +90,26 @@ def test_mass_between_the_ellipsoids_is_not_in_their_union(seed: int) -> None:
 
 @pytest.mark.parametrize("kind", ["none", "semi", "full"])
 def test_sets_without_ellipsoids_take_a_body_as_one(rng: np.random.Generator, kind: str) -> None:
-    (only,) = SETS[kind].parts(two_ellipsoids(rng))
-    assert len(only) == len(SETS[kind].inequalities(None))
+    only = alone(kind, *two_ellipsoids(rng))
+    assert len(only.inequalities) == len(alone(kind).inequalities)
 
 
 @pytest.mark.parametrize("kind", ["com_ellipsoid", "ellipsoid"])
 def test_sets_with_ellipsoids_give_each_its_part(rng: np.random.Generator, kind: str) -> None:
     both = two_ellipsoids(rng)
     pi = mass_in(rng, *both)
-    for S, inequalities in zip(both, SETS[kind].parts(both), strict=True):
-        assert margin(inequalities, pi) == margin(SETS[kind].inequalities(S), pi)
-    (only,) = SETS[kind].parts(())
-    assert margin(only, pi) == margin(SETS["full"].inequalities(None), pi)
+    for S, piece in zip(both, SETS[kind].pieces(bounded_body(*both)), strict=True):
+        assert margin(piece, pi) == margin(alone(kind, S), pi)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_ellipsoid_and_a_shape_are_a_union_too(seed: int) -> None:
+    """A ball at one end and a box at the other; with mass in both, neither alone will do."""
+    rng = np.random.default_rng(seed)
+    ball = Ellipsoid((-1.5, 0, 0), (0.5, 0.5, 0.5))
+    box = Box((1.5, 0.0, 0.0), (0.8, 0.4, 0.6))
+    places = np.concatenate([points_in(rng, ball, 6), box.center + rng.uniform(-0.5, 0.5, (8, 3)) * [0.8, 0.4, 0.6]])
+    pi = point_parameters(rng.uniform(0.1, 1, len(places)), places)
+    assert union_margin("shape", (ball, box), pi) > 0
+    assert union_margin("ellipsoid", (ball,), pi) < 0
+    assert union_margin("shape", (box,), pi) < 0

@@ -19,7 +19,6 @@ __all__ = [
     "EffectEntry",
     "Friction",
     "HullBound",
-    "HullBound",
     "Known",
     "Measured",
     "Mirror",

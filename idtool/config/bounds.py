@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import difflib
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator
 
 from idtool.config.base import Length, Record, Vector
 from idtool.ellipsoid import Ellipsoid
@@ -59,4 +61,28 @@ class HullBound(Record):
     file: str | None = None
 
 
-BoundingShape = Annotated[BoxBound | CylinderBound | CapsuleBound | HullBound, Field(discriminator="kind")]
+_KINDS: dict[Any, type[Record]] = {
+    "box": BoxBound,
+    "cylinder": CylinderBound,
+    "capsule": CapsuleBound,
+    "hull": HullBound,
+}
+
+
+def _by_kind(data: Any) -> Any:
+    """The record of the kind named, so that errors speak of that one only."""
+    if isinstance(data, Record):
+        return data
+    if not isinstance(data, Mapping):
+        raise ValueError("input should be a mapping of keys to values")
+    for key in data if "kind" not in data else ():
+        if difflib.get_close_matches(str(key), ["kind"]):
+            raise ValueError(f"unknown key '{key}'; did you mean 'kind'?")
+    kind = str(data.get("kind"))
+    if kind not in _KINDS:
+        given = f", not {kind}" if "kind" in data else ""
+        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}{given}")
+    return _KINDS[kind].model_validate(data)
+
+
+BoundingShape = Annotated[BoxBound | CylinderBound | CapsuleBound | HullBound, BeforeValidator(_by_kind)]

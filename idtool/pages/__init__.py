@@ -1,11 +1,14 @@
 """Results → HTML: one file each that needs nothing else, readable without a network. One file here a page."""
 
+from idtool.pages.adapt import adapt_page
 from idtool.pages.curves import curves, merged, rounded
 from idtool.pages.figures import by_unit, metres, number, percent, with_error
 from idtool.pages.fit import fit_page
+from idtool.pages.study import study_page
 from idtool.pages.validation import validation_page
 
 __all__ = [
+    "adapt_page",
     "by_unit",
     "curves",
     "fit_page",
@@ -14,6 +17,7 @@ __all__ = [
     "number",
     "percent",
     "rounded",
+    "study_page",
     "validation_page",
     "with_error",
 ]

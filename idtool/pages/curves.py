@@ -79,5 +79,3 @@ def rounded(x: Array) -> list[float | None]:
     largest = float(np.fmax.reduce(np.abs(x), initial=0.0))
     decimals = _DIGITS - 1 - math.floor(math.log10(largest)) if largest else 0
     return [None if math.isnan(value) else value for value in x.round(min(decimals, _MOST_DECIMALS)).tolist()]
-
-

@@ -7,6 +7,7 @@ from typing import Any
 
 from idtool.fit import Fit
 from idtool.pages.base import render
+from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
 
@@ -16,6 +17,7 @@ _SECTIONS = (
     ("Measured and predicted torque", "torques.html"),
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
+    ("Bodies in 3D", "bodies_3d.html"),
     ("Solver", "solver.html"),
     ("How this was made", "origin.html"),
 )
@@ -39,8 +41,8 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
     return render(
         f"{Path(report['urdf']).stem}: identified dynamics",
         _SECTIONS,
-        ["torques.js"],
-        curves(fit.validation if held_out else fit.train, "identified", units),
+        ["torques.js", "bodies.js"],
+        {**curves(fit.validation if held_out else fit.train, "identified", units), **body_views(report["bodies"])},
         report=report,
         groups=by_unit(units),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",

@@ -64,5 +64,5 @@ const plots = (() => {
   });
 
   const data = JSON.parse(document.getElementById("data").textContent);
-  return { data, touch, color, axis, layout, config, watch, drawn, redraw, erase };
+  return { data, touch, color, axis, layout, config, watch, draw, drawn, redraw, erase };
 })();

@@ -1,0 +1,86 @@
+"""Bodies in three dimensions: what `templates/bodies.js` draws of report.json."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from idtool.inertia import SIZE
+from idtool.witness import deviation_ellipsoid, explain
+
+_DECIMALS = 6  # of lengths in m
+_MOST_NUMBERS = 60_000  # that all bodies hold together
+_MOST_MASSES = 300  # of a witness that are drawn
+
+
+def body_views(bodies: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """What is drawn of the bodies, of bounded size.
+
+    Parameters
+    ----------
+    bodies
+        ``bodies`` of report.json.
+
+    Returns
+    -------
+    ``bodies``, each with its name, ``bounds`` (the shapes that bound its mass), ``found`` and ``prior`` (the
+    standard-deviation ellipsoids about the centre of mass), or None, and ``masses``, or None; lengths in m, in the
+    body's frame. ``hidden``: the number of bodies that are not drawn.
+    """
+    views: list[dict[str, Any]] = []
+    numbers = 0
+    for name, body in bodies.items():
+        view = _view(name, body)
+        numbers += _count(view)
+        if numbers > _MOST_NUMBERS:
+            break
+        views.append(view)
+    return {"bodies": views, "hidden": len(bodies) - len(views)}
+
+
+def _view(name: str, body: Mapping[str, Any]) -> dict[str, Any]:
+    bounds = [{"kind": "ellipsoid", **e} for e in body["ellipsoids"]] + list(body["shapes"])
+    return {
+        "name": name,
+        "bounds": _rounded(bounds),
+        "found": _rounded(body["deviation_ellipsoid"]),
+        "prior": _rounded(_prior(body["prior"])),
+        "masses": _heaviest(body["witness"]),
+    }
+
+
+def _prior(pi: list[float]) -> dict[str, Any] | None:
+    """The standard-deviation ellipsoid of the prior, if some density has these parameters."""
+    if len(pi) != SIZE or explain(pi):
+        return None
+    spread = deviation_ellipsoid(pi)
+    return {"center": list(spread.center), "semi_axes": list(spread.semi_axes), "rpy": list(spread.rpy)}
+
+
+def _heaviest(witness: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The witness, of many point masses the heaviest."""
+    if witness is None:
+        return None
+    kept = np.sort(np.argsort(witness["masses"])[::-1][:_MOST_MASSES])
+    return {
+        "masses": [float(f"{witness['masses'][i]:.5g}") for i in kept],
+        "points": _rounded([witness["points"][i] for i in kept]),
+        "of": len(witness["masses"]),
+    }
+
+
+def _rounded(value: Any) -> Any:
+    """Plain data with its numbers rounded."""
+    if isinstance(value, float):
+        return round(value, _DECIMALS) + 0.0
+    if isinstance(value, Mapping):
+        return {key: _rounded(inner) for key, inner in value.items()}
+    return [_rounded(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _count(value: Any) -> int:
+    """How many numbers plain data hold."""
+    inner: Iterable[Any] = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return int(isinstance(value, int | float)) + sum(map(_count, inner))

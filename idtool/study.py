@@ -1,0 +1,298 @@
+"""Every constraint set and every estimator side by side on the same data (contract, section 4).
+
+The paper's sets with solve times and violations of realizability, its Fig. 5 and Remark 5. The logs are read once; all
+else are small problems on R-factors.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.adapt import adapt, convergence, time_to
+from idtool.certificate import Certificate
+from idtool.config import Regularization
+from idtool.exceptions import ConfigError, SolverError
+from idtool.experiment import Experiment, Progress
+from idtool.identify import solve, solve_locally, stuck_note
+from idtool.inequality import Inequality
+from idtool.inertia import SIZE, pseudo_inertia
+from idtool.learning import Curve, gather, held_out, learn
+from idtool.local import LOCAL
+from idtool.problem import Problem, build_problem
+from idtool.reduction import Reduction
+from idtool.sets import ConstraintSet, choose_set, constraint_sets
+from idtool.validate import Evaluation, evaluate
+from idtool.weights import free_noise, weighted_rows
+
+Array = NDArray[np.float64]
+
+CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
+PRIORS = ("euclidean", "pullback", "entropic")
+DRAWS = 60
+_FORGETTING = np.inf  # the parameters of a log do not change
+_REPEATS = 3  # of a solution, for its time
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One way to identify the model.
+
+    Attributes
+    ----------
+    sets
+        The constraint set of each body.
+    theta
+        The coefficients, SI, shape (p,).
+    certificate
+        The check of the solution.
+    seconds
+        Median wall time of the solution.
+    least
+        Least eigenvalue of each body's pseudo-inertia, in units of its typical mass and size, shape (bodies,).
+    """
+
+    sets: tuple[ConstraintSet, ...]
+    theta: Array
+    certificate: Certificate
+    seconds: float
+    least: Array
+
+
+@dataclass(frozen=True)
+class Online:
+    """The adaptive estimator's parameter error over time, relative to that of the prior.
+
+    Attributes
+    ----------
+    t
+        Seconds of log, shape (T,).
+    error
+        By set, shape (T,) each.
+    settled
+        By set, when the error falls below a tenth for good [s]; None: never.
+    """
+
+    t: Array
+    error: dict[str, Array]
+    settled: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What the data make of every constraint set and estimator.
+
+    Attributes
+    ----------
+    experiment
+        Model and data.
+    sets, estimators
+        Outcomes by name: constraint sets with the configuration's prior; priors and local solvers.
+    train, validation
+        Errors of all these models under their names; the first one's curves are for drawing.
+    counts, curves, draws
+        The validation error against numbers of samples.
+    online
+        Remark 5.
+    warnings
+        What a user should know, a plain sentence each.
+    seconds
+        Wall time of everything.
+    """
+
+    experiment: Experiment
+    sets: dict[str, Outcome]
+    estimators: dict[str, Outcome]
+    train: Evaluation
+    validation: Evaluation
+    counts: list[int]
+    curves: dict[str, Curve]
+    draws: int
+    online: Online
+    warnings: tuple[str, ...]
+    seconds: float
+
+
+def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Study:
+    """Identify in every way.
+
+    Parameters
+    ----------
+    experiment
+        Model and data, some of it held out.
+    progress
+        Told the stage and how far it has come.
+    draws
+        Random draws of samples for each count; four times as many where there are fewer samples than parameters.
+
+    Raises
+    ------
+    ConfigError
+        If nothing is held out.
+    SolverError
+        If a problem on all data could not be solved.
+    """
+    if not any(run.held_out for run in experiment.runs):
+        raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
+    started = time.perf_counter()
+    rng = np.random.default_rng(experiment.config.seed)
+    equation = experiment.equation
+    total, pool = gather(experiment, rng, progress)
+    validation = held_out(experiment, progress)
+    noise = free_noise(equation, total, experiment.known)
+    warnings = list(experiment.warnings)
+    names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
+    state = {name: _stating(experiment, name, noise) for name in names}
+    progress("solving", 0.0)
+    problems = {name: state[name](total) for name in names}
+    sets = {name: _solved(experiment, name, p, partial(solve, p)) for name, p in problems.items()}
+    estimators = _estimators(experiment, total, noise, warnings)
+    theta = {**{f"set {k}": o.theta for k, o in sets.items()}, **{k: o.theta for k, o in estimators.items()}}
+    tightest = "ellipsoid" if "ellipsoid" in sets else "full"
+    models = {"identified": sets[tightest].theta, "prior": equation.prior, **theta}
+    evaluations = [evaluate(experiment, models, held, progress, angles=held) for held in (False, True)]
+    drawn = {name: state[name] for name in CURVES if name in state}
+    counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)
+    unsolved = {name: curve.unsolved for name, curve in curves.items() if curve.unsolved}
+    if unsolved:
+        warnings.append(f"draws that the solver gave up on: {', '.join(f'{n} {k}' for n, k in unsolved.items())}")
+    rows = weighted_rows(equation, total, noise)[:, :-1]
+    online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)
+    return Study(
+        *(experiment, sets, estimators, evaluations[0], evaluations[1], counts, curves, draws, online),
+        *(tuple(warnings), time.perf_counter() - started),
+    )
+
+
+def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduction], Problem]:
+    """What states the problem of a constraint set for a reduction."""
+    equation, bodies, config = experiment.equation, experiment.model.bodies, experiment.config
+    sets = [choose_set(body, name) for body in bodies]
+
+    def state(data: Reduction) -> Problem:
+        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.known)
+
+    return state
+
+
+def _solved(
+    experiment: Experiment, name: str, problem: Problem, attempt: Callable[[], tuple[Array, Certificate]]
+) -> Outcome:
+    seconds = []
+    for _ in range(_REPEATS):
+        started = time.perf_counter()
+        x, certificate = attempt()
+        seconds.append(time.perf_counter() - started)
+    theta = problem.theta(problem.S @ x)
+    sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
+    units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
+    J = pseudo_inertia((theta[: len(units)] / units).reshape(-1, SIZE))
+    return Outcome(sets, theta, certificate, float(np.median(seconds)), np.linalg.eigvalsh(J)[:, 0])
+
+
+def _estimators(experiment: Experiment, total: Reduction, noise: Array, warnings: list[str]) -> dict[str, Outcome]:
+    """Every prior on the tightest set, and the local solvers on the one that they know."""
+    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
+    found = {}
+    for name in (*PRIORS, *LOCAL):
+        kind = given if name in LOCAL else Regularization(kind=name, weight=given.weight)
+        chosen = "full" if name in LOCAL else "ellipsoid"
+        sets = [choose_set(body, chosen) for body in bodies]
+        problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)
+        start = equation.prior[experiment.known.free] / problem.scale
+        attempt = partial(solve_locally, problem, name, start) if name in LOCAL else partial(solve, problem)
+        try:
+            found[name] = _solved(experiment, chosen, problem, attempt)
+        except SolverError as error:
+            warnings.append(f"{name}: {error}")
+    return found
+
+
+def _online(experiment: Experiment, names: list[str], target: Array, rows: Array, progress: Progress) -> Online:
+    """Remark 5: how soon the adaptive estimator comes to what the data say in the end."""
+    t: Array = np.zeros(0)
+    error: dict[str, Array] = {}
+    for name in names:
+        sets = [choose_set(body, name) for body in experiment.model.bodies]
+        adaptation = adapt(experiment, sets, _FORGETTING, progress=progress)
+        t, error[name] = adaptation.t, convergence(adaptation, target, rows)
+    return Online(t, error, {name: time_to(t, e) for name, e in error.items()})
+
+
+def study_report(study: Study) -> dict[str, Any]:
+    """The content of study.json but for its header."""
+    experiment, online = study.experiment, study.online
+    return {
+        "joints": list(experiment.equation.joints),
+        "units": experiment.model.units,
+        "band_hz": experiment.band_hz,
+        "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
+        "sets": {name: _set_report(study, f"set {name}", outcome) for name, outcome in study.sets.items()},
+        "estimators": {name: _estimator_report(study, name, outcome) for name, outcome in study.estimators.items()},
+        "learning": {
+            "counts": study.counts,
+            "draws": study.draws,
+            "unit_overall": " or ".join(dict.fromkeys(experiment.model.units.values())),
+            "curves": {
+                name: {"median": c.median.tolist(), "lower": c.lower.tolist(), "upper": c.upper.tolist()}
+                for name, c in study.curves.items()
+            },
+            "violation": {name: curve.violation.tolist() for name, curve in study.curves.items()},
+        },
+        "adaptation": {
+            "t": online.t.tolist(),
+            "error": {name: error.tolist() for name, error in online.error.items()},
+            "time_to_10_percent": online.settled,
+            "forgetting": None,
+        },
+        "warnings": list(study.warnings),
+        "logs": [str(run.signals.log.path) for run in experiment.runs],
+        "urdf": str(experiment.model.robot.path),
+        "seconds": study.seconds,
+    }
+
+
+def _rms(study: Study, name: str) -> dict[str, dict[str, float]]:
+    joints = study.experiment.equation.joints
+    parts = {"train": study.train, "validation": study.validation}
+    return {part: evaluation.errors[name].rms(joints) for part, evaluation in parts.items()}
+
+
+def _set_report(study: Study, name: str, outcome: Outcome) -> dict[str, Any]:
+    certificate, bodies = outcome.certificate, study.experiment.model.bodies
+    bounded = [(s, b) for s, b in zip(outcome.sets, bodies, strict=True) if f"set {s.name}" == name]
+    forms = [_form(inequality) for inequality in bounded[0][0].pieces(bounded[0][1])[0].inequalities]
+    return {
+        "rms": _rms(study, name),
+        "seconds": outcome.seconds,
+        "objective": certificate.objective,
+        "duality_gap": certificate.duality_gap,
+        "iterations": certificate.iterations,
+        "lmi": ", ".join(forms) or "none",
+        "violations": int(np.count_nonzero(outcome.least < 0)),
+        "worst_margin": float(outcome.least.min()),
+        "masses": {body.name: float(outcome.theta[SIZE * i]) for i, body in enumerate(bodies)},
+    }
+
+
+def _form(inequality: Inequality) -> str:
+    n = inequality.G.shape[-1]
+    return f"{n}×{n}" if inequality.G.ndim == 3 else f"{n} linear"
+
+
+def _estimator_report(study: Study, name: str, outcome: Outcome) -> dict[str, Any]:
+    certificate = outcome.certificate
+    return {
+        "rms": _rms(study, name),
+        "seconds": outcome.seconds,
+        "duality_gap": certificate.duality_gap,
+        "iterations": certificate.iterations,
+        "status": certificate.status,
+        "note": stuck_note(certificate),
+    }

@@ -1,0 +1,287 @@
+"""What the tests of the pages share: a page taken apart, and contents of the JSON files that pages are made of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.inertia import from_mass_com_inertia
+from idtool.validate import Errors, Evaluation, Trace
+
+Array = NDArray[np.float64]
+
+SCRIPT = "<script>alert(1)</script>"
+SLIDE = "slide'\"&<!--{{ 7 * 7 }}"
+BODY = "<img src=x onerror=alert(2)>"
+VOID = {"meta", "br", "input"}
+
+
+@dataclass
+class Page(HTMLParser):
+    """A page taken apart; every tag must be closed by its own."""
+
+    html: str
+    open: list[str] = field(default_factory=list)
+    tags: list[tuple[str, dict[str, str | None]]] = field(default_factory=list)
+    scripts: list[str] = field(default_factory=list)
+    styles: list[str] = field(default_factory=list)
+    rows: list[list[str]] = field(default_factory=list)
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        assert self.html.startswith("<!DOCTYPE html>")
+        self.feed(self.html)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert len({name for name, _ in attrs}) == len(attrs)
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("th", "td"):
+            self.rows[-1].append("")
+        elif tag == "script":
+            self.scripts.append("")
+        elif tag == "style":
+            self.styles.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        inside = self.open[-1] if self.open else ""
+        if inside in ("script", "style"):
+            texts = self.scripts if inside == "script" else self.styles
+            texts[-1] += data
+            return
+        self.text += data
+        if {"th", "td"} & set(self.open):
+            self.rows[-1][-1] += data
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """What the plots are drawn from."""
+        (found,) = [i for i, (tag, attrs) in enumerate(t for t in self.tags if t[0] == "script") if "id" in attrs]
+        loaded: dict[str, Any] = json.loads(self.scripts[found])
+        return loaded
+
+    @property
+    def plain(self) -> str:
+        """The text with single spaces."""
+        return " ".join(self.text.split())
+
+    @property
+    def levels(self) -> list[str | None]:
+        """How to take each finding, in order."""
+        return [attrs["class"] for tag, attrs in self.tags if tag == "li" and "class" in attrs]
+
+    def table(self, head: str, first: Sequence[str] = ("joint", "body")) -> dict[str, dict[str, str]]:
+        """Rows by name of the tables whose heading opens with one of ``first`` and has ``head``; cells by heading."""
+        found: dict[str, dict[str, str]] = {}
+        heads: list[str] = []
+        for row in self.rows:
+            if row[0] in first:
+                heads = row
+            elif head in heads and len(row) == len(heads):
+                found[row[0]] = dict(zip(heads, row, strict=True))
+        return found
+
+
+def complete(page: Page) -> None:
+    """Nothing is fetched or run from elsewhere, and every plot says what it shows."""
+    for tag, attrs in page.tags:
+        assert tag not in ("link", "iframe", "object", "embed", "img", "base", "form")
+        assert not {"src", "href", "srcset", "data", "action"} & set(attrs)
+        assert not any(name.startswith("on") for name in attrs)
+        if "plot" in (attrs.get("class") or "").split():
+            assert attrs["role"] == "img"
+            assert attrs["aria-label"]
+    (style,) = page.styles
+    assert "url(" not in style
+    assert "@import" not in style
+    (policy,) = [attrs["content"] for _, attrs in page.tags if attrs.get("http-equiv") == "Content-Security-Policy"]
+    assert policy
+    assert policy.startswith("default-src 'none';")
+    assert "http" not in policy
+    assert "Plotly" in page.scripts[0]
+    assert len(page.html.encode()) < 6e6
+
+
+def evaluation_of(curves: dict[str, Array], logs: int = 1, start: float = 0.0) -> Evaluation:
+    """Made-up errors, and traces of the given curves: measured torque, then models', then maybe the angle ``q``."""
+    curves = {**curves, "residual": curves["measured"] - list(curves.values())[1]}
+    nv, points = curves["measured"].shape
+    t = start + np.repeat(np.arange(points // 2) + 0.5, 2) * 0.01
+    errors = {
+        name: Errors(10, np.full(nv, 0.6 + i), np.full(nv, 3.6 + i))
+        for i, name in enumerate(curves)
+        if i and name not in ("residual", "q")
+    }
+    spread = {f"j{j}": 2.0 for j in range(nv)}
+    return Evaluation(errors, spread, tuple(Trace(f"log {i}", t, curves) for i in range(logs)))
+
+
+def _rms(joints: Sequence[str], value: float) -> dict[str, float]:
+    return {**{joint: value * (1 + 0.1 * i) for i, joint in enumerate(joints)}, "overall": value}
+
+
+def study_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
+    """The content of study.json: tighter sets err less with few samples, and alike, within 5 %, from 100 on."""
+    counts = [1, 2, 5, 10, 20, 30, 50, 100, 300, 1000]
+    sets = {"none": 9.0, "semi": 6.0, "full": 3.0, "ellipsoid": 1.0}
+    few = {
+        name: [1.0 + (excess / n if n < 100 else 0.01 * excess / 9) for n in counts] for name, excess in sets.items()
+    }
+    violation = {"none": 0.8, "semi": 0.3, "full": 0.0, "ellipsoid": 0.0}
+    t = np.linspace(0, 10, 4001)
+    rates = {"none": 0.1, "full": 0.5, "ellipsoid": 2.0}
+    return {
+        "idtool": "0.0",
+        "schema": 1,
+        "joints": list(joints),
+        "units": dict.fromkeys(joints, "N·m"),
+        "band_hz": 40.0,
+        "samples": {"train": 7000, "validation": 3000},
+        "urdf": "/robots/leg.urdf",
+        "logs": ["/logs/leg.mcap"],
+        "seconds": 12.3,
+        "sets": {
+            name: {
+                "rms": {"train": _rms(joints, 0.9), "validation": _rms(joints, 1 + 0.01 * i)},
+                "seconds": 0.012 * (i + 1),
+                "objective": 1.25,
+                "duality_gap": 3e-9,
+                "iterations": 10 + i,
+                "lmi": {"none": "–", "semi": "6×6", "full": "4×4", "ellipsoid": "4×4, 1 linear"}[name],
+                "violations": {"none": 2, "semi": 1}.get(name, 0),
+                "worst_margin": {"none": -0.3, "semi": -0.1}.get(name, 0.002),
+                "masses": {body: (j + 1) * (-0.5 if name == "none" else 0.5) for j, body in enumerate(bodies)},
+            }
+            for i, name in enumerate(sets)
+        },
+        "estimators": {
+            name: {
+                "rms": {"train": _rms(joints, 0.9), "validation": _rms(joints, 1.0)},
+                "seconds": 0.02,
+                "duality_gap": 1e-9 if i < 3 else None,
+                "iterations": 12,
+                "status": "optimal" if i < 3 else "converged",
+                "note": "" if name != "manifold" else "It stopped 12 % above the convex optimum.",
+            }
+            for i, name in enumerate(("euclidean", "entropic", "pullback", "log_cholesky", "manifold"))
+        },
+        "learning": {
+            "counts": counts,
+            "draws": 30,
+            "curves": {
+                name: {"median": y, "lower": [0.8 * v for v in y], "upper": [1.3 * v for v in y]}
+                for name, y in few.items()
+            },
+            "violation": {name: [most / n if n < 100 else 0.0 for n in counts] for name, most in violation.items()},
+        },
+        "adaptation": {
+            "t": t.tolist(),
+            "error": {name: np.exp(-rate * t).tolist() for name, rate in rates.items()},
+            "time_to_10_percent": {"none": None, "full": 4.605, "ellipsoid": 1.151},
+            "forgetting": 2.0,
+        },
+        "warnings": [],
+    }
+
+
+def body_of(kind: str = "link", **extra: Any) -> dict[str, Any]:
+    """What report.json holds of a body: a realizable one in one ellipsoid."""
+    pi = from_mass_com_inertia(0.6, [0, 0, -0.16], np.diag([4e-3, 4e-3, 4e-4]))
+    corners = 0.15**0.5 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
+    places = corners * [0.03, 0.03, 0.2] + [0, 0, -0.16]
+    return {
+        "copy_of": None,
+        "ellipsoids": [{"center": [0, 0, -0.17], "semi_axes": [0.08, 0.08, 0.25], "rpy": [0, 0.1, 0]}],
+        "shapes": [],
+        "split": None,
+        "witness": {"masses": [0.1, 0.1, 0.1, 0.3], "points": places.tolist()},
+        "violations": [],
+        "deviation_ellipsoid": {"center": [0, 0, -0.16], "semi_axes": [0.02, 0.02, 0.08], "rpy": [0.2, 0, 0]},
+        "mass": 0.6,
+        "com": [0.0, 0.0, -0.16],
+        "pi": pi.tolist(),
+        "prior": from_mass_com_inertia(0.5, [0, 0, -0.171], np.diag([5e-3, 5e-3, 3e-4])).tolist(),
+        "kind": kind,
+        "realizable": True,
+        **extra,
+    }
+
+
+def with_shapes(report: dict[str, Any]) -> dict[str, Any]:
+    """A report whose bodies have all that `body_of` says of one; what they have already stays."""
+    bodies = {name: {**body_of(), **body} for name, body in report["bodies"].items()}
+    return {
+        **report,
+        "bodies": bodies,
+        "regularization": report.get("regularization", {}),
+        "known": report.get("known", []),
+    }
+
+
+def adapt_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
+    """The content of adapt.json: masses settle exponentially, friction steps to its value after 2 s."""
+    t = np.linspace(0, 20, 5001)
+    inertial = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+    units = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
+    coefficients = [
+        {"effect": "rigid_body", "owner": body, "name": name, "unit": unit}
+        for body in bodies
+        for name, unit in zip(inertial, units, strict=True)
+    ] + [
+        {"effect": f"{name}_friction", "owner": joint, "name": name, "unit": unit}
+        for joint in joints
+        for name, unit in (("viscous", "N·m·s/rad"), ("coulomb", "N·m"))
+    ]
+    theta = np.zeros((len(t), len(coefficients)))
+    for i in range(len(bodies)):
+        mass = 0.5 * (i + 1) * (1 - np.exp(-t / (i + 1)))
+        theta[:, 10 * i] = mass
+        theta[:, 10 * i + 3] = -0.1 * (i + 1) * mass
+    theta[:, 10 * len(bodies) :] = 0.3 * (t > 2)[:, None]
+    found = body_of()
+    return {
+        "idtool": "0.0",
+        "schema": 1,
+        "joints": list(joints),
+        "units": dict.fromkeys(joints, "N·m"),
+        "bodies": list(bodies),
+        "coefficients": coefficients,
+        "constraints": dict.fromkeys(bodies, "ellipsoid"),
+        "forgetting": 2.0,
+        "t": t.tolist(),
+        "theta": theta.tolist(),
+        "prediction_rms": _rms(joints, 0.7),
+        "final": {
+            "bodies": {
+                body: {
+                    "mass": float(theta[-1, 10 * i]),
+                    "com": [0.0, 0.0, -0.1 * (i + 1)],
+                    "inertia_com": [4e-3, 0, 4e-3, 0, 0, 4e-4],
+                    "pi": found["pi"],
+                    "realizable": True,
+                }
+                for i, body in enumerate(bodies)
+            },
+            "friction": {joint: {"viscous": 0.3, "coulomb": 0.3, "offset": None} for joint in joints},
+        },
+        "samples": 20000,
+        "seconds": 3.1,
+        "warnings": [],
+        "urdf": "/robots/leg.urdf",
+        "logs": ["/logs/leg.mcap"],
+    }

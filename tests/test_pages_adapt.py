@@ -1,0 +1,126 @@
+"""adapt.html: the parameters over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pages import BODY, SCRIPT, SLIDE, Page, adapt_of, complete
+
+from idtool.pages import adapt_page
+from idtool.pages.adapt import settling_time
+from idtool.pages.charts import significant, thinned
+
+JOINTS = (SCRIPT, SLIDE)
+BODIES = (BODY, "thigh", "shank")
+
+
+@pytest.fixture
+def report() -> dict[str, Any]:
+    """The content of adapt.json, to be changed at will."""
+    return adapt_of(JOINTS, BODIES)
+
+
+def page_of(report: dict[str, Any]) -> Page:
+    return Page(adapt_page(report, f"idtool adapt {SCRIPT}"))
+
+
+def test_the_page_is_complete_in_itself_and_safe(report: dict[str, Any]) -> None:
+    report["warnings"] = [SCRIPT, "a\udcff"]
+    page = page_of(report)
+    complete(page)
+    assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3
+    assert "<" not in page.scripts[1]
+    assert {SCRIPT, SLIDE, BODY} < {row[0] for row in page.rows}
+
+
+def test_a_long_log_of_a_large_robot_stays_small(rng: np.random.Generator) -> None:
+    report = adapt_of([f"j{i}" for i in range(12)], [f"body {i}" for i in range(30)])
+    report["theta"] = rng.normal(size=(len(report["t"]), len(report["coefficients"]))).tolist()
+    page = page_of(report)
+    complete(page)
+    assert page.data["charts"]["masses"]["x"]["values"][-1] == 20.0
+
+
+def test_curves_are_the_reports(report: dict[str, Any]) -> None:
+    charts = page_of(report).data["charts"]
+    theta = np.array(report["theta"])
+    at = np.searchsorted(report["t"], np.array(charts["masses"]["x"]["values"]) - 1e-6)
+    (masses,) = charts["masses"]["panels"]
+    assert [line["name"] for line in masses["lines"]] == list(BODIES)
+    for i, line in enumerate(masses["lines"]):
+        np.testing.assert_allclose(line["y"], theta[at, 10 * i], rtol=1e-3)
+    assert [panel["title"] for panel in charts["centers"]["panels"]] == ["x [m]", "y [m]", "z [m]"]
+    for i, line in enumerate(charts["centers"]["panels"][2]["lines"]):
+        drawn = np.array(line["y"], dtype=float)
+        assert np.isnan(drawn[0])  # where there is no mass yet
+        np.testing.assert_allclose(drawn[1:], -0.1 * (i + 1), rtol=1e-3)
+    joint = [chart for name, chart in charts.items() if name.startswith("joint")]
+    assert [chart["panels"][0]["title"] for chart in joint] == ["viscous [N·m·s/rad]", "coulomb [N·m]"]
+    assert all([line["name"] for line in chart["panels"][0]["lines"]] == list(JOINTS) for chart in joint)
+    assert (joint[1]["panels"][0]["lines"][0]["y"][0], joint[1]["panels"][0]["lines"][0]["y"][-1]) == (0.0, 0.3)
+
+
+def test_late_stamps_keep_their_digits(report: dict[str, Any]) -> None:
+    report["t"] = [1.6e9 + 0.3 + t for t in report["t"]]
+    x = page_of(report).data["charts"]["masses"]["x"]
+    assert x["title"] == "t − 1600000000 [s]"
+    assert x["values"][-1] == pytest.approx(20.3, abs=1e-5)
+
+
+def test_when_a_mass_has_settled_is_said(report: dict[str, Any]) -> None:
+    t = np.array(report["t"])
+    rows = page_of(report).table("last mass [kg]")
+    for i, body in enumerate(BODIES):
+        last = 1 - np.exp(-20 / (i + 1))
+        wanted = -(i + 1) * np.log(1 - 0.95 * last)  # 1 − exp(−t/T) = 0.95 of the last
+        assert float(rows[body]["within 5 % of it after [s]"]) == pytest.approx(wanted, abs=0.02)
+    assert "every body's mass stays within 5 %" in page_of(report).plain
+    for row, time in zip(report["theta"], t, strict=True):
+        row[10] = time
+    text = page_of(report).plain
+    assert f"every body's mass stays within 5 % of its last value. {BODY}" not in text
+    assert settling_time(t, t) == pytest.approx(19.0, abs=0.01)
+
+
+def test_a_mass_that_wanders_to_the_end_is_named(report: dict[str, Any]) -> None:
+    for i, row in enumerate(report["theta"]):
+        row[10] = 1.0 + 0.2 * (i % 2)
+    page = page_of(report)
+    assert "Not yet within 5 % of a lasting value: the mass of thigh." in page.plain
+    assert page.levels == ["note", "good", "note"]
+
+
+def test_settling() -> None:
+    t = np.arange(5.0)
+    assert settling_time(t, np.array([1.0, 2.0, 2.0, 2.0, 2.0])) == 1.0
+    assert settling_time(t, np.full(5, 2.0)) == 0.0
+    assert settling_time(t, np.array([2.0, 2.0, 2.0, 1.0, 2.0])) is None
+    assert settling_time(t, np.array([np.nan, 2.0, 2.0, 2.0, 2.0])) == 1.0
+    assert settling_time(t[:0], t[:0]) is None
+
+
+def test_a_body_that_cannot_exist_is_named(report: dict[str, Any]) -> None:
+    report["final"]["bodies"]["shank"]["realizable"] = False
+    page = page_of(report)
+    assert "1 of 3 bodies of the last estimate are not: shank." in page.plain
+    assert page.levels[1] == "bad"
+    assert page.table("last mass [kg]")["shank"]["realizable"] == "NO"
+
+
+def test_tables_hold_the_reports_figures(report: dict[str, Any]) -> None:
+    page = page_of(report)
+    assert page.table("prediction [N·m]")[SLIDE]["prediction [N·m]"] == "0.770"
+    assert page.table("prediction [N·m]")["overall"]["prediction [N·m]"] == "0.700"
+    assert page.table("offset [N·m]")[SCRIPT] == {
+        "joint": SCRIPT, "last viscous [N·m·s/rad]": "0.3000", "Coulomb [N·m]": "0.3000", "offset [N·m]": "–"
+    }  # fmt: skip
+
+
+def test_what_a_page_holds_of_many_values() -> None:
+    assert thinned(10, 4).tolist() == [0, 3, 6, 9]
+    assert thinned(3, 100).tolist() == [0, 1, 2]
+    assert thinned(0, 5).tolist() == []
+    assert len(thinned(1001, 10)) <= 10
+    assert significant([1.23456, 1e-9 / 3, None, float("inf"), float("nan")]) == [1.235, 3.333e-10, None, None, None]

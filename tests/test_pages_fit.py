@@ -1,0 +1,179 @@
+"""report.html: well-formed, complete in itself, safe from the names in it, and true to the results."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+from pages import BODY, SCRIPT, SLIDE, Page, complete, with_shapes
+from robots import inertial, link
+
+from idtool.config import parse_config
+from idtool.experiment import prepare
+from idtool.fit import Fit, fit
+from idtool.logs import make_log, write_log
+from idtool.pages import fit_page, number, with_error
+from idtool.report import fit_report
+from idtool.robot import read_robot
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Fit:
+    """A revolute and a prismatic joint and a log with a gap, names and paths as a stranger may choose them."""
+    folder = tmp_path_factory.mktemp("logs") / SCRIPT.partition("/")[0]
+    folder.mkdir()
+    rng = np.random.default_rng(3)
+    joints = link(1).replace('"j1"', quoteattr(SCRIPT)) + link(2, kind="prismatic").replace('"j2"', quoteattr(SLIDE))
+    names = f"<link name='l0'/><link name='l1'>{inertial(rng)}</link><link name='l2'>{inertial(rng)}</link>"
+    urdf = f"<robot name='r'>{names}{joints}</robot>".replace('"l1"', quoteattr(BODY)).replace("'l1'", quoteattr(BODY))
+    (folder / "robot.urdf").write_text(urdf)
+    t = np.arange(6000) / 1000
+    q = np.stack([np.sin(5 * t) + 0.3 * np.sin(17 * t), 0.2 * np.sin(7 * t + 1)], axis=1)
+    v = np.gradient(q, t, axis=0)
+    signals = {"q": q, "v": v, "tau": 2 * np.sin(q) + 0.5 * np.sign(v) + rng.normal(scale=0.05, size=q.shape)}
+    keep = (t < 5.0) | (t > 5.3)
+    path = folder / SCRIPT.partition("/")[2]
+    log = make_log(path, t[keep], (SCRIPT, SLIDE), {name: x[keep] for name, x in signals.items()})
+    write_log(path.with_suffix(".csv"), log)
+    experiment = prepare(
+        read_robot(folder / "robot.urdf"),
+        parse_config({"friction": {SLIDE: {"coulomb": False}}}, "c.yaml"),
+        [path.with_suffix(".csv")],
+    )
+    return fit(experiment, lambda stage, share: None)
+
+
+@pytest.fixture
+def report(fitted: Fit) -> dict[str, Any]:
+    """The content of report.json, to be changed at will."""
+    return with_shapes(copy.deepcopy(fit_report(fitted)))
+
+
+def test_the_fit_page_is_complete_in_itself(fitted: Fit, report: dict[str, Any]) -> None:
+    complete(Page(fit_page(fitted, report, "idtool fit")))
+
+
+def test_the_plots_offer_no_upload(fitted: Fit, report: dict[str, Any]) -> None:
+    drawing = Page(fit_page(fitted, report, "idtool fit")).scripts[-1]
+    assert "showSendToCloud: false" in drawing
+    assert 'plotlyServerURL: ""' in drawing
+
+
+def test_names_and_paths_stay_text(fitted: Fit, report: dict[str, Any]) -> None:
+    report["warnings"] += [SCRIPT, "a\udcff"]
+    report["bodies"]["l2"]["lumped"] = [SCRIPT]
+    page = Page(fit_page(fitted, report, f"idtool fit {SCRIPT} --out \udcff"))
+    assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3
+    assert "<" not in page.scripts[1]
+    assert {SCRIPT, SLIDE, BODY} < {row[0].strip() for row in page.rows}
+    assert {f"Measured and predicted torque and residual of {name} over time" for name in (SCRIPT, SLIDE)} == {
+        attrs["aria-label"] for _, attrs in page.tags if "data-joint" in attrs
+    }
+    bodies = [attrs["aria-label"] or "" for _, attrs in page.tags if "data-body" in attrs]
+    assert [label.partition(" in its frame")[0] for label in bodies] == [f"Body {BODY}", "Body l2"]
+    for text in (f"idtool fit {SCRIPT} --out ?", "a?", f"with {SCRIPT}", f"{SCRIPT}.csv"):
+        assert text in page.text
+    assert [joint["name"] for joint in page.data["logs"][0]["joints"]] == [SCRIPT, SLIDE]
+    page.html.encode()
+
+
+def test_the_fit_page_draws_the_held_out_data(fitted: Fit, report: dict[str, Any]) -> None:
+    (log,) = Page(fit_page(fitted, report, "idtool fit")).data["logs"]
+    (trace,) = fitted.validation.traces
+    drawn = np.array([joint["predicted"] for joint in log["joints"]], dtype=float)
+    np.testing.assert_allclose(drawn, trace.curves["identified"], atol=1e-3)
+    np.testing.assert_allclose(log["t"], trace.t, atol=1e-5)
+    assert np.isnan(drawn).any()  # the gap
+    report["rms"]["validation"] = report["rms"]["prior_validation"] = None
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    assert page.data["logs"][0]["t"][0] < 0.5
+    assert "nothing was held out" in page.text
+
+
+def test_tables_hold_the_reports_figures(fitted: Fit, report: dict[str, Any]) -> None:
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    raw = page.table("held out")  # the last of equal headings: as logged
+    for name in (SCRIPT, SLIDE, "overall"):
+        assert raw[name]["held out"] == number(report["rms_raw"]["validation"][name])
+        assert number(report["rms"]["train"][name]) in next(row for row in page.rows if row[0] == name)
+    friction = page.table("viscous [N·m·s/rad]")[SCRIPT] | page.table("viscous [N·s/m]")[SLIDE]
+    assert friction["viscous [N·s/m]"] == with_error(*pair(report, SLIDE, "viscous"))[0]
+    assert friction["Coulomb [N]"] == "–"
+    assert friction["viscous [N·m·s/rad]"] == with_error(*pair(report, SCRIPT, "viscous"))[0]
+    bodies = page.table("prior mass [kg]")
+    assert list(bodies) == list(report["bodies"])
+    last = report["bodies"]["l2"]
+    assert bodies["l2"]["mass [kg]"] == with_error(last["mass"], last["standard_error"][0])[0]
+    assert bodies["l2"]["realizable"] == "yes"
+
+
+def pair(report: dict[str, Any], joint: str, term: str) -> tuple[float, float]:
+    found = report["friction"][joint]
+    return found[term], found["standard_error"][term]
+
+
+def test_units_are_those_of_the_joints(fitted: Fit, report: dict[str, Any]) -> None:
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    assert [joint["unit"] for joint in page.data["logs"][0]["joints"]] == ["N·m", "N"]
+    heads = [row[1] for row in page.rows if len(row) == 3 and "in the band" in row[1]]
+    assert [head.partition("[")[2] for head in heads] == ["N·m]", "N]", "N·m and N together]"]
+
+
+def test_a_model_no_better_than_the_prior_is_called_so(fitted: Fit, report: dict[str, Any]) -> None:
+    report["rms"]["validation"]["overall"] = 2 * report["rms"]["prior_validation"]["overall"]
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    assert "no better. Do not use" in " ".join(page.text.split())
+    assert page.levels[0] == "bad"
+
+
+def test_a_joint_no_better_than_the_prior_is_named(fitted: Fit, report: dict[str, Any]) -> None:
+    for part, values in (("validation", (3.0, 0.1, 2.0)), ("prior_validation", (2.0, 9.0, 6.0)), ("train", (0.5,) * 3)):
+        report["rms"][part] = dict(zip((SCRIPT, SLIDE, "overall"), values, strict=True))
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    text = " ".join(page.text.split())
+    assert f"No better than the prior: {SCRIPT}." in text
+    assert "3.0 times as large" in text
+    assert "longer or more varied logs" in text
+    assert page.levels[0] == "note"
+
+
+def test_an_unrealizable_body_is_named(fitted: Fit, report: dict[str, Any]) -> None:
+    report["bodies"][BODY]["realizable"] = False
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    assert f"1 of 2 bodies are not: {BODY}." in page.text
+    assert page.levels[1] == "bad"
+    assert page.table("prior mass [kg]")[BODY]["realizable"] == "NO"
+
+
+def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any]) -> None:
+    known = fitted.uncertainty.identifiable
+    text = Page(fit_page(fitted, report, "idtool fit")).text
+    assert f"determine {known.sum()} of {len(known)} parameters" in text
+    certain = replace(fitted, uncertainty=replace(fitted.uncertainty, identifiable=np.ones_like(known)))
+    assert f"determine all {len(known)} parameters" in Page(fit_page(certain, report, "idtool fit")).text
+
+
+def test_a_warning_comes_with_what_to_do(fitted: Fit, report: dict[str, Any]) -> None:
+    report["warnings"] = ["joints held still: tail at 0"]
+    text = Page(fit_page(fitted, report, "idtool fit")).text
+    assert "joints held still: tail at 0" in text
+    assert "say where under locked_joints" in text
+
+
+def test_what_is_known_otherwise_is_beside_what_was_identified(fitted: Fit, report: dict[str, Any]) -> None:
+    soft = {"what": SCRIPT, "value": 0.634, "standard_error": 0.005, "identified": 0.6312}
+    report["known"] = [soft, {"what": "total mass", "value": 2.31, "standard_error": None, "identified": 2.31}]
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    assert [SCRIPT, "0.63400", "0.0050", "0.63120"] in page.rows
+    assert ["total mass", "2.3100", "exact", "2.3100"] in page.rows
+    report["known"] = []
+    assert "Known by other means" not in Page(fit_page(fitted, report, "idtool fit")).text
+
+
+def test_the_regularization_is_named(fitted: Fit, report: dict[str, Any]) -> None:
+    report["regularization"] = {"kind": "entropic", "weight": 1e-6, "units": "relative"}
+    assert "entropic, weight 1.0e-06, relative units" in Page(fit_page(fitted, report, "idtool fit")).text

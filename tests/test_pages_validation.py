@@ -1,0 +1,108 @@
+"""validation.html, and the curves that pages are drawn from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pages import Page, complete, evaluation_of
+
+from idtool.pages import merged, rounded, validation_page
+from idtool.report import validation_report
+from idtool.validate import Evaluation
+
+Array = NDArray[np.float64]
+
+
+def validated(evaluation: Evaluation, **extra: Any) -> Page:
+    """The page of a validation, its bounds met by the first joint and not by the whole."""
+    units = dict.fromkeys(evaluation.spread, "N·m")
+    contents = validation_report(evaluation, units, 40.0, {next(iter(units)): 0.5, "overall": 0.3})
+    return Page(validation_page(evaluation, contents | extra, "idtool validate x"))
+
+
+@pytest.fixture
+def noisy(rng: np.random.Generator) -> dict[str, Array]:
+    """Curves of a model and a prior for three joints, with a gap."""
+    measured, model, prior = rng.normal(scale=[[30.0], [1.0], [1e-4]], size=(3, 3, 400))
+    measured[:, 100:140] = model[:, 100:140] = prior[:, 100:140] = np.nan
+    return {"measured": measured, "model": model, "prior": prior}
+
+
+def test_the_validation_page_is_complete_in_itself(noisy: dict[str, Array]) -> None:
+    complete(validated(evaluation_of(noisy)))
+
+
+@pytest.mark.parametrize("logs", [1, 20])
+def test_pages_of_large_robots_stay_small(rng: np.random.Generator, logs: int) -> None:
+    curves = {name: rng.normal(scale=30, size=(12, 4000)) for name in ("measured", "model", "prior")}
+    page = validated(evaluation_of(curves, logs, 1.6e9))
+    assert len(page.html.encode()) < 6e6
+    assert len(page.data["logs"]) + page.data["omitted"] == logs
+    assert (f"{page.data['omitted']} more logs" in page.text) == (logs > 1)
+
+
+def test_curves_match_the_evaluation(noisy: dict[str, Array]) -> None:
+    (log,) = validated(evaluation_of(noisy)).data["logs"]
+    assert log["t"] == (np.repeat(np.arange(200) + 0.5, 2) * 0.01).round(5).tolist()
+    wanted = {"measured": noisy["measured"], "predicted": noisy["model"], "prior": noisy["prior"]}
+    residual = (noisy["measured"] - noisy["model"]).reshape(3, -1, 2)
+    wanted["residual"] = np.sort(residual, axis=-1)
+    for j, joint in enumerate(log["joints"]):
+        for name, x in wanted.items():
+            drawn = np.array(joint[name], dtype=float)
+            pairs = np.sort(x.reshape(3, -1, 2)[j], axis=-1).ravel()
+            np.testing.assert_allclose(drawn, pairs, atol=1e-4 * np.nanmax(np.abs(pairs)))
+
+
+def test_late_stamps_keep_their_digits(noisy: dict[str, Array]) -> None:
+    (log,) = validated(evaluation_of(noisy, start=1.6e9)).data["logs"]
+    assert log["start"] == 1_600_000_000
+    np.testing.assert_allclose(np.diff(log["t"][::2]), 0.01, atol=2e-5)
+
+
+def test_merging_loses_no_extreme(rng: np.random.Generator) -> None:
+    x = rng.normal(size=(2, 50))
+    x[0, :20] = np.nan
+    coarse = merged(x, 4)
+    assert coarse.shape == (2, 14)
+    assert np.isnan(coarse[0, :4]).all()
+    assert not np.isnan(coarse[:, 4:]).any()
+    for row, full in zip(coarse, x, strict=True):
+        assert (np.nanmin(row), np.nanmax(row)) == (np.nanmin(full), np.nanmax(full))
+    assert merged(x[1:], 1).tolist() == np.sort(x[1:].reshape(-1, 2)).reshape(1, -1).tolist()
+
+
+def test_rounding_keeps_five_digits_of_the_largest() -> None:
+    assert rounded(np.array([12.345678, -0.001234, np.nan])) == [12.346, -0.001, None]
+    assert rounded(np.array([np.nan])) == [None]
+    assert rounded(np.array([0.0, 1e-300])) == [0.0, 0.0]
+    assert rounded(np.array([123456789.0])) == [123460000.0]
+
+
+def test_joints_of_two_kinds_have_two_units(noisy: dict[str, Array]) -> None:
+    evaluation = evaluation_of(noisy)
+    mixed = validated(evaluation, units={"j0": "N·m", "j1": "N", "j2": "N·m"})
+    assert [joint["unit"] for joint in mixed.data["logs"][0]["joints"]] == ["N·m", "N", "N·m"]
+    assert "N·m and N together" in mixed.text
+    assert "N·m and N together" not in validated(evaluation).text
+
+
+def test_bounds_pass_or_fail(noisy: dict[str, Array]) -> None:
+    page = validated(evaluation_of(noisy))
+    results = {name: (row["bound"], row["result"]) for name, row in page.table("bound").items()}
+    assert results == {"j0": ("0.500", "pass"), "j1": ("–", ""), "j2": ("–", ""), "overall": ("0.300", "FAIL")}
+    assert "Not met: overall." in page.text
+    assert page.levels == ["good", "bad"]
+
+
+def test_a_validation_without_prior_or_bounds(noisy: dict[str, Array]) -> None:
+    evaluation = evaluation_of({name: noisy[name] for name in ("measured", "model")})
+    units = dict.fromkeys(evaluation.spread, "N·m")
+    page = Page(validation_page(evaluation, validation_report(evaluation, units, 40.0, {}), "idtool validate x"))
+    assert "prior" not in page.text
+    assert "bound" not in page.text
+    assert "prior" not in page.data["logs"][0]["joints"][0]
+    assert page.levels == ["good"]
