@@ -1,9 +1,9 @@
 """The identification on R-factors against the same problem with every sample in the solver.
 
 Run ``python benchmarks/reduced_solve.py``. Both are problem (27) of the leg with all bodies on their ellipsoids, in the
-same variables and units, by cvxpy and Clarabel with the same settings. One has the rows of all samples, filtered and
-not decimated; the other, `identify.solve`, their triangular factor. The latter's time includes its certificate, and in
-the last ratio the way from the log to the factor, of which the rows are spared.
+same variables and units, by Clarabel with the same settings. One has the rows of all samples, filtered and not
+decimated, and is stated in cvxpy; the other, `identify.solve`, has their triangular factor. The latter's time includes
+its certificate, and in the last ratio the way from the log to the factor, of which the rows are spared.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from idtool.experiment import Experiment
 from idtool.fit import choose_sets
 from idtool.identify import _SETTINGS, solve
-from idtool.inertia import SIZE
-from idtool.problem import INTERIOR, Problem, build_problem, free_noise, weighted_rows
+from idtool.prior import prior_rows
+from idtool.problem import _LEAST_WEIGHT, Problem, build_problem
 from idtool.reduction import Factor, Reduction, empty, reduce_blocks
+from idtool.weights import free_noise, weighted_rows
 
 Array = NDArray[np.float64]
 
@@ -38,29 +39,32 @@ def reduced(experiment: Experiment) -> Reduction:
 
 def stated(experiment: Experiment) -> tuple[Problem, Array, Array]:
     """The problem on factors, and A and b of the same problem with all rows: the samples' and the prior's."""
-    equation, bodies = experiment.equation, experiment.model.bodies
+    equation, bodies, regularization = experiment.equation, experiment.model.bodies, experiment.config.regularization
     factors = reduced(experiment)
     sets, _ = choose_sets(bodies, "ellipsoid")
     noise = free_noise(equation, factors)
-    problem, prior = (
-        build_problem(equation, bodies, data, sets, experiment.config.regularization, noise)
-        for data in (factors, empty(equation.active()))
-    )
+    problem = build_problem(equation, bodies, factors, sets, regularization, noise)
     stacked = (np.concatenate(joint, axis=1).T for joint in zip(*blocks(experiment), strict=True))
     whole = tuple(Factor(rows, len(rows), len(rows)) for rows in stacked)
-    rows = weighted_rows(equation, whole, noise)
-    A = np.concatenate([rows[:, :-1] * problem.scale, prior.A * (problem.scale / prior.scale)])
-    return problem, A, np.concatenate([rows[:, -1], prior.b])
+    held = np.flatnonzero([c.scale is not None for c in equation.coefficients])
+    least = np.sqrt(_LEAST_WEIGHT) * np.eye(len(problem.scale))[held] / problem.scale
+    pull = np.column_stack([least, least @ equation.prior])
+    prior = prior_rows(equation, bodies, regularization, problem.scale)
+    rows = np.concatenate([weighted_rows(equation, whole, noise), prior, pull])
+    return problem, rows[:, :-1] * problem.scale, rows[:, -1]
 
 
 def solve_rows(problem: Problem, A: Array, b: Array) -> Array:
     """The optimum with the cost ‖A S x − b‖² in place of the problem's own."""
-    x = cp.Variable(problem.S.shape[1])
+    x = cp.Variable(problem.variables)
     constraints = [x[problem.bounded] >= problem.bounds]
-    for matrix in problem.inequalities:
-        n = matrix.G.shape[-1]
-        value = matrix.G.reshape(SIZE, -1).T @ x[matrix.first : matrix.first + SIZE]
-        constraints.append(cp.reshape(value, (n, n), order="C") - INTERIOR * np.eye(n) >> 0)
+    for limit in problem.inequalities:
+        n = limit.G.shape[-1]
+        value = limit.G.reshape(len(limit.G), -1).T @ x[limit.own]
+        if limit.G.ndim == 2:
+            constraints.append(value >= limit.interior)
+        else:
+            constraints.append(cp.reshape(value, (n, n), order="C") - limit.interior * np.eye(n) >> 0)
     program = cp.Problem(cp.Minimize(cp.sum_squares((A @ problem.S) @ x - b)), constraints)
     program.solve(solver=cp.CLARABEL, **_SETTINGS)
     return np.asarray(x.value)

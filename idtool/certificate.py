@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from idtool.inequality import least
 from idtool.inertia import BASIS, SIZE
@@ -18,6 +19,8 @@ from idtool.problem import Problem
 Array = NDArray[np.float64]
 
 _TRACE = np.trace(BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, in units of the body
+_NEWTON = 50  # steps at the most
+_SETTLED = 1e-9  # Newton decrement, of a self-concordant function, at which the step was the last
 GAP = 1e-6  # relative duality gap above which a solution is refused
 
 
@@ -69,7 +72,7 @@ def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers:
 
     With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of what is known exactly, the dual
     function is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus the interior's share and mu · e. f is replaced by its
-    quadratic part and the tangent at x of its convex rest, which lies below it: a least-squares problem.
+    quadratic part and a tangent of its convex rest, which lies below it: a least-squares problem.
 
     Parameters
     ----------
@@ -90,15 +93,48 @@ def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers:
     interior = sum(i.interior * float(np.trace(Z) if Z.ndim == 2 else Z.sum()) for i, Z in shares)
     interior += float(multipliers @ problem.bounds)
     z = problem.S @ x
+    downhill = 2 * problem.A.T @ (problem.A @ z - problem.b) + _tangent(problem, z) - slope
+    mu = np.linalg.lstsq(problem.E.T, downhill, rcond=None)[0]
+    slope += problem.E.T @ mu
+    touching = [z, _minimum(problem, slope, z)] if problem.log_dets else [z]
+    return float(max(_least(problem, slope, point) for point in touching) + interior + mu @ problem.e)
+
+
+def _least(problem: Problem, slope: Array, touching: Array) -> float:
+    """The minimum over z of f(z) − slope · z with the tangent of the log-dets at a point in their place."""
+    tangent = _tangent(problem, touching)
+    rest = sum(term.value(touching) for term in problem.log_dets) - tangent @ touching
+    # min over z of ‖A z − b‖² − g · z is where A z − b is ½ A⁻ᵀ g.
+    half = 0.5 * np.linalg.solve(problem.A.T, slope - tangent)
+    return problem.constant + float(rest - half @ (half + 2 * problem.b))
+
+
+def _tangent(problem: Problem, z: Array) -> Array:
+    """Slope at z of the part of f that is not quadratic, shape (p',)."""
     tangent = np.zeros_like(z)
     for term in problem.log_dets:
         tangent[term.own] += term.gradient(z)
-    rest = sum(term.value(z) for term in problem.log_dets) - tangent @ z
-    downhill = 2 * problem.A.T @ (problem.A @ z - problem.b) + tangent - slope
-    mu = np.linalg.lstsq(problem.E.T, downhill, rcond=None)[0]
-    # min over z of ‖A z − b‖² − g · z is where A z − b is ½ A⁻ᵀ g.
-    half = 0.5 * np.linalg.solve(problem.A.T, slope + problem.E.T @ mu - tangent)
-    return problem.constant + float(rest - half @ (half + 2 * problem.b) + interior + mu @ problem.e)
+    return tangent
+
+
+def _minimum(problem: Problem, slope: Array, z: Array) -> Array:
+    """Where f(z) − slope · z is least, from near there: Newton's method on a self-concordant function."""
+    for _ in range(_NEWTON):
+        roots = [np.sqrt(2) * problem.A]
+        for term in problem.log_dets:
+            root = np.zeros((term.G[0].size, len(z)))
+            root[:, term.own] = term.root(z)
+            roots.append(root)
+        downhill = slope - 2 * problem.A.T @ (problem.A @ z - problem.b) - _tangent(problem, z)
+        R = np.linalg.qr(np.concatenate(roots), mode="r")  # Rᵀ R is the Hessian
+        scaled = solve_triangular(R, downhill, trans=1)
+        step = solve_triangular(R, scaled)
+        # Of a damped step: f / weight is self-concordant (Nesterov & Nemirovski), so that it descends and stays inside.
+        size = float(np.sqrt(scaled @ scaled / min(term.weight for term in problem.log_dets)))
+        z = z + step / (1 + size)
+        if size < _SETTLED:
+            break
+    return z
 
 
 def _nonnegative(Z: Array) -> Array:
@@ -126,7 +162,7 @@ def _slope(problem: Problem, duals: Sequence[Array]) -> Array:
         bases, slopes = (np.concatenate(columns) for columns in zip(*((B.T, s) for B, s in pieces), strict=True))
         g = np.linalg.lstsq(bases, slopes, rcond=None)[0]
         if len(slopes) > SIZE:
-            g += max(_shortfall(B, B.T @ g - s) for B, s in pieces) * _TRACE
+            g = g + _TRACE * max([_shortfall(B, B.T @ g - s) for B, s in pieces])
         slope[first : first + SIZE] = g
     return slope
 

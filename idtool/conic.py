@@ -123,7 +123,10 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     ]
     multipliers = z[last] if len(bounded) else np.zeros(0)
     status = "optimal" if answer.status == clarabel.SolverStatus.Solved else str(answer.status)
-    return Solution(start + np.asarray(answer.x)[:m], duals, multipliers, status, int(answer.iterations))
+    x = start + np.asarray(answer.x)[:m]
+    if not np.isfinite(problem.cost(problem.S @ x)):
+        raise SolverError("solver", f"found nothing that has a cost ({status}); check units and magnitudes")
+    return Solution(x, duals, multipliers, status, int(answer.iterations))
 
 
 def _extra(term: LogDet) -> int:
@@ -176,9 +179,11 @@ def _run(P: Any, q: Array, rows: _Rows, settings: Mapping[str, Any]) -> Any:
     options.verbose = False
     for name, value in settings.items():
         setattr(options, name, value)
-    A = sparse.csc_matrix(np.concatenate(rows.A))
+    A, b = sparse.csc_matrix(np.concatenate(rows.A)), np.concatenate(rows.b)
+    if not (np.isfinite(A.data).all() and np.isfinite(b).all()):
+        raise SolverError("solver", "was given numbers that are not finite; check units and magnitudes")
     try:
-        answer = clarabel.DefaultSolver(P, q, A, np.concatenate(rows.b), rows.cones, options).solve()
+        answer = clarabel.DefaultSolver(P, q, A, b, rows.cones, options).solve()
     except BaseException as error:  # a panic of the solver's own is no Exception
         if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
             raise

@@ -71,6 +71,11 @@ class Experiment:
         """What a user should know, a plain sentence each."""
         several = len(self.runs) > 1
         said = list(self.model.warnings)
+        fitted, kept = (
+            {run.signals.log.path.resolve() for run in self.runs if bool(run.train) is trained}
+            for trained in (True, False)
+        )
+        said += [f"{path.name} is fitted to and validated on: its error says little" for path in sorted(fitted & kept)]
         for run in self.runs:
             prefix = f"{run.signals.log.path.name}: " if several else ""
             said += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]

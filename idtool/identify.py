@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,8 @@ from idtool.weights import free_noise, freedom, residual_noise, weighted_rows
 Array = NDArray[np.float64]
 
 _CLOSE = 1e-3  # to the limit of an inequality, in units of the body
+# A problem in units of order one loses accuracy by being scaled again, but for a few.
+_ATTEMPTS: tuple[dict[str, float | bool], ...] = ({}, {"tol_feas": 1e-10}, {"equilibrate_enable": True})
 _SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 
@@ -133,10 +136,10 @@ def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
-    try:
-        return _attempt(problem, {**_SETTINGS, **options})
-    except SolverError:  # a problem in units of order one loses accuracy by being scaled again, but for a few
-        return _attempt(problem, {**_SETTINGS, "equilibrate_enable": True, **options})
+    for other in _ATTEMPTS[:-1]:
+        with suppress(SolverError):
+            return _attempt(problem, {**_SETTINGS, **other, **options})
+    return _attempt(problem, {**_SETTINGS, **_ATTEMPTS[-1], **options})
 
 
 def solve_locally(problem: Problem, name: str, start: Array) -> tuple[Array, Certificate]:

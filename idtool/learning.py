@@ -155,7 +155,7 @@ def learn(
     The counts of samples, and a curve a set.
     """
     steps = counts(pool.blocks[0].shape[1])
-    few = sum(count < np.max(np.concatenate(active)) for count in steps)
+    few = sum(count < int(np.max(np.concatenate(active))) for count in steps)
     results = {name: np.full((_MORE * draws, len(steps), 2), np.nan) for name in state}
     for draw in range(_MORE * draws):
         order = rng.permutation(steps[-1])
@@ -189,7 +189,7 @@ def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[n
 def rms(data: Reduction, active: Sequence[NDArray[np.intp]], theta: Array) -> Array:
     """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
     squares = [f.squares(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
-    return np.sqrt(np.array([*squares, float(np.mean(squares))]))
+    return np.asarray(np.sqrt([*map(float, squares), float(np.mean(squares))]))
 
 
 def violation(problem: Problem, z: Array) -> float:

@@ -215,7 +215,8 @@ class _Builder:
         for bounding in bounds:
             self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
         for shape in self.config.bounding_shapes.get(link, ()):
-            self.shapes.setdefault(frame.body, []).append(bounding_shape(shape, self.robot, link).moved(frame.R, frame.p))
+            solid = bounding_shape(shape, self.robot, link).moved(frame.R, frame.p)
+            self.shapes.setdefault(frame.body, []).append(solid)
 
     def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a rotor's angle; no ratios where all that drives it is locked."""

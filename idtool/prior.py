@@ -64,6 +64,12 @@ class LogDet:
         X = np.tensordot(z[self.own], self.G, axes=1)
         return np.asarray(self.weight * np.einsum("kij,ji->k", self.G, np.eye(len(X)) - np.linalg.inv(X)))
 
+    def root(self, z: Array) -> Array:
+        """A matrix whose square, root.T @ root, is the second derivative, shape (16, 10)."""
+        X = np.tensordot(z[self.own], self.G, axes=1)
+        inverse = np.linalg.inv(np.linalg.cholesky(X))
+        return np.asarray(np.sqrt(self.weight) * (inverse @ self.G @ inverse.T).reshape(SIZE, -1).T)
+
 
 def reference(pi: Array, scales: Array) -> Array:
     """The parameters pi, or where no body can have them or only just, what is next to them well inside; shape (10,).

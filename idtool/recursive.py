@@ -1,18 +1,18 @@
 """Least squares with forgetting and a bounded gain, within the sets of a problem, sample by sample.
 
-After every sample, W (nv, m) its rows on x in units of each joint's noise and tau (nv,) its torque in the same,
+After every sample, w_j (m,) its row on x in joint j's equation and tau_j its torque,
 
-    Lambda ← gamma Lambda + Wᵀ W,  eta ← gamma eta + Wᵀ tau,
-    x = argmin over the sets of ½ xᵀ (Lambda + M) x − (eta + M prior)ᵀ x,
+    Lambda_j ← gamma Lambda_j + w_j w_jᵀ,  eta_j ← gamma eta_j + w_j tau_j,
+    x = argmin over the sets of ½ xᵀ (Σ_j Lambda_j / sigma_j² + M) x − (Σ_j eta_j / sigma_j² + M prior)ᵀ x,
 
 which is the projection of the unconstrained estimate onto the sets (Remark 5) in the metric of the information;
-`Barrier` follows it. The gain (Lambda + M)⁻¹ is bounded by M⁻¹: a deviation from the prior by a body's own mass and
-size, or a friction as large as what the joint carries, weighs as much as one standard error of the data. M does not
-fade, so what is no longer excited returns to the prior rather than drift.
+`Barrier` follows it. The gain, the inverse of the matrix, is bounded by M⁻¹: a deviation from the prior by a body's own
+mass and size, or a friction as large as what the joint carries, weighs as much as one standard error of the data. M
+does not fade, so what is no longer excited returns to the prior rather than drift.
 
-A joint's noise is what the prediction one sample ahead was lately wrong by. There is no future in it; and as long as
-the parameters do not fit, their error counts as noise, so that the first samples are not believed more than they
-deserve.
+A joint's noise sigma_j is what the predictions one sample ahead were lately wrong by: no future is in it, and no fit to
+the samples that it judges. It weighs all that is remembered alike. As long as the parameters do not fit, their error
+counts as noise, so that few samples are not believed more than they deserve.
 
 Letters: m variables x of the problem, theta = T x the p coefficients, nv joints.
 """
@@ -20,6 +20,7 @@ Letters: m variables x of the problem, theta = T x the p coefficients, nv joints
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,9 +94,9 @@ class RecursiveFit:
         rows, pull = free[:, None] * self.T, free * equation.prior
         self._prior = (whole[0] - self._facts[0] + rows.T @ rows, whole[1] - self._facts[1] + rows.T @ pull)
         self._explaining = np.linalg.lstsq(self.T, np.where(free > 0, 0.0, equation.prior), rcond=None)[0]
-        self._measured = self._explained = 0.0
-        m, nv = self.problem.variables, len(equation.joints)
-        self._Lambda, self._eta = np.zeros((m, m)), np.zeros(m)
+        nv = len(equation.joints)
+        self._joints = [_Information.of(self.T[active]) for active in equation.active()]
+        self._measured, self._explained = np.zeros(nv), np.zeros(nv)
         self._noise, self._power = np.zeros(nv), np.zeros(nv)
         self.squares, self.predicted, self.samples = np.zeros(nv), np.zeros(nv, dtype=np.intp), 0
         self._barrier = Barrier(self.problem, *self.normal(), _GAP)
@@ -105,13 +106,22 @@ class RecursiveFit:
         """The coefficients as they are estimated now, shape (p,)."""
         return np.asarray(self.T @ self._barrier.x)
 
+    @property
+    def noise(self) -> Array:
+        """sigma, shape (nv,) [N·m or N]; 1 where nothing is known of it yet."""
+        sigma = np.sqrt(np.maximum(self._noise, _LEAST_NOISE**2 * self._power))
+        return np.where(sigma > 0, sigma, 1.0)
+
     def normal(self) -> tuple[Array, Array]:
-        """Lambda + M, shape (m, m), and eta + M prior, shape (m,)."""
+        """The matrix, shape (m, m), and the vector, shape (m,), of the function that x minimises."""
+        weight = self.noise**-2.0
         # A prior that only holds a place is weaker by as much as the bodies turn out to be heavier.
-        grown = max(self._measured / self._explained, 1.0) if self._explained > 0 else 1.0
+        explained = float(weight @ self._explained)
+        grown = max(float(weight @ self._measured) / explained, 1.0) if explained > 0 else 1.0
         P, q = (prior / grown + fact for prior, fact in zip(self._prior, self._facts, strict=True))
-        P += self._Lambda
-        q += self._eta
+        for joint, w in zip(self._joints, weight, strict=True):
+            P[joint.own[:, None], joint.own] += w * joint.matrix
+            q[joint.own] += w * joint.vector
         return P, q
 
     def update(
@@ -136,23 +146,37 @@ class RecursiveFit:
         self.squares += error**2
         self.predicted += defined
         self.samples += 1
-        weight = np.sqrt(worth) * defined / self._judged(error, np.where(defined, tau, 0.0), defined, lately)
-        V, y = W * weight[:, None], tau * weight
-        self._Lambda *= gamma
-        self._Lambda += V.T @ V
-        self._eta *= gamma
-        self._eta += y @ V
-        self._measured += float(y @ y)
-        self._explained += float(np.square(V @ self._explaining).sum())
-        self._barrier.move(*self.normal())
-
-    def _judged(self, error: Array, tau: Array, defined: NDArray[np.bool_], lately: float) -> Array:
-        """The joints' noise, shape (nv,), after the latest error."""
         mean = defined / np.maximum(self.predicted, 1)
         self._power += mean * (tau**2 - self._power)
         self._noise += np.where(defined, np.maximum(mean, lately), 0.0) * (error**2 - self._noise)
-        sigma = np.sqrt(np.maximum(self._noise, _LEAST_NOISE**2 * self._power))
-        return np.where(sigma > 0, sigma, 1.0)
+        self._measured += defined * tau**2
+        self._explained += defined * np.square(W @ self._explaining)
+        for joint, row, torque, holds in zip(self._joints, W, tau, defined, strict=True):
+            joint.update(row, torque, gamma, worth * float(holds))
+        self._barrier.move(*self.normal())
+
+
+@dataclass(frozen=True)
+class _Information:
+    """What one joint's equation says: Lambda_j and eta_j on those variables that it depends on."""
+
+    own: NDArray[np.intp]
+    matrix: Array
+    vector: Array
+
+    @classmethod
+    def of(cls, rows: Array) -> _Information:
+        """Nothing yet, of an equation whose coefficients are ``rows`` · x."""
+        own = np.flatnonzero(rows.any(axis=0))
+        return cls(own, np.zeros((len(own), len(own))), np.zeros(len(own)))
+
+    def update(self, row: Array, torque: float, gamma: float, worth: float) -> None:
+        self.matrix[:] *= gamma
+        self.vector[:] *= gamma
+        if worth:
+            own = row[self.own]
+            self.matrix[:] += worth * own[:, None] * own
+            self.vector[:] += worth * torque * own
 
 
 def units(equation: LinearModel, model: Model) -> Array:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from idtool.adapt import adapt, convergence, time_to
 from idtool.certificate import Certificate
-from idtool.config import Regularization
 from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve, solve_locally, stuck_note
@@ -38,6 +37,7 @@ PRIORS = ("euclidean", "pullback", "entropic")
 DRAWS = 60
 _FORGETTING = np.inf  # the parameters of a log do not change
 _REPEATS = 3  # of a solution, for its time
+_PATIENCE = 1.0  # s, for all of them
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,8 @@ def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduc
 def _solved(
     experiment: Experiment, name: str, problem: Problem, attempt: Callable[[], tuple[Array, Certificate]]
 ) -> Outcome:
-    seconds = []
-    for _ in range(_REPEATS):
+    seconds: list[float] = []
+    while len(seconds) < _REPEATS and sum(seconds) < _PATIENCE:
         started = time.perf_counter()
         x, certificate = attempt()
         seconds.append(time.perf_counter() - started)
@@ -193,7 +193,8 @@ def _solved(
     sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
     units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
     J = pseudo_inertia((theta[: len(units)] / units).reshape(-1, SIZE))
-    return Outcome(sets, theta, certificate, float(np.median(seconds)), np.linalg.eigvalsh(J)[:, 0])
+    least = np.asarray(np.linalg.eigvalsh(J)[:, 0], dtype=float)
+    return Outcome(sets, theta, certificate, float(np.median(seconds)), least)
 
 
 def _estimators(experiment: Experiment, total: Reduction, noise: Array, warnings: list[str]) -> dict[str, Outcome]:
@@ -201,7 +202,7 @@ def _estimators(experiment: Experiment, total: Reduction, noise: Array, warnings
     equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
     found = {}
     for name in (*PRIORS, *LOCAL):
-        kind = given if name in LOCAL else Regularization(kind=name, weight=given.weight)
+        kind = given if name in LOCAL else given.model_copy(update={"kind": name, "units": "relative"})
         chosen = "full" if name in LOCAL else "ellipsoid"
         sets = [choose_set(body, chosen) for body in bodies]
         problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)

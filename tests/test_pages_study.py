@@ -9,7 +9,7 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, complete, evaluation_of, study_of
 
 from idtool.pages import study_page
-from idtool.pages.study import Learning, learning
+from idtool.pages.study import Learning, _noise, learning
 
 JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
@@ -29,7 +29,8 @@ def page_of(report: dict[str, Any], angle: bool = True, command: str = "idtool s
 
 
 def found(medians: dict[str, list[float | None]], counts: list[int]) -> Learning:
-    return learning({"counts": counts, "curves": {name: {"median": y} for name, y in medians.items()}})
+    curves = {name: dict.fromkeys(("median", "lower", "upper"), y) for name, y in medians.items()}
+    return learning({"counts": counts, "draws": 30, "curves": curves})
 
 
 def test_the_page_is_complete_in_itself(report: dict[str, Any]) -> None:
@@ -80,7 +81,7 @@ def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
     page = page_of(report)
     text = page.plain
     assert "fewer than 100 samples, ellipsoid predicts best in the mean over these counts: the median held-out" in text
-    assert "below that with none, the worst; most so with 1 samples, 2.00 against 10.0 N·m." in text
+    assert "below that with none, the worst; most so with 1 sample, 2.00 against 10.0 N·m." in text
     assert "It has the least error at 7 of these 7 counts. Best first: ellipsoid, full, semi, none." in text
     assert "From 100 samples on, all sets predict alike" in text
 
@@ -89,9 +90,45 @@ def test_a_set_that_is_best_only_in_the_mean_is_no_clear_winner(report: dict[str
     curves = report["learning"]["curves"]
     curves["ellipsoid"]["median"][:4] = [10.5, 7.5, 3.0, 2.0]
     curves["ellipsoid"]["median"][4:7] = [0.1] * 3
+    for curve in curves.values():
+        curve["lower"] = curve["upper"] = curve["median"]
     said = learning(report["learning"])
-    assert (said.best, said.wins) == (("ellipsoid",), 3)
+    assert (said.best, said.wins, said.clear) == (("ellipsoid",), 3, True)
     assert page_of(report).levels[0] == "note"
+
+
+def drawn(rng: np.random.Generator, draws: int, gain: float) -> dict[str, Any]:
+    """Four sets' errors at four counts from log-normal draws, each set's smaller by a share than the one's before."""
+    curves = {}
+    for i, name in enumerate(("none", "semi", "full", "ellipsoid")):
+        y = np.exp(rng.normal(-gain * i, 0.3, size=(draws, 8)))
+        lower, median, upper = np.quantile(y, [0.25, 0.5, 0.75], axis=0).tolist()
+        curves[name] = {"lower": lower, "median": median, "upper": upper}
+    return {"counts": [1, 2, 5, 10, 20, 50, 100, 200], "draws": draws, "curves": curves}
+
+
+@pytest.mark.parametrize(("draws", "gain", "least", "most"), [(30, 0, 0, 0.05), (5, 0.3, 0, 0), (30, 0.2, 1, 1)])
+def test_how_often_a_set_is_called_clearly_better(
+    rng: np.random.Generator, draws: int, gain: float, least: float, most: float
+) -> None:
+    found = [learning(drawn(rng, draws, gain)).clear for _ in range(300)]
+    assert least <= np.mean(found) <= most
+
+
+def test_a_gain_within_the_noise_of_the_draws_is_called_so(report: dict[str, Any], rng: np.random.Generator) -> None:
+    report["learning"] |= drawn(rng, 5, 0.3)
+    report["learning"]["violation"] = {"none": [0.0] * 8}
+    page = page_of(report)
+    assert "no set predicts clearly better than the others" in page.plain
+    assert "5 random draws leave more than that uncertain" in page.plain
+    assert page.levels[0] == "note"
+
+
+def test_the_noise_of_a_mean_of_medians(rng: np.random.Generator) -> None:
+    y = np.exp(rng.normal(scale=0.3, size=(400, 50, 5)))  # repetitions, draws, counts
+    lower, upper = np.quantile(y, [0.25, 0.75], axis=1)
+    spread = np.log(np.median(y, axis=1)).mean(axis=1).std()
+    np.testing.assert_allclose(_noise(lower, upper, 50).mean(), spread, rtol=0.1)
 
 
 def test_curves_that_stay_apart_are_said_to() -> None:
@@ -123,9 +160,9 @@ def test_sets_within_a_hundredth_share_the_first_place() -> None:
 def test_a_set_without_an_error_is_last() -> None:
     said = found({"none": [None, 1.0, 1.0], "full": [3.0, 1.0, 1.0], "semi": [8.0, 1.0, 1.0]}, [1, 2, 3])
     assert said.order == ("full", "semi", "none")
-    assert said.gain is None
+    assert (said.worst, said.gain) == ("semi", pytest.approx(1 - 3 / 8))
     nothing = found({"none": [None, 1.0, 1.0], "full": [None, 2.0, 1.0]}, [1, 2, 3])
-    assert (nothing.gain, nothing.wins, nothing.together) == (None, 1, 3)
+    assert (nothing.best, nothing.clear, nothing.together) == ((), False, 3)
     assert said.together == 2
     assert "–" in page_cell(None)
 
