@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 FORGETTING = 20.0  # s
 _REPORTED = 2000  # rows
-_LATELY = 10.0  # periods of the band over which a joint's noise is judged: about twenty independent samples
+_LATELY = 40.0  # periods of the band over which a joint's noise is judged: about eighty independent samples
 _CHUNK = 1 << 21  # numbers in memory at a time
 _RANK = 1e-9  # of the largest singular value: what lies below is not determined
 

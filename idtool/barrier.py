@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 _NEAR = 0.3  # a step that is shorter in the barrier's own length ends the search: what is left is a tenth of it squared
 _FAR = 0.9  # of the way to the boundary that a step goes at the most: nearer, and the next is lost to rounding
-_STEPS = 30  # with one weight of the barrier, or in a search along a step
+_STEPS = 12  # with one weight of the barrier, or in a search along a step
 _UP, _DOWN, _WEIGHTS = 100.0, 10.0, 60  # factors by which the weight changes when the function has, and how often
 _PULL = 10.0 ** np.arange(7)  # into the inequalities, when a start is sought
 _SOFT = 1e-6  # of one: keeps a start where nothing else does

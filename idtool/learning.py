@@ -64,6 +64,9 @@ class Curve:
     violation
         Median of the worst body's violation of realizability: the least eigenvalue of its pseudo-inertia, in units of
         its typical mass and size, where that is negative.
+    advantage, advantage_error
+        Mean over the draws of log(error of the first set / this set's), both from the same samples, and its standard
+        error: pairs show what the spread of the draws hides. NaN where less than two draws were solved.
     unsolved
         Draws that the solver gave up on.
     """
@@ -72,6 +75,8 @@ class Curve:
     lower: Array
     upper: Array
     violation: Array
+    advantage: Array
+    advantage_error: Array
     unsolved: int
 
 
@@ -173,7 +178,8 @@ def learn(
         steps = [*steps, max(factor.rows for factor in total)]
         for name, problem in state.items():
             curves[name].append(np.array([_outcome(problem(total), validation, active)]))
-    return steps, {name: _curve(columns) for name, columns in curves.items()}
+    first = next(iter(curves.values()))
+    return steps, {name: _curve(columns, first) for name, columns in curves.items()}
 
 
 def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
@@ -199,10 +205,17 @@ def violation(problem: Problem, z: Array) -> float:
     return max(-float(least.min()), 0.0)
 
 
-def _curve(columns: Sequence[Array]) -> Curve:
-    """Median and quartiles of error and violation, shape (draws, 2), for each count."""
+def _curve(columns: Sequence[Array], first: Sequence[Array]) -> Curve:
+    """What the errors and violations of a set and of the first one, shape (draws, 2) for each count, come to."""
     solved = [column[~np.isnan(column[:, 0])] for column in columns]
     quartiles = [np.quantile(c[:, 0], [0.25, 0.5, 0.75]) if len(c) else np.full(3, np.nan) for c in solved]
     lower, median, upper = np.transpose(quartiles)
     worst = np.array([np.median(c[:, 1]) if len(c) else np.nan for c in solved])
-    return Curve(median, lower, upper, worst, sum(len(c) - len(s) for c, s in zip(columns, solved, strict=True)))
+    advantage, error = np.full((2, len(columns)), np.nan)
+    for k, (own, other) in enumerate(zip(columns, first, strict=True)):
+        ratio = np.log(other[:, 0] / own[:, 0])
+        ratio = ratio[~np.isnan(ratio)]
+        if len(ratio) > 1:
+            advantage[k], error[k] = ratio.mean(), ratio.std(ddof=1) / np.sqrt(len(ratio))
+    unsolved = sum(len(c) - len(s) for c, s in zip(columns, solved, strict=True))
+    return Curve(median, lower, upper, worst, advantage, error, unsolved)

@@ -37,6 +37,7 @@ _SETTINGS: dict[str, Any] = {"method": "trf", "ftol": 1e-10, "xtol": 1e-10, "gto
 _EDGE, _INNER = 1e-3, 3e-2  # a start with a lesser eigenvalue, in units of the body, is moved inside, so far
 _SETTLED = 1e-9  # relative gain below which there is no further run
 _NUDGE = 1e-9  # in units of the body: what lies nearer than that among the mu coincides
+_MASSLESS = 1e-12  # least mass, in units of the body, that has a centre
 _SERIES = 1e-2  # |λ − 1| below which (λ − 1 − log λ) / (λ − 1)² is summed up
 _EQUAL = 1e-5  # relative difference of eigenvalues below which a difference quotient is a derivative
 _TINY = float(np.finfo(float).tiny)
@@ -143,8 +144,8 @@ class Manifold(Chart):
     runs = 12
 
     def __init__(self, J: Array, slope: Array) -> None:
-        mass = J[:, 3:, 3]
-        c = J[:, :3, 3] / np.maximum(mass, _TINY)
+        mass = np.maximum(J[:, 3:, 3], _MASSLESS)
+        c = J[:, :3, 3] / mass
         sigma = J[:, :3, :3] - J[:, :3, 3:] * c[:, None]
         down = slope[:, :3, :3] / np.maximum(np.linalg.norm(slope[:, :3, :3], axis=(1, 2), keepdims=True), _TINY)
         R = np.linalg.eigh(sigma - _NUDGE * down)[1]

@@ -6,7 +6,7 @@ Letters: pi (10,) parameters; z = pi in units of the body's own mass and size.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from idtool.body import Body
+from idtool.conic import solve_conic
 from idtool.effects.rigid_body import length, scales
 from idtool.identify import solve
 from idtool.inequality import Piece
@@ -29,7 +30,8 @@ Array = NDArray[np.float64]
 Metric = Literal["euclidean", "pullback"]
 
 _ROUNDING = 1e-9  # by which an inequality may fail, in units of the body
-_NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the projection ends inside
+_NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the solver's tolerance
+_ACCURATE = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-10, "tol_feas": 1e-10, "equilibrate_enable": False}
 
 
 @dataclass(frozen=True)
@@ -81,21 +83,41 @@ def project(pi: Array, chosen: ConstraintSet, body: Body, metric: Metric = "eucl
         off = (nearest - pi) / unit
         return Projection(nearest, nearest[None], float(np.sqrt(off @ M @ off)))
     size = float(np.linalg.norm(M))
-    A = np.asarray(np.linalg.cholesky(M / size).T)
-    known = np.array([[-c, *np.eye(3)[k], *np.zeros(6)] for k, c in enumerate(body.com or ())]).reshape(-1, SIZE)
-    E = known * unit / np.linalg.norm(known * unit, axis=1, keepdims=True)
-    none = np.zeros(0)
-    parts = parts_of([body], [chosen], np.arange(SIZE))
-    others = none.astype(np.intp)
-    problem = Problem(
-        A, A @ (pi / unit), 0.0, unit, np.eye(SIZE), parts, (body.name,), others, none, E, np.zeros(len(E))
-    )
+    problem = _nearest(pi, chosen, body, np.asarray(np.linalg.cholesky(M / size).T), unit)
     x, certificate = solve(problem)
     return Projection(
         problem.theta(problem.S @ x),
         np.array([piece for _, piece in problem.pieces(x)]),
         float(np.sqrt(size * max(certificate.objective, 0.0))),
     )
+
+
+def _nearest(pi: Array, chosen: ConstraintSet, body: Body, A: Array, unit: Array) -> Problem:
+    """The problem min ‖A (z − pi / unit)‖² over a set."""
+    known = np.array([[-c, *np.eye(3)[k], *np.zeros(6)] for k, c in enumerate(body.com or ())]).reshape(-1, SIZE)
+    E = known * unit / np.linalg.norm(known * unit, axis=1, keepdims=True)
+    none = np.zeros(0)
+    parts = parts_of([body], [chosen], np.arange(SIZE))
+    others = none.astype(np.intp)
+    return Problem(A, A @ (pi / unit), 0.0, unit, np.eye(SIZE), parts, (body.name,), others, none, E, np.zeros(len(E)))
+
+
+def _split(pi: Array, chosen: ConstraintSet, body: Body) -> tuple[Array, float]:
+    """Pieces, shape (pieces, 10), whose sum is as near to pi as may be, and how far it is in units of the body.
+
+    The sets here are closed, unlike those of `project`: a piece may be a plate, a rod or a point, or without mass.
+    """
+    unit = scales(body, float(pi[0]))
+    problem = _nearest(pi, chosen, body, np.eye(SIZE), unit)
+    closed = [replace(part, piece=_closed(part.piece)) for part in problem.parts]
+    problem = replace(problem, parts=tuple(closed))
+    start = np.linalg.lstsq(problem.S, problem.b, rcond=None)[0]
+    x = solve_conic(problem, start, _ACCURATE).x
+    return np.array([piece for _, piece in problem.pieces(x)]), float(np.linalg.norm(problem.S @ x - problem.b))
+
+
+def _closed(piece: Piece) -> Piece:
+    return replace(piece, inequalities=tuple(replace(i, strict=False) for i in piece.inequalities))
 
 
 @dataclass(frozen=True)
@@ -138,11 +160,11 @@ def judge(body: Body, pi: Array, pieces: Array | None = None) -> Verdict:
     split = None
     if len(demanded) > 1:
         if pieces is None or len(pieces) != len(demanded):
-            nearest = project(pi, chosen, body)
-            if nearest.distance > _NEAR:
+            pieces, distance = _split(pi, chosen, body)
+            if distance > _NEAR:
                 what = f"no density on the union of its {len(demanded)} bounding shapes has these parameters"
-                return _refused(f"{what}; the nearest are {nearest.distance:.2g} away, in units of its mass and size")
-            pieces = nearest.pieces
+                return _refused(f"{what}; the nearest are {distance:.2g} away, in units of its mass and size")
+            pieces = _completed(pieces, demanded, pi)
         split = pieces
     elif len(demanded[0].powers) == SIZE:
         found = violations(pi, demanded[0].inequalities, float(pi[0]), length(body), tolerance=_ROUNDING)
@@ -152,6 +174,15 @@ def judge(body: Body, pi: Array, pieces: Array | None = None) -> Verdict:
         return _refused(f"point masses at the vertices and inside of its hull leave {rest:.2g} of these parameters")
     parts = pi[None] if split is None else split
     return Verdict((), split, *_shown(body, demanded, parts))
+
+
+def _completed(pieces: Array, demanded: Sequence[Piece], pi: Array) -> Array:
+    """The pieces with what the solver's tolerance leaves of pi given to the heaviest whose unknowns are its own."""
+    free = np.array([len(piece.powers) == SIZE for piece in demanded])
+    heaviest = int(np.argmax(np.where(free, pieces[:, 0], -1.0)))
+    completed = pieces.copy()
+    completed[heaviest] += pi - pieces.sum(axis=0)
+    return completed
 
 
 def _refused(*reasons: str) -> Verdict:

@@ -38,6 +38,7 @@ from idtool.sets import ConstraintSet
 Array = NDArray[np.float64]
 
 _GAP = 0.1  # that half the squared distance in standard errors may be above its least
+_EARLY = 4.0  # the noise forgets the start, when the parameters were the prior's, with this power of the time
 _LEAST_NOISE = 1e-2  # of a joint's torque
 _GRAVITY = 9.81  # m/s²: what a joint carries, it carries on earth
 
@@ -148,7 +149,8 @@ class RecursiveFit:
         self.samples += 1
         mean = defined / np.maximum(self.predicted, 1)
         self._power += mean * (tau**2 - self._power)
-        self._noise += np.where(defined, np.maximum(mean, lately), 0.0) * (error**2 - self._noise)
+        share = np.clip(_EARLY * mean, lately, 1.0)
+        self._noise += np.where(defined, share, 0.0) * (error**2 - self._noise)
         self._measured += defined * tau**2
         self._explained += defined * np.square(W @ self._explaining)
         for joint, row, torque, holds in zip(self._joints, W, tau, defined, strict=True):

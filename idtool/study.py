@@ -240,11 +240,9 @@ def study_report(study: Study) -> dict[str, Any]:
             "counts": study.counts,
             "draws": study.draws,
             "unit_overall": " or ".join(dict.fromkeys(experiment.model.units.values())),
-            "curves": {
-                name: {"median": c.median.tolist(), "lower": c.lower.tolist(), "upper": c.upper.tolist()}
-                for name, c in study.curves.items()
-            },
-            "violation": {name: curve.violation.tolist() for name, curve in study.curves.items()},
+            "curves": {name: _plain(c, "median", "lower", "upper") for name, c in study.curves.items()},
+            "advantage": {name: _plain(c, "advantage", "advantage_error") for name, c in study.curves.items()},
+            "violation": {name: _plain(c, "violation")["violation"] for name, c in study.curves.items()},
         },
         "adaptation": {
             "t": online.t.tolist(),
@@ -257,6 +255,11 @@ def study_report(study: Study) -> dict[str, Any]:
         "urdf": str(experiment.model.robot.path),
         "seconds": study.seconds,
     }
+
+
+def _plain(curve: Curve, *names: str) -> dict[str, list[float | None]]:
+    """A curve's values by name; None where no draw was solved."""
+    return {name: [x if np.isfinite(x) else None for x in getattr(curve, name).tolist()] for name in names}
 
 
 def _rms(study: Study, name: str) -> dict[str, dict[str, float]]:

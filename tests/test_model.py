@@ -12,7 +12,7 @@ from robots import actuated, body, chain, joint, link, link_pi, random_urdf
 from scipy.spatial.transform import Rotation
 
 from idtool.config import parse_config
-from idtool.exceptions import ConfigError, ModelError
+from idtool.exceptions import ConfigError, IdtoolError, ModelError
 from idtool.model import Model, build_model
 
 Build = Callable[..., Model]
@@ -142,6 +142,57 @@ def test_bounding_ellipsoids_move_with_their_link(build: Build, leg: str, rng: n
         in_body = points @ member.frame.R.T + member.frame.p
         np.testing.assert_array_equal(ours.contains(in_body), bound.contains(points))
         assert bound.contains(points).any()
+
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "box": {"kind": "box", "size": [0.5, 0.3, 0.7]},
+    "cylinder": {"kind": "cylinder", "radius": 0.3, "length": 0.6},
+    "capsule": {"kind": "capsule", "radius": 0.2, "length": 0.5},
+}
+
+
+def in_shape(kind: str, points: Any) -> Any:
+    """Whether points in the shape's own frame are in it, written out."""
+    x, y, z = points.T
+    if kind == "box":
+        return (abs(x) < 0.25) & (abs(y) < 0.15) & (abs(z) < 0.35)
+    if kind == "cylinder":
+        return (np.hypot(x, y) < 0.3) & (abs(z) < 0.3)
+    return np.hypot(np.hypot(x, y), abs(z) - np.minimum(abs(z), 0.25)) < 0.2
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_bounding_shapes_move_with_their_link(build: Build, leg: str, rng: np.random.Generator, kind: str) -> None:
+    """Of a lumped link too, in the union with what bounds its carrier."""
+    place = {"center": [0.1, -0.2, 0.05], "rpy": [0.4, -0.8, 1.1]}
+    model = build(
+        leg,
+        LEG_JOINTS,
+        bounding_shapes={"foot": [{**SHAPES[kind], **place}]},
+        bounding_ellipsoids={"shank": [{"semi_axes": [0.1, 0.1, 0.1]}]},
+    )
+    shank = body(model, "shank")
+    (shape,) = shank.shapes
+    assert shank.bounds == (*shank.ellipsoids, shape)
+    assert shape.kind == kind
+    own = rng.uniform(-0.6, 0.6, (2000, 3))
+    in_foot = own @ Rotation.from_euler("xyz", place["rpy"]).as_matrix().T + place["center"]
+    frame = shank.members[1].frame
+    inside = in_shape(kind, own)
+    assert 50 < np.count_nonzero(inside) < 1000
+    np.testing.assert_array_equal(shape.contains(in_foot @ frame.R.T + frame.p), inside)
+
+
+def test_a_hull_of_a_mesh_that_is_not_there(build: Build, leg: str) -> None:
+    with pytest.raises(IdtoolError, match=r"shank\.stl"):
+        build(leg, LEG_JOINTS, bounding_shapes={"shank": [{"kind": "hull", "file": "shank.stl"}]})
+
+
+def test_a_known_centre_of_mass_is_its_bodys(build: Build, leg: str) -> None:
+    model = build(leg, LEG_JOINTS, known_com={"shank": [0.1, 0.2, 0.3]})
+    assert [b.com for b in model.bodies] == [None, None, (0.1, 0.2, 0.3)]
+    with pytest.raises(ConfigError, match="known_com: foot: is no body of the model"):  # it is part of the shank
+        build(leg, LEG_JOINTS, known_com={"foot": [0, 0, 0]})
 
 
 def test_an_ellipsoid_on_a_link_that_looks_straight_up(build: Build) -> None:

@@ -192,9 +192,9 @@ def test_the_entropic_estimate_is_the_least_that_scipy_finds(robot: Callable[...
     )
     ours = fitted(s, tau, "entropic", weight) / unit
     assert cost(ours) == pytest.approx(cost(best.x), rel=1e-9)
-    np.testing.assert_allclose(ours, best.x, rtol=0, atol=1e-4 * np.abs(best.x).max())
+    np.testing.assert_allclose(ours, best.x, rtol=0, atol=1e-3 * np.abs(best.x).max())
     assert np.abs(best.x - start).max() > 0.1
-    assert np.abs(slope(ours)).max() < 1e-4 * np.abs(slope(start)).max()
+    assert np.abs(slope(ours)).max() < 1e-3 * np.abs(slope(start)).max()
 
 
 @pytest.mark.parametrize("kind", ["pullback", "si"])
@@ -222,15 +222,15 @@ def test_for_small_deviations_entropic_and_pullback_are_the_same(robot: Callable
     """Their estimates differ by the square of how far the truth lies off the prior."""
     s = robot()
     apart, off = [], []
-    for spread in (1e-2, 1e-3):
+    for spread in (0.1, 0.02):
         theta = near(s, np.random.default_rng(3), spread)
         tau = s.Y @ theta
         entropic, pullback = (fitted(s, tau, kind, 1.0) / scales(s) for kind in ("entropic", "pullback"))
         apart.append(np.abs(entropic - pullback).max())
         off.append(np.abs(entropic - np.concatenate(priors(s)) / scales(s)).max())
-    assert apart[0] < 0.05 * off[0]
-    assert off[1] == pytest.approx(0.1 * off[0], rel=0.05)
-    assert apart[1] < 0.03 * apart[0]
+    assert apart[0] < 0.01 * off[0]
+    assert off[1] == pytest.approx(0.2 * off[0], rel=0.1)
+    assert apart[1] < 0.1 * apart[0]
 
 
 @pytest.mark.parametrize("kind", ["euclidean", "entropic", "pullback"])

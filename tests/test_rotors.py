@@ -55,6 +55,21 @@ def test_a_rotor_that_is_placed(build: Build, leg: str, rng: np.random.Generator
     assert rotor.mount.body == 2
 
 
+def test_a_rotor_may_be_bounded_and_its_centre_known_as_any_body(build: Build, leg: str) -> None:
+    model = build(
+        leg,
+        LEG_JOINTS,
+        rotors={"hip_motor": {"joint": "hip", "gear_ratio": 8}},
+        bounding_shapes={"hip_motor": [{"kind": "cylinder", "radius": 0.04, "length": 0.02}]},
+        known_com={"hip_motor": [0, 0, 0.01]},
+    )
+    rotor = body(model, "hip_motor")
+    assert [shape.kind for shape in rotor.shapes] == ["cylinder"]
+    np.testing.assert_array_equal(rotor.shapes[0].contains([[0, 0.03, 0], [0, 0, 0.03]]), [True, False])
+    assert rotor.com == (0, 0, 0.01)
+    assert not body(model, "abad_link").shapes
+
+
 def test_a_rotor_without_axis_turns_about_its_joints(build: Build, leg: str) -> None:
     """In the root's frame, all joints at zero, its axis is the knee's, although it sits in another link."""
     placed = {"joint": "knee", "parent": "abad_link", "origin": {"xyz": [0, 0.1, 0], "rpy": [1, 2, 3]}}
