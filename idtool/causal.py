@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate
-from idtool.signals import BATCH, Batch, Motion, Signals
+from idtool.signals import BATCH, WIDE, Batch, Motion, Signals
 
 Array = NDArray[np.float64]
 
-_WIDE = 5.0  # the signals' own filter, in units of the band
 _TAIL = 1e-14  # of the response's weight may be forgotten: rounding
 _EDGE = 0.02  # of it may be missing at the start of the data
 _PERIODS = 40.0  # of the cut-off that the slowest response lasts
@@ -116,8 +115,8 @@ class _Reader:
     def __init__(self, signals: Signals, order: int) -> None:
         log = signals.log
         self._signals = signals
-        self._channels, self._command = signals._channels, signals._command  # as they were judged, once
-        wide = _WIDE * signals.band_hz
+        self._channels, self._command = signals.channels, signals.command  # as they were judged, once
+        wide = WIDE * signals.band_hz
         self._wide = CausalLowPass(wide, order, log.dt) if wide < 0.4 / log.dt else None
         self._memory = self._wide.reach if self._wide else 0
         # Two differences, a velocity that is read later by its lag, a reading between two samples, a column's own.

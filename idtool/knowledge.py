@@ -138,7 +138,7 @@ def _sources(mirrors: tuple[Mirror, ...], names: list[str], kind: str) -> dict[i
             plane = plane * reflection(direct[of].plane)
             of = direct[of].of
             if of in seen:
-                raise ConfigError(f"mirror: {name}", f"and {of} are copies of each other; leave one of them free")
+                raise ConfigError(f"mirror: {name}", "is in the end a copy of itself; leave one of the circle free")
             seen.add(of)
         found[names.index(name)] = (names.index(of), plane)
     return found

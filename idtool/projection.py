@@ -16,9 +16,10 @@ from scipy.optimize import nnls
 from idtool.body import Body
 from idtool.conic import solve_conic
 from idtool.effects.rigid_body import length, scales
+from idtool.exceptions import SolverError
 from idtool.identify import solve
 from idtool.inequality import Piece
-from idtool.inertia import POWERS, SIZE
+from idtool.inertia import POWERS, SIZE, transformation
 from idtool.metric import nearest_realizable, pullback
 from idtool.prior import reference
 from idtool.problem import Problem, parts_of
@@ -31,6 +32,9 @@ Metric = Literal["euclidean", "pullback"]
 
 _ROUNDING = 1e-9  # by which an inequality may fail, in units of the body
 _NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the solver's tolerance
+_PASSES = 6
+_COARSE, _FINER = 0.1, 1e-5  # cost from which the gap is small against it; of the last unit, the least next one
+_NO_DISTANCE = 1e-6  # squared
 _ACCURATE = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-10, "tol_feas": 1e-10, "equilibrate_enable": False}
 
 
@@ -82,14 +86,29 @@ def project(pi: Array, chosen: ConstraintSet, body: Body, metric: Metric = "eucl
         nearest = nearest_realizable(pi, at, body.ellipsoids[0].Q if bounded else None)
         off = (nearest - pi) / unit
         return Projection(nearest, nearest[None], float(np.sqrt(off @ M @ off)))
-    size = float(np.linalg.norm(M))
-    problem = _nearest(pi, chosen, body, np.asarray(np.linalg.cholesky(M / size).T), unit)
-    x, certificate = solve(problem)
-    return Projection(
-        problem.theta(problem.S @ x),
-        np.array([piece for _, piece in problem.pieces(x)]),
-        float(np.sqrt(size * max(certificate.objective, 0.0))),
-    )
+    return _solved(pi, chosen, body, M, unit)
+
+
+def _solved(pi: Array, chosen: ConstraintSet, body: Body, M: Array, unit: Array) -> Projection:
+    """The projection by the solver, whose gap is relative to a cost of one: again with the distance as its unit."""
+    size, found = float(np.linalg.norm(M)), None
+    for _ in range(_PASSES):
+        problem = _nearest(pi, chosen, body, np.asarray(np.linalg.cholesky(M / size).T), unit)
+        try:
+            x, certificate = solve(problem)
+        except SolverError:
+            if found is None:
+                raise
+            break
+        squared = size * max(certificate.objective, 0.0)
+        pieces = np.array([piece for _, piece in problem.pieces(x)])
+        found = Projection(problem.theta(problem.S @ x), pieces, float(np.sqrt(squared)))
+        if certificate.objective > _COARSE or size < _NO_DISTANCE:
+            break
+        size *= max(certificate.objective, _FINER)
+    if found is None:
+        raise AssertionError  # the first pass gives it or an error
+    return found
 
 
 def _nearest(pi: Array, chosen: ConstraintSet, body: Body, A: Array, unit: Array) -> Problem:
@@ -111,7 +130,7 @@ def _split(pi: Array, chosen: ConstraintSet, body: Body) -> tuple[Array, float]:
     problem = _nearest(pi, chosen, body, np.eye(SIZE), unit)
     closed = [replace(part, piece=_closed(part.piece)) for part in problem.parts]
     problem = replace(problem, parts=tuple(closed))
-    start = np.linalg.lstsq(problem.S, problem.b, rcond=None)[0]
+    start = np.asarray(np.linalg.lstsq(problem.S, problem.b, rcond=None)[0], dtype=np.float64)
     x = solve_conic(problem, start, _ACCURATE).x
     return np.array([piece for _, piece in problem.pieces(x)]), float(np.linalg.norm(problem.S @ x - problem.b))
 
@@ -208,7 +227,7 @@ def _shown(body: Body, demanded: Sequence[Piece], parts: Array) -> tuple[Array, 
 
 
 def _point_masses(piece: Piece, pi: Array, unit: float) -> tuple[Array, float]:
-    """Masses at a piece's places that come nearest to pi, shape (K,), and what they leave of it, relative to it."""
-    weight = unit**-POWERS / pi[0]
-    masses, rest = nnls(piece.basis * weight[:, None], pi * weight)
+    """Masses at a piece's places that come nearest to pi about their middle, shape (K,), and what they leave of it."""
+    relative = transformation(np.eye(3), -piece.basis[1:4].mean(axis=1)) / (pi[0] * unit**POWERS)[:, None]
+    masses, rest = nnls(relative @ piece.basis, relative @ pi)
     return np.asarray(masses), float(rest)

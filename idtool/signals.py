@@ -25,7 +25,7 @@ from idtool.logs.log import Log
 Array = NDArray[np.float64]
 
 BATCH = 8192  # samples
-_WIDE = 5.0  # the signals' own filter, in units of the band
+WIDE = 5.0  # the signals' own filter, in units of the band
 _DEFAULT_CUTOFF = 40.0  # Hz
 _JITTERY = 0.1  # rms of the stamps' jitter, in samples, above which differentiating q is not trusted
 _LAGS = 0.25  # samples of lag of a measured velocity that are worth a word
@@ -98,6 +98,8 @@ class Signals:
 
     Attributes
     ----------
+    channels, command
+        The signals on an even clock, and the controller.
     band_hz
         The low-pass's cut-off [Hz].
     low_pass, every_sample
@@ -131,30 +133,30 @@ class Signals:
         stride = max(1, int(rate / (4 * self.band_hz)))
         self.low_pass = LowPass(self.band_hz, config.filter.order, log.dt, stride)
         self.every_sample = LowPass(self.band_hz, config.filter.order, log.dt)
-        wide = _WIDE * self.band_hz
+        wide = WIDE * self.band_hz
         self._wide = LowPass(wide, config.filter.order, log.dt) if wide < 0.4 * rate else None
-        self._channels = Channels(log, joints)
-        self._command = Command.of(log, self.joints, config.controller)
+        self.channels = Channels(log, joints)
+        self.command = Command.of(log, self.joints, config.controller)
         self._margin = (self._wide.reach if self._wide else 0) + 2 * DIFFERENCE_REACH
-        self.lag = self._channels.lag
+        self.lag = self.channels.lag
         self.differentiated = self._choose_velocity(config)
         self.ranges = self._ranges()
         self._say_lag()
         self.still = self._stillness()
 
     def _choose_velocity(self, config: Config) -> NDArray[np.bool_]:
-        missing = ~self._channels.measured
+        missing = ~self.channels.measured
         self._say("no velocity logged, differentiated from q", missing)
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
-        strange = self._channels.measured & ~self._channels.trusted
+        strange = self.channels.measured & ~self.channels.trusted
         self._say("logged velocity is not the derivative of q, which is differentiated instead", strange)
-        if self._channels.jitter > _JITTERY:
+        if self.channels.jitter > _JITTERY:
             self.warnings.append(
-                f"time stamps jitter by {self._channels.jitter:.2f} samples rms: the measured velocity is used"
+                f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
             )
             return np.asarray(missing | strange)
-        part = self._channels.longest(self._ranges())
+        part = self.channels.longest(self._ranges())
         noise = []
         for differentiated in (True, False):
             self.differentiated = missing | differentiated
@@ -173,8 +175,8 @@ class Signals:
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""
-        first = self._margin + int(np.ceil(self._command.delay / self.log.dt))
-        ranges = [slice(s.start + first, s.stop - self._margin) for s in self._channels.parts()]
+        first = self._margin + int(np.ceil(self.command.delay / self.log.dt))
+        ranges = [slice(s.start + first, s.stop - self._margin) for s in self.channels.parts()]
         kept = [r for r in ranges if r.stop > r.start]
         if not kept:
             raise LogError(
@@ -188,7 +190,7 @@ class Signals:
         return kept
 
     def _stillness(self) -> Array:
-        v = self._kinematics(self._channels.longest(self.ranges))[1]
+        v = self._kinematics(self.channels.longest(self.ranges))[1]
         return np.asarray(np.maximum(_STILL, _SIGN_WIDTH * noise_above(v, self.every_sample)))
 
     def batches(self, ranges: Sequence[slice] | None = None, every_sample: bool = False) -> Iterator[Batch]:
@@ -216,15 +218,15 @@ class Signals:
     def _motion(self, part: slice) -> Motion:
         q, v, a = self._kinematics(part)
         tau, logged = self._torque(part)
-        return Motion(self._channels.times(part), q, v, a, tau, logged, self.still, self.log.dt)
+        return Motion(self.channels.times(part), q, v, a, tau, logged, self.still, self.log.dt)
 
     def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
         r = DIFFERENCE_REACH
         outer = slice(part.start - self._margin, part.stop + self._margin)
-        q = self._smooth(self._channels.signal("q", outer))
+        q = self._smooth(self.channels.signal("q", outer))
         v = differentiate(q, self.log.dt)
         if not self.differentiated.all():
-            measured = self._smooth(self._channels.velocity(outer))[:, r:-r]
+            measured = self._smooth(self.channels.velocity(outer))[:, r:-r]
             v = np.where(self.differentiated[:, None], v, measured)
         return q[:, 2 * r : -2 * r], v[:, r:-r], differentiate(v, self.log.dt)
 
@@ -235,12 +237,12 @@ class Signals:
         """The logged torque or the controller's, through the same wide filter as the motion, and without."""
         m = self._wide.reach if self._wide else 0
         outer = slice(part.start - m, part.stop + m)
-        if self._command.joints.all():
-            tau = self._command.torque(self._channels, outer)
+        if self.command.joints.all():
+            tau = self.command.torque(self.channels, outer)
         else:
-            tau = self._channels.signal("tau", outer)
-            if self._command.joints.any():
-                tau[self._command.joints] = self._command.torque(self._channels, outer)[self._command.joints]
+            tau = self.channels.signal("tau", outer)
+            if self.command.joints.any():
+                tau[self.command.joints] = self.command.torque(self.channels, outer)[self.command.joints]
         return self._smooth(tau), tau[:, m : m + part.stop - part.start]
 
 

@@ -81,7 +81,7 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "mirror: a circle": (
         "mirror",
         [{"body": "hip_rotor", "of": "knee_rotor"}, {"body": "knee_rotor", "of": "hip_rotor"}],
-        "are copies of each other; leave one of them free",
+        "is in the end a copy of itself; leave one of the circle free",
     ),
     "mirror: of two": (
         "mirror",

@@ -112,7 +112,7 @@ def is_member(body: Body, kind: str, found: Projection, tolerance: float) -> boo
         return float(nnls(basis * weight[:, None], found.pi * weight)[1]) < 1e-6
     mass = float(unit[0])
     pairs = zip(found.pieces, pieces, strict=True)
-    return min([i.margin(pi, mass, length(body)) for pi, p in pairs for i in p.inequalities], default=0.0) > -tolerance
+    return min([i.margin(pi, mass, length(body)) for pi, p in pairs for i in p.inequalities], default=0.0) >= -tolerance
 
 
 @pytest.mark.parametrize("metric", METRICS)

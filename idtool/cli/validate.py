@@ -82,7 +82,7 @@ def _regression(terminal: Terminal) -> None:
     from idtool.report import HEADER
     from idtool.terminal import show_regression
 
-    here, home = Path("sample_logs"), Path(__file__).parents[1] / "sample_logs"
+    here, home = Path("sample_logs"), Path(__file__).parents[2] / "sample_logs"
     folder = here if (here / "manifest.yaml").exists() else home
     outcomes = []
     with terminal.progress() as progress:
