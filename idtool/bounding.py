@@ -1,4 +1,4 @@
-"""Bounding ellipsoids from the geometry that a URDF gives its links."""
+"""What bounds a link's mass: ellipsoids around the geometry that the URDF gives it, and the configuration's shapes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from idtool.config import BoundingShape, HullBound
 from idtool.ellipsoid import Ellipsoid, smallest_around
-from idtool.geometry import link_geometry
+from idtool.geometry import link_geometry, link_vertices
 from idtool.robot import Robot
+from idtool.shapes import Hull, Shape, known_shapes
 
 
 def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, Ellipsoid], list[str]]:
@@ -49,3 +51,16 @@ def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
         link: [{"center": list(S.center), "semi_axes": list(S.semi_axes), "rpy": list(S.rpy)}]
         for link, S in ellipsoids.items()
     }
+
+
+def bounding_shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
+    """A shape of the configuration as geometry, in the link's frame.
+
+    Raises
+    ------
+    ModelError
+        If it is the hull of a mesh that cannot be read.
+    """
+    if isinstance(bound, HullBound):
+        return Hull.around(link_vertices(robot, link, bound.file))
+    return known_shapes()[bound.kind].from_dict(bound.model_dump())

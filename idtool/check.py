@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body, Frame
+from idtool.bounding import bounding_shape
 from idtool.config import Config
-from idtool.model import bounding_shape
 from idtool.projection import judge, project
 from idtool.robot import Robot
 from idtool.sets import choose_set

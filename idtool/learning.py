@@ -178,8 +178,8 @@ def learn(
         steps = [*steps, max(factor.rows for factor in total)]
         for name, problem in state.items():
             curves[name].append(np.array([_outcome(problem(total), validation, active)]))
-    first = next(iter(curves.values()))
-    return steps, {name: _curve(columns, first) for name, columns in curves.items()}
+    against = next(iter(curves.values()))
+    return steps, {name: _curve(columns, against) for name, columns in curves.items()}
 
 
 def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[np.intp]]) -> tuple[float, float]:

@@ -103,6 +103,12 @@ class Chart(ABC):
         return np.asarray(half + half.swapaxes(-1, -2))
 
 
+def _cut(J: Array, least: float) -> Array:
+    """The nearest matrices without lesser eigenvalues."""
+    values, axes = np.linalg.eigh(J)
+    return np.asarray((axes * np.maximum(values, least)[:, None]) @ axes.swapaxes(-1, -2))
+
+
 class LogCholesky(Chart):
     """The coordinates alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 of Rucker & Wensing; F = e^alpha U."""
 
@@ -144,11 +150,12 @@ class Manifold(Chart):
     runs = 12
 
     def __init__(self, J: Array, slope: Array) -> None:
+        down = slope / np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), _TINY)
+        J = _cut(J - _NUDGE * down, 0.0)
         mass = np.maximum(J[:, 3:, 3], _MASSLESS)
         c = J[:, :3, 3] / mass
         sigma = J[:, :3, :3] - J[:, :3, 3:] * c[:, None]
-        down = slope[:, :3, :3] / np.maximum(np.linalg.norm(slope[:, :3, :3], axis=(1, 2), keepdims=True), _TINY)
-        R = np.linalg.eigh(sigma - _NUDGE * down)[1]
+        R = np.linalg.eigh(sigma)[1]
         self.R = R * np.linalg.det(R)[:, None, None]
         mu = np.einsum("bik,bij,bjk->bk", R, sigma, R)
         self.y = np.column_stack([mass, c, np.maximum(mu, 0), np.zeros((len(J), 3))])

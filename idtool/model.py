@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Body, Frame, Member
-from idtool.config import Bounding, BoundingShape, Config, HullBound
+from idtool.bounding import bounding_shape
+from idtool.config import Bounding, Config
 from idtool.config import Rotor as RotorConfig
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError, ModelError
-from idtool.geometry import link_vertices
 from idtool.inertia import SIZE, from_mass_com_inertia, symmetric
 from idtool.names import nearest, some
 from idtool.robot import Joint, Robot
-from idtool.shapes import Hull, Shape, known_shapes
+from idtool.shapes import Shape
 
 Array = NDArray[np.float64]
 
@@ -311,6 +311,9 @@ class _Builder:
             if name not in names:
                 hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
                 raise ConfigError(f"known_com: {name}", hint)
+            (body,) = (b for b in bodies if b.name == name)
+            if len(body.bounds) == 1 and not body.bounds[0].contains(self.config.known_com[name]):
+                raise ConfigError(f"known_com: {name}", "lies outside what bounds the body; correct one of them")
         return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
 
     def _finished(self, index: int, body: Body) -> Body:
@@ -323,10 +326,3 @@ class _Builder:
         pi = np.sum([member.pi_in_body for member in members], axis=0)
         ellipsoids, shapes = tuple(self.ellipsoids.get(index, ())), tuple(self.shapes.get(index, ()))
         return replace(body, pi=pi, members=members, ellipsoids=ellipsoids, shapes=shapes)
-
-
-def bounding_shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
-    """A configured shape as geometry."""
-    if isinstance(bound, HullBound):
-        return Hull.around(link_vertices(robot, link, bound.file))
-    return known_shapes()[bound.kind].from_dict(bound.model_dump())

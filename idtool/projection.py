@@ -126,8 +126,7 @@ def _split(pi: Array, chosen: ConstraintSet, body: Body) -> tuple[Array, float]:
 
     The sets here are closed, unlike those of `project`: a piece may be a plate, a rod or a point, or without mass.
     """
-    unit = scales(body, float(pi[0]))
-    problem = _nearest(pi, chosen, body, np.eye(SIZE), unit)
+    problem = _nearest(pi, chosen, body, np.eye(SIZE), pi[0] * length(body) ** POWERS)
     closed = [replace(part, piece=_closed(part.piece)) for part in problem.parts]
     problem = replace(problem, parts=tuple(closed))
     start = np.asarray(np.linalg.lstsq(problem.S, problem.b, rcond=None)[0], dtype=np.float64)

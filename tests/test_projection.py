@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from robots import rotation
@@ -18,7 +18,7 @@ from synthetic import bounded_body, point_parameters, points_in, random_ellipsoi
 from idtool.body import Body
 from idtool.effects.rigid_body import length, scales
 from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, pseudo_inertia, transformation
+from idtool.inertia import POWERS, from_mass_com_inertia, pseudo_inertia, transformation
 from idtool.metric import nearest_realizable, pullback
 from idtool.prior import reference
 from idtool.projection import Metric, Projection, Verdict, judge, project
@@ -60,7 +60,7 @@ def set_of(kind: str) -> str:
 
 def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, reach: float = 0.8) -> Array:
     """Parameters of points of mass in each of the bounds, shrunk by ``reach``."""
-    inner = [replace(e, semi_axes=tuple(reach * a for a in e.semi_axes)) for e in bounds]
+    inner = [Ellipsoid.along(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
     places = np.concatenate([points_in(rng, e, count) for e in inner])
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 
@@ -97,7 +97,8 @@ def members(rng: np.random.Generator, body: Body, kind: str) -> Array:
             )
         else:
             found.append(mass_within(rng, *body.ellipsoids))
-    return np.array(found) * body.pi[0] / np.array(found)[:, :1] * rng.uniform(0.3, 3, (30, 1))
+    pi = np.array(found)
+    return np.asarray(pi * body.pi[0] / pi[:, :1] * rng.uniform(0.3, 3, (30, 1)))
 
 
 def is_member(body: Body, kind: str, found: Projection, tolerance: float) -> bool:
@@ -142,12 +143,11 @@ def test_the_distance_is_that_from_what_was_projected(rng: np.random.Generator, 
 @pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_projecting_again_changes_nothing(rng: np.random.Generator, kind: str, metric: Metric) -> None:
-    """But for the margin by which a projection ends inside, in units of a body that may be no thicker than it."""
     for _ in range(3):
         body = some_body(rng, kind)
-        once = project(disturbed(rng, body), SETS[set_of(kind)], body, metric).pi
+        once = project(disturbed(rng, body, 0.1), SETS[set_of(kind)], body, metric).pi
         twice = project(once, SETS[set_of(kind)], body, metric).pi
-        np.testing.assert_allclose(twice / units_of(body), once / units_of(body), rtol=0, atol=2e-4)
+        np.testing.assert_allclose(twice / units_of(body), once / units_of(body), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -156,15 +156,14 @@ def test_the_whole_set_lies_beyond_the_nearest_parameters(rng: np.random.Generat
     """⟨pi − P(pi), y − P(pi)⟩ ≤ 0 for all y in a convex set, and for no other P(pi) in it."""
     for _ in range(3):
         body = some_body(rng, kind)
-        pi = disturbed(rng, body)
+        pi = disturbed(rng, body, 0.1)
         unit = scales(body, float(pi[0]))
         found = project(pi, SETS[set_of(kind)], body, metric)
         M = metric_at(body, pi, metric)
         away = M @ ((pi - found.pi) / unit)
         for y in members(rng, body, "ellipsoid" if kind == "shape" else kind):
             beyond = (y - found.pi) / unit
-            product = away @ beyond
-            assert product <= 1e-4 * max(found.distance, 1e-3) * np.sqrt(beyond @ M @ beyond)
+            assert away @ beyond <= 2e-3 * max(found.distance, 1e-3) * np.sqrt(beyond @ M @ beyond)
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -179,17 +178,19 @@ def test_a_member_is_its_own_nearest(rng: np.random.Generator, kind: str, metric
 
 @pytest.mark.parametrize("kind", ["full", "ellipsoid"])
 def test_the_solver_and_the_closed_form_agree(rng: np.random.Generator, kind: str) -> None:
-    """Two ellipsoids that are the same are one, but are left to the solver."""
-    for _ in range(5):
+    """Two ellipsoids that are the same are one, but are left to the solver; to a share of the distance."""
+    for _ in range(8):
         body = some_body(rng, kind)
         twice = replace(body, ellipsoids=body.ellipsoids * 2)
-        pi = disturbed(rng, body)
-        at = reference(pi, scales(body, float(pi[0])))
-        closed = nearest_realizable(pi, at, body.ellipsoids[0].Q if kind == "ellipsoid" else None)
-        unit = units_of(body)
-        np.testing.assert_array_equal(project(pi, SETS[kind], body, "pullback").pi, closed)
-        solved = project(pi, SETS[kind], twice, "pullback").pi
-        np.testing.assert_allclose(solved / unit, closed / unit, rtol=0, atol=2e-3 * np.abs((pi - closed) / unit).max())
+        pi = disturbed(rng, body, 0.1)
+        unit = scales(body, float(pi[0]))
+        closed = nearest_realizable(pi, reference(pi, unit), body.ellipsoids[0].Q if kind == "ellipsoid" else None)
+        ours = project(pi, SETS[kind], body, "pullback")
+        np.testing.assert_array_equal(ours.pi, closed)
+        solved = project(pi, SETS[kind], twice, "pullback")
+        M, off = metric_at(body, pi, "pullback"), (solved.pi - closed) / unit
+        assert np.sqrt(off @ M @ off) < 2e-3 * max(ours.distance, 1e-2)
+        assert solved.distance == pytest.approx(ours.distance, rel=1e-4, abs=1e-3)
 
 
 def moved(body: Body, pi: Array, R: Array, p: Array, size: float, mass: float) -> tuple[Body, Array]:
@@ -203,23 +204,21 @@ def moved(body: Body, pi: Array, R: Array, p: Array, size: float, mass: float) -
     return replace(body, ellipsoids=bounds, pi=to * (T @ body.pi)), to * (T @ pi)
 
 
-@pytest.mark.parametrize(("kind", "tolerance"), [("full", 1e-7), ("ellipsoid", 1e-7), ("union", 1e-3)])
+@pytest.mark.parametrize(("kind", "tolerance"), [("full", 1e-9), ("ellipsoid", 1e-9), ("union", 2e-3)])
 def test_the_pullback_does_not_depend_on_units_and_frames(
     rng: np.random.Generator, kind: str, tolerance: float
 ) -> None:
-    """But for the margin of what is left to the solver."""
-    for _ in range(3):
+    """But for the margin and the tolerance of what is left to the solver, in shares of the distance."""
+    for _ in range(5):
         body = some_body(rng, kind)
-        pi = disturbed(rng, body, 0.3)
+        pi = disturbed(rng, body, 0.1)
         frame = rotation(rng), rng.normal(size=3), 1e3, 1e3
         there, pi_there = moved(body, pi, *frame)
-        nearest, nearest_there = (
-            project(x, SETS[set_of(kind)], b, "pullback") for x, b in ((pi, body), (pi_there, there))
-        )
-        expected = moved(body, nearest.pi, *frame)[1]
-        unit = 1e3 * np.linalg.norm(mass_com_inertia(expected / 1e3)[1]) ** POWERS * body.pi[0]
-        np.testing.assert_allclose(nearest_there.pi / unit, expected / unit, rtol=0, atol=tolerance)
-        assert nearest_there.distance == pytest.approx(nearest.distance, rel=10 * tolerance)
+        here, far = (project(x, SETS[set_of(kind)], b, "pullback") for x, b in ((pi, body), (pi_there, there)))
+        unit = scales(there, float(pi_there[0]))
+        M, off = metric_at(there, pi_there, "pullback"), (far.pi - moved(body, here.pi, *frame)[1]) / unit
+        assert np.sqrt(off @ M @ off) < tolerance * max(here.distance, 1.0)
+        assert far.distance == pytest.approx(here.distance, rel=1e-4, abs=1e-3)
 
 
 def test_the_euclidean_does_not_depend_on_units(rng: np.random.Generator) -> None:
@@ -288,6 +287,7 @@ def test_mass_spread_over_a_hull_is_shown_by_points_in_it(rng: np.random.Generat
     hull = random_shape(rng, "hull")
     assert isinstance(hull, Hull)
     corners = np.array(hull.vertices)
+    assume(hull.size > 0.2 * np.ptp(corners, axis=0).max())  # a sliver has too few places across
     places = rng.dirichlet(np.full(len(corners), 3 / len(corners)), 200) @ corners
     pi = point_parameters(rng.uniform(0.1, 1, 200), places)
     verdict = judge(bounded_body(hull), pi)
