@@ -1,8 +1,8 @@
 """A quadruped's legs as two and two mirrored copies against four free ones: what repeats, and what predicts.
 
-Run ``python benchmarks/mirrored_legs.py FOLDER``, where FOLDER holds go2.urdf and chirp_4.csv to chirp_7.csv (not part of
-this repository). Each chirp is fitted alone; the spread is the standard deviation over the four fits, and the error that
-on the other three chirps.
+Run ``python benchmarks/mirrored_legs.py FOLDER``, where FOLDER holds go2.urdf and chirp_4.csv to chirp_7.csv (not part
+of this repository). Each chirp is fitted alone; the spread is the standard deviation over the four fits, and the error
+that on the other three chirps.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from idtool.body import Body, Frame
 from idtool.bounding import bounding_shape
 from idtool.config import Config
+from idtool.exceptions import ConfigError
+from idtool.names import nearest
 from idtool.projection import judge, project
 from idtool.robot import Robot
 from idtool.sets import choose_set
@@ -44,7 +46,16 @@ def check(robot: Robot, config: Config) -> list[LinkCheck]:
         From the URDF.
     config
         Its bounding ellipsoids and shapes, if any.
+
+    Raises
+    ------
+    ConfigError
+        If it bounds a link that is not there.
     """
+    for key in ("bounding_ellipsoids", "bounding_shapes"):
+        for name in getattr(config, key):
+            if name not in robot.links:
+                raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {nearest(name, robot.links)}")
     checks = []
     for link, pi in robot.links.items():
         if pi is None or not pi.any():
@@ -63,6 +74,6 @@ def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
     return {body.name: project(body.pi, choose_set(body), body, "pullback").pi for body in wrong}
 
 
-def repaired(robot: Robot, nearest: dict[str, Array]) -> bytes:
+def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
     """The URDF's text with these inertials, every other byte kept."""
-    return rewrite(robot.text, nearest, {})
+    return rewrite(robot.text, inertials, {})

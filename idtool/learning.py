@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import SolverError
+from idtool.exceptions import LogError, SolverError
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.identify import solve
 from idtool.inertia import SIZE, pseudo_inertia
@@ -81,7 +81,13 @@ class Curve:
 
 
 def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress) -> tuple[Reduction, Pool]:
-    """The training data as R-factors, and samples drawn from it at random; one pass over the logs."""
+    """The training data as R-factors, and samples drawn from it at random; one pass over the logs.
+
+    Raises
+    ------
+    LogError
+        If nothing is left to fit a joint to.
+    """
     total = empty(experiment.equation.active())
     pool: Pool | None = None
     keys, samples = np.zeros(0), 0
@@ -103,8 +109,14 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
             keys = keys[least]
             chosen = [block[:, least] for block in blocks], [k[least] for k in kept]
             pool = Pool(*chosen, redundancy, samples <= _POOL)
+    for name, factor in zip(experiment.equation.joints, total, strict=True):
+        if pool is None or not factor.rows:
+            what = (
+                f"joint {name} hardly moves in the part to fit; log a motion, hold out less, or leave it out of joints"
+            )
+            raise LogError(experiment.runs[0].signals.log.path, what)
     if pool is None:
-        raise AssertionError  # `Signals` refuses a log without a stretch that can be used
+        raise AssertionError  # there is no model without joints
     return total, pool
 
 

@@ -9,8 +9,8 @@ Both make (27) a nonlinear least-squares problem on the R-factors. In log-Choles
 global optimum, since dJ may be any symmetric matrix; but an optimum on the boundary is at infinity, and the cost is
 flat on the way to all of the boundary. On the manifold the first fails where mu coincide or m is zero.
 
-Letters: B bodies; y (B, 10) their coordinates; J (B, 4, 4) pseudo-inertias in units of the bodies, less ``INTERIOR``,
-so that what is described is what the convex problem allows; r with f = ‖r‖² + constant; f, x and z as in `problem`.
+Letters: B bodies; y (B, 10) coordinates; J (B, 4, 4) pseudo-inertias in units of the bodies, less ``INTERIOR``, so that
+they fill the convex problem's set; r with f = ‖r‖² + constant; f, x, z as in `problem`, x being z in another order.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from idtool.conic import svec
 from idtool.exceptions import SolverError
 from idtool.inequality import DENSITY
 from idtool.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
+from idtool.parts import INTERIOR
 from idtool.prior import LogDet
-from idtool.problem import INTERIOR, Problem
+from idtool.problem import Problem
 
 Array = NDArray[np.float64]
 
 _SETTINGS: dict[str, Any] = {"method": "trf", "ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-10, "max_nfev": 500}  # of scipy
 _EDGE, _INNER = 1e-3, 3e-2  # a start with a lesser eigenvalue, in units of the body, is moved inside, so far
 _SETTLED = 1e-9  # relative gain below which there is no further run
-_NUDGE = 1e-9  # in units of the body: what lies nearer than that among the mu coincides
+_NUDGE = 1e-7  # in units of the body, of J down the cost's slope before a chart is laid
 _MASSLESS = 1e-12  # least mass, in units of the body, that has a centre
 _SERIES = 1e-2  # |λ − 1| below which (λ − 1 − log λ) / (λ − 1)² is summed up
 _EQUAL = 1e-5  # relative difference of eigenvalues below which a difference quotient is a derivative
@@ -54,10 +55,8 @@ class Local:
     ----------
     x
         Shape (m,), inside all inequalities and bounds.
-    status
-        Why scipy stopped, in its words.
-    iterations, seconds
-        Evaluations of the residuals, and wall time.
+    status, iterations, seconds
+        Why scipy stopped, in its words, after how many evaluations of the residuals, and the wall time.
     """
 
     x: Array
@@ -103,12 +102,6 @@ class Chart(ABC):
         return np.asarray(half + half.swapaxes(-1, -2))
 
 
-def _cut(J: Array, least: float) -> Array:
-    """The nearest matrices without lesser eigenvalues."""
-    values, axes = np.linalg.eigh(J)
-    return np.asarray((axes * np.maximum(values, least)[:, None]) @ axes.swapaxes(-1, -2))
-
-
 class LogCholesky(Chart):
     """The coordinates alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 of Rucker & Wensing; F = e^alpha U."""
 
@@ -140,24 +133,21 @@ class LogCholesky(Chart):
 class Manifold(Chart):
     """The coordinates m, c, mu, w of Thm 2 with R = R₀ (1 + 2 (S(w) + S(w)²) / (1 + wᵀ w)), a turn about w.
 
-    F = [[R, c], [0, 1]]. Where mu coincide, turning R changes nothing, and some changes of J are out of reach to first
-    order. There R₀ is laid along the axes in which the cost's slope is diagonal, so that none of those would lower it.
+    F = [[R, c], [0, 1]]. Where mu coincide or m is zero, R and c may be any, and some changes of J are out of reach to
+    first order. So the chart is laid around a point a little down the cost's slope, which tells them apart.
     """
 
     lower = np.repeat([0.0, -np.inf, 0.0, -np.inf], [1, 3, 3, 3])
     fixed = 0.0
-    stretch = np.eye(4)[[3, 0, 0, 0, 0, 1, 2, 0, 0, 0]] * np.repeat([1.0, 0.0, 1.0, 0.0], [1, 3, 3, 3])[:, None]
+    stretch = np.eye(5)[[3, 4, 4, 4, 0, 1, 2, 4, 4, 4], :4]  # D = (mu, m)
     runs = 12
 
     def __init__(self, J: Array, slope: Array) -> None:
-        down = slope / np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), _TINY)
-        J = _cut(J - _NUDGE * down, 0.0)
+        J = _cut(J - _NUDGE * slope / np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), _TINY), 0.0)
         mass = np.maximum(J[:, 3:, 3], _MASSLESS)
         c = J[:, :3, 3] / mass
-        sigma = J[:, :3, :3] - J[:, :3, 3:] * c[:, None]
-        R = np.linalg.eigh(sigma)[1]
+        mu, R = np.linalg.eigh(J[:, :3, :3] - J[:, :3, 3:] * c[:, None])
         self.R = R * np.linalg.det(R)[:, None, None]
-        mu = np.einsum("bik,bij,bjk->bk", R, sigma, R)
         self.y = np.column_stack([mass, c, np.maximum(mu, 0), np.zeros((len(J), 3))])
 
     def factors(self, y: Array) -> tuple[Array, Array]:
@@ -175,7 +165,7 @@ class Manifold(Chart):
 
 
 class Residuals:
-    """A problem's r and their derivatives at a chart's y and the other coefficients: v = (y, others), shape (m,)."""
+    """A problem's r and its derivatives at a chart's y and the other coefficients: v = (y, others), shape (m,)."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
@@ -190,7 +180,7 @@ class Residuals:
         return z
 
     def at(self, z: Array) -> tuple[Array, Array]:
-        """Those of the quadratic part, p', and ten for every log-det; and their derivative, shape (rows, p')."""
+        """r, the p' rows of the quadratic part and ten for every log-det, and its derivative, shape (rows, p')."""
         r, D = [self._problem.A @ z - self._problem.b], [self._problem.A]
         for term in self._problem.log_dets:
             value, derivative = spectral(term, z)
@@ -200,11 +190,11 @@ class Residuals:
         return np.concatenate(r), np.concatenate(D)
 
     def value(self, v: Array, chart: Chart) -> Array:
-        """The r, shape (rows,)."""
+        """r, shape (rows,)."""
         return self.at(self.z(chart, v))[0]
 
     def jacobian(self, v: Array, chart: Chart) -> Array:
-        """Their derivative with respect to v, shape (rows, m)."""
+        """Its derivative with respect to v, shape (rows, m)."""
         D = self.at(self.z(chart, v))[1]
         dpi = from_pseudo_inertia(chart.derivatives(v[: self.own.size].reshape(-1, SIZE)))
         return np.column_stack([*(D[:, self.own].swapaxes(0, 1) @ dpi.swapaxes(-1, -2)), D[:, self._problem.others]])
@@ -270,8 +260,7 @@ def manifold(problem: Problem, start: Array) -> Local:
     return _solve(problem, start, Manifold)
 
 
-#: The local estimators by name.
-LOCAL = {"log_cholesky": log_cholesky, "manifold": manifold}
+LOCAL = {"log_cholesky": log_cholesky, "manifold": manifold}  # by name
 
 
 def check(problem: Problem, name: str) -> None:
@@ -285,13 +274,18 @@ def check(problem: Problem, name: str) -> None:
         raise SolverError("solver.name", what)
 
 
+def _cut(J: Array, least: float) -> Array:
+    """The nearest matrices without lesser eigenvalues."""
+    values, axes = np.linalg.eigh(J)
+    return np.asarray((axes * np.maximum(values, least)[:, None]) @ axes.swapaxes(-1, -2))
+
+
 def _solve(problem: Problem, start: Array, kind: type[Chart]) -> Local:
     started = time.perf_counter()
     residuals = Residuals(problem)
-    values, axes = np.linalg.eigh(pseudo_inertia(start[residuals.own]))
-    z = start.copy()
-    values = np.where(values[:, :1] < _EDGE, np.maximum(values, _INNER), values)
-    z[residuals.own] = from_pseudo_inertia((axes * values[:, None]) @ axes.swapaxes(-1, -2))
+    z, J = start.copy(), pseudo_inertia(start[residuals.own])
+    edge = np.linalg.eigvalsh(J)[:, 0] < _EDGE
+    z[residuals.own[edge]] = from_pseudo_inertia(_cut(J[edge], _INNER))
     z[problem.others] = np.maximum(start[problem.others], problem.lower)
     lower = np.concatenate([np.tile(kind.lower, len(residuals.own)), problem.lower])
     iterations, cost = 0, np.inf
@@ -304,5 +298,4 @@ def _solve(problem: Problem, start: Array, kind: type[Chart]) -> Local:
         gain, cost = cost - 2 * answer.cost, 2 * answer.cost
         if gain <= _SETTLED * max(cost + problem.constant, 1.0):
             break
-    # S has one 1 in every row and column.
     return Local(problem.S.T @ z, str(answer.message), iterations, time.perf_counter() - started)

@@ -21,8 +21,9 @@ from idtool.identify import solve
 from idtool.inequality import Piece
 from idtool.inertia import POWERS, SIZE, transformation
 from idtool.metric import nearest_realizable, pullback
+from idtool.parts import parts_of
 from idtool.prior import reference
-from idtool.problem import Problem, parts_of
+from idtool.problem import Problem
 from idtool.sets import ConstraintSet, choose_set
 from idtool.witness import explain, violations, witness
 

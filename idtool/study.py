@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
 PRIORS = ("euclidean", "pullback", "entropic")
-DRAWS = 60
+DRAWS = 40
 _FORGETTING = np.inf  # the parameters of a log do not change
 _REPEATS = 3  # of a solution, for its time
 _PATIENCE = 1.0  # s, for all of them
@@ -138,13 +138,13 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     SolverError
         If a problem on all data could not be solved.
     """
-    if not any(run.held_out for run in experiment.runs):
-        raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
     started = time.perf_counter()
+    validation = held_out(experiment, progress)
+    if not validation[0].rows:
+        raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
     rng = np.random.default_rng(experiment.config.seed)
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)
-    validation = held_out(experiment, progress)
     noise = free_noise(equation, total, experiment.known)
     warnings = list(experiment.warnings)
     names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]

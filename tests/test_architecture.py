@@ -32,6 +32,7 @@ ORDER = (
         "regressor",
         "reduction",
         "sets",
+        "parts",
         "knowledge",
         "weights",
         "prior",

@@ -36,7 +36,7 @@ CASES: dict[str, dict[str, Any]] = {
     "ellipsoid and box": {"set": "shape", "bounding_shapes": BOX},
     "point masses": {"set": "points"},
     "point masses in two ellipsoids": {"set": "points", "each": 2},
-    "known centres of mass": {"set": "known_com", "known_com": {"link1": [0.1, 0, 0.05], "link3": [0, 0.02, 0]}},
+    "known centres of mass": {"set": "known_com", "known_com": {"link1": "inside", "link3": "inside"}},
     "known centre in a union": {"set": "ellipsoid", "each": 2, "known_com": {"link1": "inside"}},
     "exact masses": {"set": "ellipsoid", "known": {"mass": {"link1": 1.3, "link3": 0.4}}},
     "exact mass and total of unions": {
@@ -61,10 +61,9 @@ def state(robot_of: Callable[[str], Robot]) -> State:
         rng = np.random.default_rng(seed)
         robot = robot_of(random_urdf(rng, size=3, kinds=("revolute",), mimic=0, massless=0))
         limits = bounds(rng, robot, options.pop("each", 1))
-        for link, center in options.get("known_com", {}).items():
-            if center == "inside":
-                ends = [bound["center"] for bound in limits["bounding_ellipsoids"][link]]
-                options["known_com"] = {link: np.mean(ends, axis=0).tolist()}
+        for link in options.get("known_com", {}):
+            ends = [bound["center"] for bound in limits["bounding_ellipsoids"][link]]
+            options["known_com"] = options["known_com"] | {link: np.mean(ends, axis=0).tolist()}
         kind, weight = options.pop("prior", ("euclidean", 1e-6))
         name = options.pop("set")
         return stated(synthetic(rng, robot, 60, {**limits, **options}), name, Regularization(kind=kind, weight=weight))

@@ -28,13 +28,34 @@ _SECTIONS = (
 # A set has one colour in all charts; the rest follow.
 _ORDER = ("none", "semi", "known_com", "com_ellipsoid", "points", "full", "ellipsoid", "shape")
 _ALIKE = 0.05  # what the sets' errors differ by where the curves have come together
-_TIE = 0.01
 _SHORT = 30  # samples: what a short log is called in the findings
 _MOST_TIMES = 1000
-_MANY = 10  # draws whose quartiles say how sure a median is
-_MEDIAN = 0.93
-_SURE = 3.0  # standard errors: passed by 2 % of four sets alike, where twice would be by 20 %
-_TINY = np.finfo(float).tiny
+_SURE = 3.0  # standard errors: several sets are compared, and twice would be passed by chance too often
+_SOLVED = 1e-4  # logarithmic differences below this may be the solver's
+_BAND = 2.0  # standard errors
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A set's error beside the first set's, from the same draws, in the geometric mean.
+
+    Attributes
+    ----------
+    name
+        The set.
+    gain, error
+        How much less its error is, as a share, in the mean over the counts called few, and the standard error.
+    clear
+        Whether that is beyond three standard errors, either way.
+    most
+        Where it is largest: the number of samples, the gain there and its standard error.
+    """
+
+    name: str
+    gain: float
+    error: float
+    clear: bool
+    most: tuple[int, float, float]
 
 
 @dataclass(frozen=True)
@@ -44,34 +65,18 @@ class Learning:
     Attributes
     ----------
     order
-        The sets by their mean logarithmic median error with few samples, the least first.
-    best
-        Those of them within a hundredth of the first.
-    counts
-        The numbers of samples called few; empty where the sets are alike from the first.
-    wins
-        At how many of these a set of ``best`` has the least error.
-    gain
-        How much less the first's error is than the worst's, in the mean over these counts, as a share.
-    worst
-        The last of the sets that have an error at each of these counts.
-    clear
-        Whether the gain is more than three times the standard error that the random draws leave in it; three, not
-        two, for these are the best and the worst of several sets.
-    example
-        Where it is least in comparison: the number of samples, the first's error and the worst's.
+        The sets by their mean advantage over the first one with few samples, the best first.
+    compared
+        All of them but the first one, in this order.
+    missing
+        The sets without an advantage at one of these counts, for want of draws that were solved.
     together
         The number of samples from which on all sets' errors are within a twentieth; None: not even at the last.
     """
 
     order: tuple[str, ...] = ()
-    best: tuple[str, ...] = ()
-    counts: tuple[int, ...] = ()
-    wins: int = 0
-    gain: float = 0.0
-    worst: str = ""
-    clear: bool = False
-    example: tuple[int, float, float] | None = None
+    compared: tuple[Comparison, ...] = ()
+    missing: tuple[str, ...] = ()
     together: int | None = None
 
 
@@ -112,54 +117,42 @@ def learning(found: Mapping[str, Any]) -> Learning:
     found
         ``learning`` of study.json.
     """
-    counts = list(found["counts"])
-    names = list(found["curves"])
-    medians, lower, upper = (_table(found, kind) for kind in ("median", "lower", "upper"))
-    apart = ~(medians.max(axis=0) <= (1 + _ALIKE) * medians.min(axis=0))  # NaN is apart
-    last = int(np.flatnonzero(apart)[-1]) if apart.any() else -1
-    together = counts[last + 1] if last + 1 < len(counts) else None
-    few = last + 1 if together is not None else (len(counts) + 1) // 2
-    score = _mean_log(medians[:, :few]) if few else np.full(len(names), np.inf)
-    order = np.argsort(score, kind="stable")
-    solved = order[np.isfinite(score[order])]
-    if not len(solved):
+    counts, names = found["counts"], list(found["curves"])
+    median = _table(found["curves"], "median")
+    advantage, error = (_table(found["advantage"], kind) for kind in ("advantage", "advantage_error"))
+    # All data are one draw, which leaves no advantage, only the errors themselves. NaN is apart.
+    pairs = np.isfinite(advantage).all(axis=0)
+    alike = np.where(pairs, np.ptp(advantage, axis=0) <= np.log1p(_ALIKE), np.ptp(median, axis=0) <= _ALIKE * median.min(axis=0))
+    first = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else 0
+    together = counts[first] if first < len(counts) else None
+    few = first if together is not None else (len(counts) + 1) // 2
+    if not few:
         return Learning(together=together)
-    best = solved[score[solved] <= score[order[0]] + np.log1p(_TIE)]
-    first, worst = medians[order[0], :few], medians[solved[-1], :few]
-    at = int(np.argmax(worst / np.maximum(first, _TINY)))
-    difference = float(score[solved[-1]] - score[order[0]])
-    noise = _noise(lower[:, :few], upper[:, :few], found["draws"])
+    # The draws at one count are part of those at the next, so that their errors may be the same: no root of the counts.
+    mean, sure = advantage[:, :few].mean(axis=1), error[:, :few].mean(axis=1)
+    order = [i for i in np.argsort(-mean, kind="stable") if np.isfinite(mean[i])]
+    compared = []
+    for i in filter(None, order):
+        at = int(np.argmax(advantage[i, :few]))
+        clear = bool(abs(mean[i]) > max(_SURE * sure[i], _SOLVED))
+        most = (counts[at], *_share(advantage[i, at], error[i, at]))
+        compared.append(Comparison(names[i], *_share(mean[i], sure[i]), clear, most))
     return Learning(
         order=tuple(names[i] for i in order),
-        best=tuple(names[i] for i in best),
-        counts=tuple(counts[:few]),
-        wins=int(np.count_nonzero((medians[best, :few] <= np.fmin.reduce(medians[:, :few])).any(axis=0))),
-        gain=float(-np.expm1(-difference)),
-        worst=names[solved[-1]],
-        clear=bool(found["draws"] >= _MANY and difference > _SURE * np.hypot(noise[order[0]], noise[solved[-1]])),
-        example=(counts[at], float(first[at]), float(worst[at])),
+        compared=tuple(compared),
+        missing=tuple(name for name, m in zip(names, mean, strict=True) if np.isnan(m)),
         together=together,
     )
 
 
 def _table(found: Mapping[str, Any], kind: str) -> Array:
-    """Medians or quartiles, shape (sets, counts)."""
-    return np.array([numbers(curve[kind]) for curve in found["curves"].values()])
+    """The values of a kind, shape (sets, counts)."""
+    return np.array([numbers(values[kind]) for values in found.values()])
 
 
-def _noise(lower: Array, upper: Array, draws: int) -> Array:
-    """Standard error of the mean over counts of the logarithmic median, from quartiles (sets, counts); shape (sets,).
-
-    Draws that are normal in the logarithm have a median with the standard error 0.93 (upper − lower) / √draws.
-    """
-    spread = np.log(np.maximum(upper, _TINY) / np.maximum(lower, _TINY))
-    return np.asarray(_MEDIAN * np.sqrt(np.square(spread).sum(axis=1) / draws) / spread.shape[1])
-
-
-def _mean_log(medians: Array) -> Array:
-    """The mean logarithm over counts, infinite where a set has no error at one of them; shape (sets,)."""
-    logs = np.log(np.maximum(medians, _TINY))
-    return np.asarray(np.where(np.isnan(logs), np.inf, logs).mean(axis=1))
+def _share(advantage: float, error: float) -> tuple[float, float]:
+    """An advantage, the logarithm of a ratio, as the share by which the error is less, and its standard error."""
+    return float(-np.expm1(-advantage)), float(np.exp(-advantage) * error)
 
 
 def _short(found: Mapping[str, Any]) -> dict[str, Any]:
@@ -181,16 +174,29 @@ def _online(found: Mapping[str, Any] | None) -> tuple[list[tuple[str, float]], l
 
 
 def charts(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What `lines.js` draws: Fig. 5, the violations and, where it was run, Remark 5."""
+    """What `lines.js` draws: Fig. 5, the advantages, the violations and, where it was run, Remark 5."""
     found = report["learning"]
     counts = "samples to fit"
     error = [
         line(name, curve["median"], _color(name, found["curves"]), (curve["lower"], curve["upper"]))
         for name, curve in found["curves"].items()
     ]
+    gains = []
+    for name, values in list(found["advantage"].items())[1:]:
+        advantage, width = numbers(values["advantage"]), _BAND * numbers(values["advantage_error"])
+        y, lower, upper = (-100 * np.expm1(-x) for x in (advantage, advantage - width, advantage + width))
+        gains.append(line(name, y, _color(name, found["curves"]), (lower, upper)))
+    first = next(iter(found["curves"]))
     title = f"RMS torque error [{by_unit(report['units'])[-1][0]}]"
     drawn = {
         "learning": chart("Fig. 5: held-out error", found["counts"], counts, [panel(title, error, log=True)], log=True),
+        "advantage": chart(
+            f"Held-out error below that with {first}, from the same draws",
+            found["counts"],
+            counts,
+            [panel("error less by [%]", gains, level=0)],
+            log=True,
+        ),
         "violation": chart(
             "Worst violation of realizability",
             found["counts"],
