@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from idtool.exceptions import SolverError
+from idtool.names import some
 from idtool.prior import LogDet
 from idtool.problem import Problem
 
@@ -116,6 +117,9 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
         _add_log_det(rows, q, term, problem, start, int(first))
     P = sparse.diags(np.repeat([0.0, 2.0, 0.0], [m, p, rows.width - m - p]), format="csc")
     answer = _run(P, q, rows, settings)
+    if "Infeasible" in str(answer.status):
+        what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
+        raise SolverError("solver", f"found no parameters that fulfil the constraints{what}; loosen one of them")
     z = np.split(np.asarray(answer.z), np.cumsum([len(b) for b in rows.b])[:-1])
     matrices = zip(problem.inequalities, places, strict=True)
     duals = [
@@ -188,6 +192,4 @@ def _run(P: Any, q: Array, rows: _Rows, settings: Mapping[str, Any]) -> Any:
         if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
             raise
         raise SolverError("solver", f"broke down on these numbers ({error}); check units and magnitudes") from None
-    if "Infeasible" in str(answer.status):
-        raise SolverError("solver", "found no parameters that fulfil all constraints; loosen them")
     return answer

@@ -228,8 +228,7 @@ def spectral(term: LogDet, z: Array) -> tuple[Array, Array]:
 
 def _phi(values: Array) -> tuple[Array, Array]:
     """Of λ, with its derivative: with e = λ − 1 and h = (e − log λ) / e², phi = e √h and phi' = 1 / (2 λ √h)."""
-    e = values - 1
-    near = np.abs(e) < _SERIES
+    near = np.abs(e := values - 1) < _SERIES
     series = np.polynomial.polynomial.polyval(np.where(near, -e, 0.0), 1 / np.arange(2.0, 11.0))
     root = np.sqrt(np.where(near, series, (e - np.log(values)) / np.where(near, 1.0, e) ** 2))
     return e * root, 1 / (2 * values * root)

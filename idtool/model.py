@@ -311,9 +311,6 @@ class _Builder:
             if name not in names:
                 hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
                 raise ConfigError(f"known_com: {name}", hint)
-            (body,) = (b for b in bodies if b.name == name)
-            if len(body.bounds) == 1 and not body.bounds[0].contains(self.config.known_com[name]):
-                raise ConfigError(f"known_com: {name}", "lies outside what bounds the body; correct one of them")
         return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
 
     def _finished(self, index: int, body: Body) -> Body:

@@ -14,7 +14,7 @@ torque [N·m or N].
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -61,6 +61,8 @@ class Problem:
         Their lower bounds, in units of ``scale``.
     E, e
         What is known exactly: E z = e, rows of norm one; shapes (k, p') and (k,).
+    facts
+        Where that stands in the configuration.
     log_dets
         The part of f that is not quadratic.
     """
@@ -76,7 +78,8 @@ class Problem:
     lower: Array
     E: Array
     e: Array
-    log_dets: tuple[LogDet, ...] = field(default=())
+    log_dets: tuple[LogDet, ...] = ()
+    facts: tuple[str, ...] = ()
 
     @cached_property
     def inequalities(self) -> tuple[Matrix, ...]:
@@ -191,7 +194,8 @@ def build_problem(
     terms = log_dets(model, bodies, regularization, known, scale)
     constant = float(np.square(R[q:, q]).sum())
     names = tuple(body.name for body in bodies)
-    return Problem(R[:q, :q], R[:q, q], constant, scale, known.K, parts, names, others, lower, E, e, terms)
+    facts = tuple(dict.fromkeys(fact.label for fact in known.hard))
+    return Problem(R[:q, :q], R[:q, q], constant, scale, known.K, parts, names, others, lower, E, e, terms, facts)
 
 
 def _units(model: LinearModel, data: Array) -> Array:

@@ -70,6 +70,8 @@ class Learning:
         All of them but the first one, in this order.
     missing
         The sets without an advantage at one of these counts, for want of draws that were solved.
+    counts
+        The numbers of samples called few; empty where the sets are alike from the first.
     together
         The number of samples from which on all sets' errors are within a twentieth; None: not even at the last.
     """
@@ -77,6 +79,7 @@ class Learning:
     order: tuple[str, ...] = ()
     compared: tuple[Comparison, ...] = ()
     missing: tuple[str, ...] = ()
+    counts: tuple[int, ...] = ()
     together: int | None = None
 
 
@@ -118,31 +121,34 @@ def learning(found: Mapping[str, Any]) -> Learning:
         ``learning`` of study.json.
     """
     counts, names = found["counts"], list(found["curves"])
-    median = _table(found["curves"], "median")
+    medians = _table(found["curves"], "median")
     advantage, error = (_table(found["advantage"], kind) for kind in ("advantage", "advantage_error"))
-    # All data are one draw, which leaves no advantage, only the errors themselves. NaN is apart.
-    pairs = np.isfinite(advantage).all(axis=0)
-    alike = np.where(pairs, np.ptp(advantage, axis=0) <= np.log1p(_ALIKE), np.ptp(median, axis=0) <= _ALIKE * median.min(axis=0))
-    first = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else 0
-    together = counts[first] if first < len(counts) else None
-    few = first if together is not None else (len(counts) + 1) // 2
+    # A single draw, of all the data, has a median only. NaN is apart.
+    single, near = np.isnan(advantage).any(axis=0), np.ptp(medians, axis=0) <= _ALIKE * medians.min(axis=0)
+    apart = np.flatnonzero(~np.where(single, near, np.ptp(advantage, axis=0) <= np.log1p(_ALIKE)))
+    few = int(apart[-1]) + 1 if len(apart) else 0
+    together = counts[few] if few < len(counts) else None
+    few = few if together is not None else (len(counts) + 1) // 2
     if not few:
         return Learning(together=together)
-    # The draws at one count are part of those at the next, so that their errors may be the same: no root of the counts.
-    mean, sure = advantage[:, :few].mean(axis=1), error[:, :few].mean(axis=1)
+    mean = advantage[:, :few].mean(axis=1)
     order = [i for i in np.argsort(-mean, kind="stable") if np.isfinite(mean[i])]
-    compared = []
-    for i in filter(None, order):
-        at = int(np.argmax(advantage[i, :few]))
-        clear = bool(abs(mean[i]) > max(_SURE * sure[i], _SOLVED))
-        most = (counts[at], *_share(advantage[i, at], error[i, at]))
-        compared.append(Comparison(names[i], *_share(mean[i], sure[i]), clear, most))
     return Learning(
         order=tuple(names[i] for i in order),
-        compared=tuple(compared),
+        compared=tuple(_compared(names[i], counts, advantage[i, :few], error[i, :few]) for i in order if i),
         missing=tuple(name for name, m in zip(names, mean, strict=True) if np.isnan(m)),
+        counts=tuple(counts[:few]),
         together=together,
     )
+
+
+def _compared(name: str, counts: Sequence[int], advantage: Array, error: Array) -> Comparison:
+    """A set beside the first one, by its advantages, shape (few,), and their standard errors."""
+    # A draw's samples at one count are among those at the next, so that more counts need not make the mean surer.
+    mean, sure = advantage.mean(), error.mean()
+    at = int(advantage.argmax())
+    clear = bool(abs(mean) > max(_SURE * sure, _SOLVED))
+    return Comparison(name, *_share(mean, sure), clear, (counts[at], *_share(advantage[at], error[at])))
 
 
 def _table(found: Mapping[str, Any], kind: str) -> Array:
@@ -181,12 +187,12 @@ def charts(report: Mapping[str, Any]) -> dict[str, Any]:
         line(name, curve["median"], _color(name, found["curves"]), (curve["lower"], curve["upper"]))
         for name, curve in found["curves"].items()
     ]
+    first, *others = found["curves"]
     gains = []
-    for name, values in list(found["advantage"].items())[1:]:
-        advantage, width = numbers(values["advantage"]), _BAND * numbers(values["advantage_error"])
-        y, lower, upper = (-100 * np.expm1(-x) for x in (advantage, advantage - width, advantage + width))
+    for name in others:
+        advantage, wide = (numbers(found["advantage"][name][kind]) for kind in ("advantage", "advantage_error"))
+        y, lower, upper = (-100 * np.expm1(-advantage - k * wide) for k in (0, -_BAND, _BAND))
         gains.append(line(name, y, _color(name, found["curves"]), (lower, upper)))
-    first = next(iter(found["curves"]))
     title = f"RMS torque error [{by_unit(report['units'])[-1][0]}]"
     drawn = {
         "learning": chart("Fig. 5: held-out error", found["counts"], counts, [panel(title, error, log=True)], log=True),
