@@ -183,6 +183,14 @@ def study_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
         "learning": {
             "counts": counts,
             "draws": 30,
+            "unit_overall": "N·m",
+            "advantage": {
+                name: {
+                    "advantage": [float(np.log(a / b)) for a, b in zip(few["none"], y, strict=True)],
+                    "advantage_error": [0.0 if name == "none" else 0.02] * len(counts),
+                }
+                for name, y in few.items()
+            },
             "curves": {
                 name: {"median": y, "lower": [0.8 * v for v in y], "upper": [1.3 * v for v in y]}
                 for name, y in few.items()

@@ -31,8 +31,9 @@ from idtool.inertia import (
     triangle_margin,
 )
 from idtool.local import LOCAL, Chart, LogCholesky, Manifold, Residuals, manifold, spectral
+from idtool.parts import INTERIOR, Part
 from idtool.prior import LogDet
-from idtool.problem import INTERIOR, Part, Problem, build_problem
+from idtool.problem import Problem, build_problem
 from idtool.robot import Robot, read_robot
 from idtool.sets import choose_set
 from idtool.weights import free_noise
@@ -114,8 +115,9 @@ def test_the_manifold_is_that_of_theorem_2(rng: np.random.Generator) -> None:
         turn = rng.normal(size=3)
         mu = rng.uniform(0.1, 1, 3)
         moved = np.concatenate([mass, c, mu, np.tan(np.linalg.norm(turn) / 2) * turn / np.linalg.norm(turn)])
-        alone = laid(Manifold, pseudo_inertia(body)[None])
-        R = alone.R[0] @ Rotation.from_rotvec(turn).as_matrix()  # type: ignore[attr-defined]
+        alone = Manifold(pseudo_inertia(body)[None], np.zeros((1, 4, 4)))
+        assert np.linalg.det(alone.R[0]) == pytest.approx(1)
+        R = alone.R[0] @ Rotation.from_rotvec(turn).as_matrix()
         inertia = R @ np.diag(mu.sum() - mu) @ R.T
         found = from_pseudo_inertia(alone.pseudo_inertias(moved[None]))[0]
         np.testing.assert_allclose(found, from_mass_com_inertia(float(mass[0]), c, inertia), atol=1e-12)
@@ -238,11 +240,13 @@ def test_an_inner_optimum_is_the_global_one(state: State, name: str, case: str) 
 
 @pytest.mark.parametrize("config", [{}, FRICTION, MIRROR], ids=["plain", "friction", "copies"])
 def test_with_the_entropic_prior_the_slope_vanishes(state: State, config: dict[str, Any]) -> None:
-    """Both ways lead to one place, where J may go nowhere cheaper: the optimum of a convex cost."""
+    """Both ways lead to one place, where J may go nowhere cheaper: the optimum of a convex cost, as Clarabel has it."""
     problem, start = state("entropic", 0.5, **config)
     x = {name: LOCAL[name](problem, start).x for name in LOCAL}
     np.testing.assert_allclose(x["log_cholesky"], x["manifold"], atol=1e-4)
+    _, best = solve(problem)
     for found in x.values():
+        assert problem.cost(problem.S @ found) == pytest.approx(best.objective, rel=GAP)
         assert violation(problem, found)[0] < -INTERIOR
         r, D = Residuals(problem).at(problem.S @ found)
         free = np.setdiff1d(np.arange(problem.variables), problem.bounded[found[problem.bounded] < 1e-6])
@@ -293,6 +297,30 @@ def test_coinciding_moments_are_no_trap(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(manifold(problem, ball).x, target, atol=1e-8)
 
 
+@pytest.mark.parametrize("seed", [26, 55])
+def test_a_chart_laid_anew_leads_on(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To an optimum on the boundary, that one run of scipy does not come near."""
+    rng = np.random.default_rng(seed)
+    A = np.linalg.qr(rng.normal(size=(SIZE, SIZE)))[0] * np.exp(rng.uniform(-2, 2, SIZE))
+    J = rng.normal(size=(4, 4))
+    problem, ball = one_body(A, A @ from_pseudo_inertia(J + J.T)), from_pseudo_inertia(np.diag([1.0, 1, 1, 2]))
+    often = solve_locally(problem, "manifold", ball)[1].duality_gap
+    monkeypatch.setattr(Manifold, "runs", 1)
+    assert often < 1e-2 * solve_locally(problem, "manifold", ball)[1].duality_gap
+
+
+def test_a_body_without_mass_can_be_described() -> None:
+    """A rank-one J up to rounding, its centre anywhere; with the cost's slope, where it pays to have mass."""
+    J = np.diag([1.0, 0, 0, 0])[None]
+    J[0, 3, 3] = -1e-17
+    chart = laid(Manifold, J)
+    assert (chart.y >= chart.lower).all()
+    np.testing.assert_allclose(chart.pseudo_inertias(chart.y), J, atol=1e-11)
+    ray = np.array([0, 0.6, 0, 0.8])
+    led = Manifold(J, -np.outer(ray, ray)[None])
+    np.testing.assert_allclose(led.y[0, 1:4], [0, 0.75, 0], atol=1e-6)
+
+
 @pytest.mark.parametrize("name", LOCAL)
 def test_another_frame_leads_to_the_same_body(state: State, name: str, rng: np.random.Generator) -> None:
     problem, start = state("pullback", 1.0)
@@ -322,17 +350,20 @@ def test_a_start_that_no_body_can_have(state: State, name: str, start: str) -> N
     np.testing.assert_allclose(LOCAL[name](problem, z).x, x, atol=1e-5)
 
 
-def test_a_step_beyond_all_numbers_is_taken_back() -> None:
-    """No body is heavy enough for what is asked: scipy tries further and further, and nothing breaks."""
-    term = LogDet(0, pseudo_inertia(np.eye(SIZE)), 1e-12)
-    problem = replace(one_body(1e-6 * np.eye(SIZE), np.full(SIZE, 1e3)), log_dets=(term,))
-    start = from_pseudo_inertia(np.eye(4))
-    for name in LOCAL:
-        x = LOCAL[name](problem, start).x
-        assert np.isfinite(x).all()
-        assert problem.cost(x) < problem.cost(start)
-    with np.errstate(invalid="ignore"):
-        assert np.isinf(spectral(term, np.full(SIZE, np.inf))[0]).all()
+@pytest.mark.parametrize("weight", [0.0, 1e-12])
+def test_a_step_beyond_all_numbers_is_taken_back(weight: float) -> None:
+    """A body far off that is to be 10⁴ times as heavy: the first step is e^10⁴ times."""
+    far = np.array([500.0, 0, 0])
+    A = np.diag([1.0] + [1e-4] * 9)
+    target, start = (from_mass_com_inertia(m, far, m * np.eye(3)) for m in (1e4, 1.0))
+    term = LogDet(0, pseudo_inertia(np.eye(SIZE)), weight)
+    problem = replace(one_body(A, A @ target), log_dets=(term,))
+    chart = laid(LogCholesky, pseudo_inertia(start)[None])
+    beyond = chart.y.ravel() + 1e4 * (np.arange(SIZE) == 0)
+    with np.errstate(all="ignore"):
+        assert not np.isfinite(Residuals(problem).value(beyond, chart)).any()
+    x = LOCAL["log_cholesky"](problem, start).x
+    assert problem.cost(x) < 1e-3 * problem.cost(start)
 
 
 @pytest.mark.parametrize("name", LOCAL)

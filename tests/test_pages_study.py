@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, complete, evaluation_of, study_of
 
 from idtool.pages import study_page
-from idtool.pages.study import Learning, _noise, learning
+from idtool.pages.study import Learning, learning
 
 JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
@@ -28,9 +29,34 @@ def page_of(report: dict[str, Any], angle: bool = True, command: str = "idtool s
     return Page(study_page(evaluation_of(curves), report, command))
 
 
-def found(medians: dict[str, list[float | None]], counts: list[int]) -> Learning:
-    curves = {name: dict.fromkeys(("median", "lower", "upper"), y) for name, y in medians.items()}
-    return learning({"counts": counts, "draws": 30, "curves": curves})
+def of_draws(draws: dict[str, np.ndarray]) -> dict[str, Any]:
+    """``learning`` of study.json for errors from the same draws, shape (draws, counts); NaN: not solved."""
+    first = next(iter(draws.values()))
+    counts = [1, 2, 5, 10, 20, 50, 100, 200][: first.shape[1]]
+    curves, advantage = {}, {}
+    for name, y in draws.items():
+        ratios = [np.log(r[~np.isnan(r)]) for r in (first / y).T]
+        advantage[name] = {
+            "advantage": [float(r.mean()) if len(r) > 1 else None for r in ratios],
+            "advantage_error": [float(r.std(ddof=1) / len(r) ** 0.5) if len(r) > 1 else None for r in ratios],
+        }
+        solved = [column[~np.isnan(column)] for column in y.T]
+        quartiles = [np.quantile(c, [0.25, 0.5, 0.75]).tolist() if len(c) else [None] * 3 for c in solved]
+        curves[name] = dict(zip(("lower", "median", "upper"), zip(*quartiles, strict=True), strict=True))
+    violation = {name: [0.0] * len(counts) for name in draws}
+    return {"counts": counts, "draws": len(y), "curves": curves, "advantage": advantage, "violation": violation}
+
+
+def found(errors: dict[str, list[float]]) -> Learning:
+    """What is said where two draws of each count have these errors."""
+    return learning(of_draws({name: np.array([y, y]) for name, y in errors.items()}))
+
+
+def drawn(rng: np.random.Generator, gains: dict[str, list[float]], draws: int = 40) -> dict[str, Any]:
+    """Log-normal draws, nested: what they share spreads by 1, what each set has of its own by 0.2 at all counts."""
+    width = len(next(iter(gains.values())))
+    shared, own = rng.normal(size=(draws, width)), rng.normal(scale=0.2, size=(len(gains), draws, 1))
+    return of_draws({name: np.exp(shared + own[i] - gain) for i, (name, gain) in enumerate(gains.items())})
 
 
 def test_the_page_is_complete_in_itself(report: dict[str, Any]) -> None:
@@ -70,108 +96,117 @@ def test_a_report_on_many_samples_stays_small(report: dict[str, Any], rng: np.ra
 
 def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
     said = learning(report["learning"])
-    assert said.best == ("ellipsoid",)
     assert said.order == ("ellipsoid", "full", "semi", "none")
     assert said.together == 100
     assert said.counts == (1, 2, 5, 10, 20, 30, 50)
-    assert said.wins == 7
-    assert said.example == (1, 2.0, 10.0)
-    ratios = [(1 + 1 / n) / (1 + 9 / n) for n in said.counts]
-    assert said.gain == pytest.approx(1 - np.prod(ratios) ** (1 / 7))
-    page = page_of(report)
-    text = page.plain
-    assert "fewer than 100 samples, ellipsoid predicts best in the mean over these counts: the median held-out" in text
-    assert "below that with none, the worst; most so with 1 sample, 2.00 against 10.0 N·m." in text
-    assert "It has the least error at 7 of these 7 counts. Best first: ellipsoid, full, semi, none." in text
+    best = said.compared[0]
+    ratio = np.prod([(1 + 1 / n) / (1 + 9 / n) for n in said.counts]) ** (1 / 7)
+    assert best.name == "ellipsoid"
+    assert [best.gain, best.error] == pytest.approx([1 - ratio, 0.02 * ratio])
+    assert best.most == pytest.approx((1, 0.8, 0.02 * 0.2))
+    text = page_of(report).plain
+    assert "Fitted to fewer than 100 samples, best first: ellipsoid, full, semi, none. On average, the held-out" in text
+    assert "error is below that with none from the same samples: with ellipsoid by 51.05 ± 0.98 % (most with 1" in text
+    assert "(most with 1 sample: 80.00 ± 0.40 %), with full by" in text
+    assert "clearly" not in text
     assert "From 100 samples on, all sets predict alike" in text
 
 
-def test_a_set_that_is_best_only_in_the_mean_is_no_clear_winner(report: dict[str, Any]) -> None:
-    curves = report["learning"]["curves"]
-    curves["ellipsoid"]["median"][:4] = [10.5, 7.5, 3.0, 2.0]
-    curves["ellipsoid"]["median"][4:7] = [0.1] * 3
-    for curve in curves.values():
-        curve["lower"] = curve["upper"] = curve["median"]
-    said = learning(report["learning"])
-    assert (said.best, said.wins, said.clear) == (("ellipsoid",), 3, True)
-    assert page_of(report).levels[0] == "note"
+GAINS = {"none": [0.0] * 8, "semi": [0.0] * 8, "full": [0.3] * 4 + [0.0] * 4, "ellipsoid": [0.4] * 4 + [0.0] * 4}
 
 
-def drawn(rng: np.random.Generator, draws: int, gain: float) -> dict[str, Any]:
-    """Four sets' errors at four counts from log-normal draws, each set's smaller by a share than the one's before."""
-    curves = {}
-    for i, name in enumerate(("none", "semi", "full", "ellipsoid")):
-        y = np.exp(rng.normal(-gain * i, 0.3, size=(draws, 8)))
-        lower, median, upper = np.quantile(y, [0.25, 0.5, 0.75], axis=0).tolist()
-        curves[name] = {"lower": lower, "median": median, "upper": upper}
-    return {"counts": [1, 2, 5, 10, 20, 50, 100, 200], "draws": draws, "curves": curves}
+def test_known_advantages_are_found(rng: np.random.Generator) -> None:
+    said = [learning(drawn(rng, {k: [*gain[:4], *gain[:4]] for k, gain in GAINS.items()})) for _ in range(200)]
+    for name in ("full", "ellipsoid"):
+        compared = [next(c for c in one.compared if c.name == name) for one in said]
+        gains = np.array([c.gain for c in compared])
+        true = 1 - np.exp(-GAINS[name][0])
+        assert gains.mean() == pytest.approx(true, abs=4 * gains.std() / len(said) ** 0.5)
+        assert np.mean([c.error for c in compared]) == pytest.approx(gains.std(), rel=0.2)
+        assert all(c.clear for c in compared)
 
 
-@pytest.mark.parametrize(("draws", "gain", "least", "most"), [(30, 0, 0, 0.05), (5, 0.3, 0, 0), (30, 0.2, 1, 1)])
-def test_how_often_a_set_is_called_clearly_better(
-    rng: np.random.Generator, draws: int, gain: float, least: float, most: float
-) -> None:
-    found = [learning(drawn(rng, draws, gain)).clear for _ in range(300)]
-    assert least <= np.mean(found) <= most
+def test_sets_alike_are_seldom_called_clearly_different(rng: np.random.Generator) -> None:
+    # A twentieth is what twice the standard error would give; √4 counts fewer standard errors, a seventh.
+    gains = {name: [0.0] * 8 for name in ("none", "a", "b", "c", "d")} | {"full": GAINS["full"]}
+    said = [learning(drawn(rng, gains)) for _ in range(200)]
+    clear = [c.clear for one in said for c in one.compared if c.name != "full"]
+    assert len(clear) == 800
+    assert np.mean(clear) < 0.015
 
 
-def test_a_gain_within_the_noise_of_the_draws_is_called_so(report: dict[str, Any], rng: np.random.Generator) -> None:
-    report["learning"] |= drawn(rng, 5, 0.3)
-    report["learning"]["violation"] = {"none": [0.0] * 8}
+def test_each_set_is_said_to_be_better_worse_or_neither(report: dict[str, Any], rng: np.random.Generator) -> None:
+    report["learning"] = drawn(rng, {**GAINS, "points": [-0.5] * 4 + [0.0] * 4})
     page = page_of(report)
-    assert "no set predicts clearly better than the others" in page.plain
-    assert "5 random draws leave more than that uncertain" in page.plain
+    share, most = r"\d+\.\d ± \d\.\d %", r"\(most with \d+ samples?: [^)]+\)"
+    assert re.search(
+        f": with ellipsoid by {share} {most}, with full by {share} {most}. "
+        rf"Clearly worse than none: points, by {share}. Not clearly better than none: semi \(-?{share}\). Many",
+        page.plain,
+    )
     assert page.levels[0] == "note"
 
 
-def test_the_noise_of_a_mean_of_medians(rng: np.random.Generator) -> None:
-    y = np.exp(rng.normal(scale=0.3, size=(400, 50, 5)))  # repetitions, draws, counts
-    lower, upper = np.quantile(y, [0.25, 0.75], axis=1)
-    spread = np.log(np.median(y, axis=1)).mean(axis=1).std()
-    np.testing.assert_allclose(_noise(lower, upper, 50).mean(), spread, rtol=0.1)
+def test_a_difference_that_the_solver_leaves_is_none() -> None:
+    said = found({"none": [9.0, 1.0], "semi": [9.0 * (1 - 1e-6), 1.0], "full": [3.0, 1.0]})
+    assert [(c.name, c.clear) for c in said.compared] == [("full", True), ("semi", False)]
 
 
-def test_curves_that_stay_apart_are_said_to() -> None:
-    said = found({"none": [9.0, 5.0, 3.0, 1.2], "full": [2.0, 1.5, 1.2, 1.1]}, [1, 10, 100, 1000])
+def test_curves_that_stay_apart_are_said_to(report: dict[str, Any]) -> None:
+    draws = {"none": [9.0, 5.0, 3.0, 1.2], "full": [2.0, 1.5, 1.2, 1.1]}
+    report["learning"] = of_draws({name: np.array([y, y]) for name, y in draws.items()})
+    said = learning(report["learning"])
     assert said.together is None
-    assert said.best == ("full",)
-    assert said.counts == (1, 10)
+    assert said.counts == (1, 2)
+    assert "Fitted to 2 or fewer samples, best first: full, none." in page_of(report).plain
 
 
 def test_curves_that_part_again_are_not_together() -> None:
-    y = {"none": [9.0, 1.0, 3.0, 1.0, 1.04], "full": [1.0] * 5}
-    assert found(y, [1, 2, 5, 10, 20]).together == 10
+    assert found({"none": [9.0, 1.0, 3.0, 1.0, 1.04], "full": [1.0] * 5}).together == 10
+
+
+def test_errors_whose_medians_only_agree_are_apart() -> None:
+    errors = np.array([[2.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    assert learning(of_draws({"none": errors, "full": np.ones((3, 2))})).together == 2
 
 
 def test_curves_that_never_part_have_no_best(report: dict[str, Any]) -> None:
-    said = found({"none": [1.0, 1.01], "full": [1.02, 1.0]}, [1, 10])
-    assert said.best == ()
-    assert said.together == 1
-    report["learning"]["curves"]["none"] = report["learning"]["curves"]["semi"] = report["learning"]["curves"]["full"]
-    report["learning"]["curves"]["ellipsoid"] = report["learning"]["curves"]["full"]
+    said = found({"none": [1.0, 1.01], "full": [1.02, 1.0]})
+    assert (said.compared, said.together) == ((), 1)
+    report["learning"] = of_draws({name: np.ones((3, 4)) for name in GAINS})
     assert page_of(report).levels == ["good", "note", "good"]
 
 
-def test_sets_within_a_hundredth_share_the_first_place() -> None:
-    said = found({"none": [9.0, 1.0], "shape": [2.0, 1.0], "ellipsoid": [2.01, 1.0]}, [1, 10])
-    assert said.best == ("shape", "ellipsoid")
+def test_equal_sets_keep_their_order() -> None:
+    said = found({"none": [9.0, 1.0], "shape": [2.0, 1.0], "semi": [9.0, 1.0], "ellipsoid": [2.0, 1.0]})
+    assert said.order == ("shape", "ellipsoid", "none", "semi")
+    assert [c.clear for c in said.compared] == [True, True, False]
 
 
-def test_a_set_without_an_error_is_last() -> None:
-    said = found({"none": [None, 1.0, 1.0], "full": [3.0, 1.0, 1.0], "semi": [8.0, 1.0, 1.0]}, [1, 2, 3])
-    assert said.order == ("full", "semi", "none")
-    assert (said.worst, said.gain) == ("semi", pytest.approx(1 - 3 / 8))
-    nothing = found({"none": [None, 1.0, 1.0], "full": [None, 2.0, 1.0]}, [1, 2, 3])
-    assert (nothing.best, nothing.clear, nothing.together) == ((), False, 3)
-    assert said.together == 2
-    assert "–" in page_cell(None)
+def test_a_set_without_pairs_is_not_compared(report: dict[str, Any]) -> None:
+    draws = {name: np.array([[y, 1.0, 1.0]] * 3) for name, y in (("none", 9), ("full", 3), ("semi", 8))}
+    draws["full"][:2, 0] = np.nan
+    report["learning"] = of_draws(draws)
+    said = learning(report["learning"])
+    assert (said.order, said.together) == (("semi", "none"), 2)
+    assert "semi, none. " in page_of(report).plain
+    assert "too few draws were solved at one of the counts: full." in page_of(report).plain
+    draws["none"][:2, 0] = np.nan
+    report["learning"] = of_draws(draws)
+    page = page_of(report)
+    assert "best first: not known. Not compared, as too few draws" in page.plain
+    assert "at one of the counts: none, full, semi." in page.plain
+    assert page.levels[0] == "note"
 
 
-def page_cell(value: float | None) -> str:
-    """What the table of medians shows of a value."""
-    report = study_of(JOINTS, BODIES)
-    report["learning"]["curves"]["none"]["median"][0] = value
-    return page_of(report).table("semi", ["samples"])["1"]["none"]
+def test_all_the_data_are_one_draw(report: dict[str, Any]) -> None:
+    last = np.array([[9.0, 1.0]] + [[9.0, np.nan]] * 2)
+    apart, together = ({"none": last, "full": last / ratio} for ratio in ([3.0, 1.2], [3.0, 1.02]))
+    assert learning(of_draws(apart)).together is None
+    assert learning(of_draws(together)).together == 2
+    report["learning"] = of_draws(together)
+    (gains,) = page_of(report).data["charts"]["advantage"]["panels"]
+    assert gains["lines"][0]["lower"] == [pytest.approx(100 * 2 / 3, rel=1e-3), None]
 
 
 def test_sets_whose_bodies_cannot_exist_are_named(report: dict[str, Any]) -> None:
@@ -203,7 +238,7 @@ def test_a_study_without_the_online_part(report: dict[str, Any]) -> None:
     report["adaptation"] = None
     page = page_of(report)
     assert "Not run." in page.text
-    assert set(page.data["charts"]) == {"learning", "violation"}
+    assert set(page.data["charts"]) == {"learning", "advantage", "violation"}
     assert page.levels == ["good", "good", "note"]
 
 
@@ -211,6 +246,7 @@ def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:
     report["learning"]["violation"]["none"] = [None] * 10
     report["learning"]["curves"]["none"]["median"][0] = None
     page = page_of(report)
+    assert page.table("semi", ["samples"])["1"]["none"] == "–"
     assert page.data["charts"]["violation"]["panels"][0]["lines"][0]["y"] == [None] * 10
     assert page.data["charts"]["learning"]["panels"][0]["lines"][0]["y"][:2] == [None, 5.5]
     assert "in the median: semi 0.010" in page.plain
@@ -227,6 +263,14 @@ def test_charts_hold_the_reports_figures(report: dict[str, Any]) -> None:
         curve = report["learning"]["curves"][line["name"]]
         for drawn, wanted in (("y", "median"), ("lower", "lower"), ("upper", "upper")):
             np.testing.assert_allclose(line[drawn], curve[wanted], rtol=1e-3)
+    (gains,) = charts["advantage"]["panels"]
+    assert (gains["level"], [line["name"] for line in gains["lines"]]) == (0, ["semi", "full", "ellipsoid"])
+    for line in gains["lines"]:
+        advantage = np.array(report["learning"]["advantage"][line["name"]]["advantage"])
+        for drawn, errors_away in (("y", 0), ("lower", -2), ("upper", 2)):
+            np.testing.assert_allclose(
+                line[drawn], 100 * (1 - np.exp(-advantage - errors_away * 0.02)), rtol=1e-3, atol=1e-9
+            )
     (broken,) = charts["violation"]["panels"]
     for line in broken["lines"]:
         np.testing.assert_allclose(line["y"], report["learning"]["violation"][line["name"]], rtol=1e-3)

@@ -190,7 +190,7 @@ def test_the_solver_and_the_closed_form_agree(rng: np.random.Generator, kind: st
         solved = project(pi, SETS[kind], twice, "pullback")
         M, off = metric_at(body, pi, "pullback"), (solved.pi - closed) / unit
         assert np.sqrt(off @ M @ off) < 2e-3 * max(ours.distance, 1e-2)
-        assert solved.distance == pytest.approx(ours.distance, rel=1e-4, abs=1e-3)
+        assert solved.distance == pytest.approx(ours.distance, rel=1e-4, abs=5e-3)
 
 
 def moved(body: Body, pi: Array, R: Array, p: Array, size: float, mass: float) -> tuple[Body, Array]:
@@ -218,7 +218,7 @@ def test_the_pullback_does_not_depend_on_units_and_frames(
         unit = scales(there, float(pi_there[0]))
         M, off = metric_at(there, pi_there, "pullback"), (far.pi - moved(body, here.pi, *frame)[1]) / unit
         assert np.sqrt(off @ M @ off) < tolerance * max(here.distance, 1.0)
-        assert far.distance == pytest.approx(here.distance, rel=1e-4, abs=1e-3)
+        assert far.distance == pytest.approx(here.distance, rel=1e-4, abs=5e-3)
 
 
 def test_the_euclidean_does_not_depend_on_units(rng: np.random.Generator) -> None:

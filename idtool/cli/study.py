@@ -31,7 +31,7 @@ def study_command(
     out: OutOption = None,
     holdout: HoldoutOption = 0.3,
     validate: ValidateOption = None,
-    draws: Annotated[int, typer.Option(min=1, help="Random draws of samples for each count.")] = 40,
+    draws: Annotated[int, typer.Option(min=5, help="Random draws of samples for each count.")] = 40,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:

@@ -65,11 +65,10 @@ class Learning:
     Attributes
     ----------
     order
-        The sets by their mean advantage over the first one with few samples, the best first.
+        The sets by their mean advantage over the first one with few samples, the best first; without those that have
+        none at one of these counts, for want of draws that were solved.
     compared
         All of them but the first one, in this order.
-    missing
-        The sets without an advantage at one of these counts, for want of draws that were solved.
     counts
         The numbers of samples called few; empty where the sets are alike from the first.
     together
@@ -78,7 +77,6 @@ class Learning:
 
     order: tuple[str, ...] = ()
     compared: tuple[Comparison, ...] = ()
-    missing: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()
     together: int | None = None
 
@@ -136,7 +134,6 @@ def learning(found: Mapping[str, Any]) -> Learning:
     return Learning(
         order=tuple(names[i] for i in order),
         compared=tuple(_compared(names[i], counts, advantage[i, :few], error[i, :few]) for i in order if i),
-        missing=tuple(name for name, m in zip(names, mean, strict=True) if np.isnan(m)),
         counts=tuple(counts[:few]),
         together=together,
     )
@@ -145,8 +142,7 @@ def learning(found: Mapping[str, Any]) -> Learning:
 def _compared(name: str, counts: Sequence[int], advantage: Array, error: Array) -> Comparison:
     """A set beside the first one, by its advantages, shape (few,), and their standard errors."""
     # A draw's samples at one count are among those at the next, so that more counts need not make the mean surer.
-    mean, sure = advantage.mean(), error.mean()
-    at = int(advantage.argmax())
+    mean, sure, at = advantage.mean(), error.mean(), int(advantage.argmax())
     clear = bool(abs(mean) > max(_SURE * sure, _SOLVED))
     return Comparison(name, *_share(mean, sure), clear, (counts[at], *_share(advantage[at], error[at])))
 
@@ -182,34 +178,25 @@ def _online(found: Mapping[str, Any] | None) -> tuple[list[tuple[str, float]], l
 def charts(report: Mapping[str, Any]) -> dict[str, Any]:
     """What `lines.js` draws: Fig. 5, the advantages, the violations and, where it was run, Remark 5."""
     found = report["learning"]
-    counts = "samples to fit"
+    first, *others = found["curves"]
     error = [
         line(name, curve["median"], _color(name, found["curves"]), (curve["lower"], curve["upper"]))
         for name, curve in found["curves"].items()
     ]
-    first, *others = found["curves"]
     gains = []
     for name in others:
         advantage, wide = (numbers(found["advantage"][name][kind]) for kind in ("advantage", "advantage_error"))
         y, lower, upper = (-100 * np.expm1(-advantage - k * wide) for k in (0, -_BAND, _BAND))
         gains.append(line(name, y, _color(name, found["curves"]), (lower, upper)))
     title = f"RMS torque error [{by_unit(report['units'])[-1][0]}]"
+    panels = {
+        "learning": ("Fig. 5: held-out error", panel(title, error, log=True)),
+        "advantage": (f"Held-out error below that with {first}", panel("error less by [%]", gains, level=0)),
+        "violation": ("Worst violation of realizability", panel("violation, relative", _lines(found["violation"]))),
+    }
     drawn = {
-        "learning": chart("Fig. 5: held-out error", found["counts"], counts, [panel(title, error, log=True)], log=True),
-        "advantage": chart(
-            f"Held-out error below that with {first}, from the same draws",
-            found["counts"],
-            counts,
-            [panel("error less by [%]", gains, level=0)],
-            log=True,
-        ),
-        "violation": chart(
-            "Worst violation of realizability",
-            found["counts"],
-            counts,
-            [panel("violation, relative", _lines(found["violation"]))],
-            log=True,
-        ),
+        name: chart(caption, found["counts"], "samples to fit", [one], log=True)
+        for name, (caption, one) in panels.items()
     }
     if online := report["adaptation"]:
         kept = thinned(len(online["t"]), _MOST_TIMES)
