@@ -7,7 +7,7 @@ them, merged from that of fewer.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from idtool.exceptions import LogError, SolverError
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.identify import solve
 from idtool.inertia import SIZE, pseudo_inertia
+from idtool.names import some
 from idtool.problem import Problem
 from idtool.reduction import Factor, Reduction, empty, merge
 
@@ -36,21 +37,24 @@ class Pool:
         Per joint, columns and torque in the band, shape (m_j + 1, samples).
     kept
         Per joint, whether the sample counts, shape (samples,).
-    redundancy
-        How many of them are worth an independent one.
+    worth
+        How many independent ones each sample is worth, shape (samples,).
     whole
         Whether these are all samples.
     """
 
     blocks: list[Array]
     kept: list[NDArray[np.bool_]]
-    redundancy: float
+    worth: Array
     whole: bool = True
 
     def reduction(self, chosen: NDArray[np.intp]) -> Reduction:
         """The R-factors of some of the samples."""
-        pairs = zip(self.blocks, self.kept, strict=True)
-        return tuple(Factor.of(block[:, chosen[kept[chosen]]], self.redundancy) for block, kept in pairs)
+        factors = []
+        for block, kept in zip(self.blocks, self.kept, strict=True):
+            own = chosen[kept[chosen]]
+            factors.append(replace(Factor.of(block[:, own]), independent=float(self.worth[own].sum())))
+        return tuple(factors)
 
 
 @dataclass(frozen=True)
@@ -92,12 +96,12 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
     pool: Pool | None = None
     keys, samples = np.zeros(0), 0
     for run in experiment.runs:
-        redundancy = run.signals.low_pass.redundancy
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
             blocks, kept = experiment.equation.rows(batch)
-            new = Pool(blocks, kept, redundancy)
             everything = np.arange(blocks[0].shape[1])
+            worth = np.full(len(everything), 1 / run.signals.low_pass.redundancy)
+            new = Pool(blocks, kept, worth)
             total = merge(total, new.reduction(everything))
             samples += len(everything)
             # Every sample draws a random key; the pool is those with the least ones.
@@ -105,18 +109,15 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
             if pool is not None:
                 blocks = [np.concatenate(pair, axis=1) for pair in zip(pool.blocks, blocks, strict=True)]
                 kept = [np.concatenate(pair) for pair in zip(pool.kept, kept, strict=True)]
+                worth = np.concatenate([pool.worth, worth])
             least = np.argsort(keys)[:_POOL]
             keys = keys[least]
             chosen = [block[:, least] for block in blocks], [k[least] for k in kept]
-            pool = Pool(*chosen, redundancy, samples <= _POOL)
-    for name, factor in zip(experiment.equation.joints, total, strict=True):
-        if pool is None or not factor.rows:
-            what = (
-                f"joint {name} hardly moves in the part to fit; log a motion, hold out less, or leave it out of joints"
-            )
-            raise LogError(experiment.runs[0].signals.log.path, what)
-    if pool is None:
-        raise AssertionError  # there is no model without joints
+            pool = Pool(*chosen, worth[least], samples <= _POOL)
+    still = [name for name, factor in zip(experiment.equation.joints, total, strict=True) if not factor.rows]
+    if pool is None or still:
+        what = f"joint {some(still)} hardly moves in the part to fit; log a motion, hold out less, or leave it out"
+        raise LogError(experiment.runs[0].signals.log.path, what)
     return total, pool
 
 

@@ -7,10 +7,9 @@ else are small problems on R-factors.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,7 @@ from idtool.adapt import adapt, convergence, time_to
 from idtool.certificate import Certificate
 from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment, Progress
-from idtool.identify import solve, solve_locally, stuck_note
-from idtool.inequality import Inequality
+from idtool.identify import solve, solve_locally
 from idtool.inertia import SIZE, pseudo_inertia
 from idtool.learning import Curve, gather, held_out, learn
 from idtool.local import LOCAL
@@ -135,8 +133,8 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     ------
     ConfigError
         If nothing is held out.
-    SolverError
-        If a problem on all data could not be solved.
+    LogError
+        If nothing is left to fit a joint to.
     """
     started = time.perf_counter()
     validation = held_out(experiment, progress)
@@ -151,10 +149,11 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     state = {name: _stating(experiment, name, noise) for name in names}
     progress("solving", 0.0)
     problems = {name: state[name](total) for name in names}
-    sets = {name: _solved(experiment, name, p, partial(solve, p)) for name, p in problems.items()}
-    estimators = _estimators(experiment, total, noise, warnings)
+    ways = {name: partial(_solved, experiment, name, p, partial(solve, p)) for name, p in problems.items()}
+    sets = _outcomes(ways, warnings)
+    estimators = _outcomes(_estimators(experiment, total, noise), warnings)
     theta = {**{f"set {k}": o.theta for k, o in sets.items()}, **{k: o.theta for k, o in estimators.items()}}
-    tightest = "ellipsoid" if "ellipsoid" in sets else "full"
+    tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
     models = {"identified": sets[tightest].theta, "prior": equation.prior, **theta}
     evaluations = [evaluate(experiment, models, held, progress, angles=held) for held in (False, True)]
     drawn = {name: state[name] for name in CURVES if name in state}
@@ -197,10 +196,21 @@ def _solved(
     return Outcome(sets, theta, certificate, float(np.median(seconds)), least)
 
 
-def _estimators(experiment: Experiment, total: Reduction, noise: Array, warnings: list[str]) -> dict[str, Outcome]:
-    """Every prior on the tightest set, and the local solvers on the one that they know."""
-    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
+def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str]) -> dict[str, Outcome]:
+    """What comes of every way that works; of the others, why not."""
     found = {}
+    for name, way in ways.items():
+        try:
+            found[name] = way()
+        except SolverError as error:
+            warnings.append(f"{name}: {error}")
+    return found
+
+
+def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], Outcome]]:
+    """Every prior on the ellipsoids, and the local solvers on the set that they know."""
+    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
+    ways: dict[str, Callable[[], Outcome]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else given.model_copy(update={"kind": name, "units": "relative"})
         chosen = "full" if name in LOCAL else "ellipsoid"
@@ -208,11 +218,8 @@ def _estimators(experiment: Experiment, total: Reduction, noise: Array, warnings
         problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)
         start = equation.prior[experiment.known.free] / problem.scale
         attempt = partial(solve_locally, problem, name, start) if name in LOCAL else partial(solve, problem)
-        try:
-            found[name] = _solved(experiment, chosen, problem, attempt)
-        except SolverError as error:
-            warnings.append(f"{name}: {error}")
-    return found
+        ways[name] = partial(_solved, experiment, chosen, problem, attempt)
+    return ways
 
 
 def _online(experiment: Experiment, names: list[str], target: Array, rows: Array, progress: Progress) -> Online:
@@ -224,79 +231,3 @@ def _online(experiment: Experiment, names: list[str], target: Array, rows: Array
         adaptation = adapt(experiment, sets, _FORGETTING, progress=progress)
         t, error[name] = adaptation.t, convergence(adaptation, target, rows)
     return Online(t, error, {name: time_to(t, e) for name, e in error.items()})
-
-
-def study_report(study: Study) -> dict[str, Any]:
-    """The content of study.json but for its header."""
-    experiment, online = study.experiment, study.online
-    return {
-        "joints": list(experiment.equation.joints),
-        "units": experiment.model.units,
-        "band_hz": experiment.band_hz,
-        "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
-        "sets": {name: _set_report(study, f"set {name}", outcome) for name, outcome in study.sets.items()},
-        "estimators": {name: _estimator_report(study, name, outcome) for name, outcome in study.estimators.items()},
-        "learning": {
-            "counts": study.counts,
-            "draws": study.draws,
-            "unit_overall": " or ".join(dict.fromkeys(experiment.model.units.values())),
-            "curves": {name: _plain(c, "median", "lower", "upper") for name, c in study.curves.items()},
-            "advantage": {name: _plain(c, "advantage", "advantage_error") for name, c in study.curves.items()},
-            "violation": {name: _plain(c, "violation")["violation"] for name, c in study.curves.items()},
-        },
-        "adaptation": {
-            "t": online.t.tolist(),
-            "error": {name: error.tolist() for name, error in online.error.items()},
-            "time_to_10_percent": online.settled,
-            "forgetting": None,
-        },
-        "warnings": list(study.warnings),
-        "logs": [str(run.signals.log.path) for run in experiment.runs],
-        "urdf": str(experiment.model.robot.path),
-        "seconds": study.seconds,
-    }
-
-
-def _plain(curve: Curve, *names: str) -> dict[str, list[float | None]]:
-    """A curve's values by name; None where no draw was solved."""
-    return {name: [x if np.isfinite(x) else None for x in getattr(curve, name).tolist()] for name in names}
-
-
-def _rms(study: Study, name: str) -> dict[str, dict[str, float]]:
-    joints = study.experiment.equation.joints
-    parts = {"train": study.train, "validation": study.validation}
-    return {part: evaluation.errors[name].rms(joints) for part, evaluation in parts.items()}
-
-
-def _set_report(study: Study, name: str, outcome: Outcome) -> dict[str, Any]:
-    certificate, bodies = outcome.certificate, study.experiment.model.bodies
-    bounded = [(s, b) for s, b in zip(outcome.sets, bodies, strict=True) if f"set {s.name}" == name]
-    forms = [_form(inequality) for inequality in bounded[0][0].pieces(bounded[0][1])[0].inequalities]
-    return {
-        "rms": _rms(study, name),
-        "seconds": outcome.seconds,
-        "objective": certificate.objective,
-        "duality_gap": certificate.duality_gap,
-        "iterations": certificate.iterations,
-        "lmi": ", ".join(forms) or "none",
-        "violations": int(np.count_nonzero(outcome.least < 0)),
-        "worst_margin": float(outcome.least.min()),
-        "masses": {body.name: float(outcome.theta[SIZE * i]) for i, body in enumerate(bodies)},
-    }
-
-
-def _form(inequality: Inequality) -> str:
-    n = inequality.G.shape[-1]
-    return f"{n}×{n}" if inequality.G.ndim == 3 else f"{n} linear"
-
-
-def _estimator_report(study: Study, name: str, outcome: Outcome) -> dict[str, Any]:
-    certificate = outcome.certificate
-    return {
-        "rms": _rms(study, name),
-        "seconds": outcome.seconds,
-        "duality_gap": certificate.duality_gap,
-        "iterations": certificate.iterations,
-        "status": certificate.status,
-        "note": stuck_note(certificate),
-    }

@@ -42,7 +42,7 @@ ORDER = (
         "local",
     ),
     *("identify", "projection", "uncertainty", "urdf", "check", "experiment", "validate", "fit", "regression"),
-    *("barrier", "causal", "recursive", "adapt", "learning", "study", "outputs", "report", "pages"),
+    *("barrier", "causal", "recursive", "adapt", "learning", "study", "study_report", "outputs", "report", "pages"),
     *("terminal", "cli"),
 )
 

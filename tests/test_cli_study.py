@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def studied(folder: Path) -> Any:
     """A study that writes files and prints JSON."""
-    return idtool("study", "leg.urdf", "log.csv", "--draws", "1", "--out", "out", "--json", folder=folder)
+    return idtool("study", "leg.urdf", "log.csv", "--draws", "5", "--out", "out", "--json", folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -81,14 +81,14 @@ def test_a_study_says_what_it_found_in_tables(studied: Any) -> None:
 
 def test_the_page_of_a_study(folder: Path, studied: Any) -> None:
     page = (folder / "out" / "study.html").read_text()
-    assert "idtool study leg.urdf log.csv --draws 1" in page
+    assert "idtool study leg.urdf log.csv --draws 5" in page
     for name in studied.json["sets"]:
         assert name in page
 
 
 def test_a_quiet_study_prints_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("idtool.study.LOCAL", {})
-    done = idtool("study", "leg.urdf", "log.csv", "--draws", "1", "--quiet", "--out", "quiet", folder=folder)
+    done = idtool("study", "leg.urdf", "log.csv", "--draws", "5", "--quiet", "--out", "quiet", folder=folder)
     assert (done.code, done.out, done.err) == (0, "", "")
     assert set(files(folder / "quiet")) == STUDY_FILES
 
@@ -96,7 +96,7 @@ def test_a_quiet_study_prints_nothing(folder: Path, monkeypatch: pytest.MonkeyPa
 def test_without_out_files_go_where_the_user_is(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("idtool.study.LOCAL", {})
     log, urdf = folder / "log.csv", folder / "leg.urdf"
-    assert idtool("study", urdf, log, "--draws", "1", "--quiet", folder=tmp_path).code == 0
+    assert idtool("study", urdf, log, "--draws", "5", "--quiet", folder=tmp_path).code == 0
     assert idtool("adapt", urdf, log, "--quiet", folder=tmp_path).code == 0
     assert set(files(tmp_path)) == {f"leg_idtool/{name}" for name in STUDY_FILES | ADAPT_FILES}
 
@@ -215,7 +215,7 @@ def test_every_command_is_in_the_contract() -> None:
     assert {"fit", "validate", "inspect", "ellipsoids", "study", "adapt"} <= set(COMMANDS)
 
 
-@pytest.mark.parametrize(("name", "extra"), [("ellipsoids", []), ("adapt", []), ("study", ["--draws", "1"])])
+@pytest.mark.parametrize(("name", "extra"), [("ellipsoids", []), ("adapt", []), ("study", ["--draws", "5"])])
 def test_the_examples_run_as_they_are_written(
     folder: Path, tmp_path: Path, name: str, extra: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

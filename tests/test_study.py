@@ -22,7 +22,8 @@ from idtool.experiment import Experiment, prepare
 from idtool.fit import fit
 from idtool.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
 from idtool.robot import read_robot
-from idtool.study import Study, study, study_report
+from idtool.study import Study, study
+from idtool.study_report import study_report
 
 Array = NDArray[np.float64]
 

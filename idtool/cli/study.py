@@ -42,7 +42,8 @@ def study_command(
     from idtool.pages import study_page
     from idtool.report import HEADER
     from idtool.robot import read_robot
-    from idtool.study import study, study_report
+    from idtool.study import study
+    from idtool.study_report import study_report
     from idtool.terminal import Terminal, show_study
 
     terminal = Terminal(quiet, as_json)
