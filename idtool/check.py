@@ -13,10 +13,11 @@ from idtool.bounding import bounding_shape
 from idtool.config import Config
 from idtool.exceptions import ConfigError
 from idtool.names import nearest
-from idtool.projection import judge, project
+from idtool.projection import project
 from idtool.robot import Robot
 from idtool.sets import choose_set
 from idtool.urdf import rewrite
+from idtool.verdict import judge
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from idtool.effects import known_effects
 from idtool.ellipsoid import Ellipsoid
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
-from idtool.projection import Verdict, judge
 from idtool.urdf import JointDynamics
 from idtool.validate import Evaluation
+from idtool.verdict import Verdict, judge
 from idtool.witness import deviation_ellipsoid
 
 Array = NDArray[np.float64]

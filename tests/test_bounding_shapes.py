@@ -27,8 +27,8 @@ from idtool.config import parse_config
 from idtool.inertia import POWERS, mirrored
 from idtool.knowledge import with_equal_bounds
 from idtool.model import Model
-from idtool.projection import judge
 from idtool.shapes import known_shapes
+from idtool.verdict import judge
 
 Array = NDArray[np.float64]
 
