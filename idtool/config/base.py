@@ -43,11 +43,6 @@ class Record(BaseModel):
         return data
 
 
-def bare_number(data: Any) -> Any:
-    """A number that stands where a mapping with ``value`` may stand, as that mapping."""
-    return data if isinstance(data, Mapping) else {"value": data}
-
-
 R = TypeVar("R", bound=Record)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from idtool.config.base import NonNegative, Positive, Record, bare_number
+from idtool.config.base import NonNegative, Positive, Record
+from idtool.config.terms import Uncertain
 
 Constraints = Literal["none", "semi", "full", "known_com", "com_ellipsoid", "ellipsoid", "shape", "points"]
 
@@ -28,16 +29,11 @@ class Regularization(Record):
         return self
 
 
-class Measured(Record):
+class Measured(Uncertain):
     """A positive number measured by other means; with a standard error it is soft, without exact."""
 
     value: Positive
     standard_error: Positive | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _bare_number(cls, data: Any) -> Any:
-        return bare_number(data)
 
 
 class Known(Record):

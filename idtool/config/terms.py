@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from idtool.config.base import Finite, NonNegative, Record, bare_number
+from idtool.config.base import Finite, NonNegative, Record
 
 
 class Uncertain(Record):
@@ -19,7 +19,7 @@ class Uncertain(Record):
     @model_validator(mode="before")
     @classmethod
     def _bare_number(cls, data: Any) -> Any:
-        return bare_number(data)
+        return data if isinstance(data, Mapping) else {"value": data}
 
 
 def _term(data: Any) -> Any:
