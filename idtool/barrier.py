@@ -219,9 +219,9 @@ def _search(slope: float, curvature: float, rates: Array) -> float:
     most, t = _FAR * high, min(1.0, 0.5 * high)
     for _ in range(_STEPS):
         part = rates / (1 + t * rates)
-        first = slope + curvature * t - part.sum()
+        first = slope + curvature * t - float(part.sum())
         low, high = (t, high) if first < 0 else (low, t)
-        step = first / (curvature + part @ part)
+        step = first / (curvature + float(part @ part))
         if abs(step) <= 1e-3 * t:
             break
         t = t - step if low < t - step < high else (0.5 * (low + high) if np.isfinite(high) else 2 * t)

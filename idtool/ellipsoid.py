@@ -95,7 +95,7 @@ def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float 
     """The ellipsoid of least volume around points, shape (n, 3), within a relative tolerance of its volume.
 
     Khachiyan's algorithm with the step of Todd & Yildirim (2007) on the points' hull. Points in a plane or on a line
-    get a semi-axis of about ``flattest`` times half the largest extent.
+    get a semi-axis of about ``flattest`` times the largest distance from their mean.
 
     Raises
     ------
@@ -127,7 +127,8 @@ def _thicken(points: Array, flattest: float) -> Array:
     center = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points - center, full_matrices=True)
     extent = np.ptp((points - center) @ axes.T, axis=0)
-    least = flattest * max(extent.max(), 1e-3)
+    # Not the largest extent: the axes of a square's points may be its sides or its diagonals.
+    least = flattest * max(2 * np.linalg.norm(points - center, axis=1).max(), 1e-3)
     thin = axes[extent < least]
     return np.concatenate([points, *(center + sign * 0.5 * least * thin for sign in (-1, 1))])
 

@@ -27,7 +27,12 @@ Array = NDArray[np.float64]
 
 _CLOSE = 1e-3  # to the limit of an inequality, in units of the body
 # A problem in units of order one loses accuracy by being scaled again, but for a few.
-_ATTEMPTS: tuple[dict[str, float | bool], ...] = ({}, {"tol_feas": 1e-10}, {"equilibrate_enable": True})
+_ATTEMPTS: tuple[dict[str, float | bool], ...] = (
+    {},
+    {"tol_feas": 1e-10},
+    {"tol_feas": 1e-9, "tol_gap_rel": 1e-9},
+    {"equilibrate_enable": True},
+)
 _SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 

@@ -147,11 +147,10 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     warnings = list(experiment.warnings)
     names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
     state = {name: _stating(experiment, name, noise) for name in names}
-    progress("solving", 0.0)
     problems = {name: state[name](total) for name in names}
     ways = {name: partial(_solved, experiment, name, p, partial(solve, p)) for name, p in problems.items()}
-    sets = _outcomes(ways, warnings)
-    estimators = _outcomes(_estimators(experiment, total, noise), warnings)
+    sets = _outcomes(ways, warnings, progress)
+    estimators = _outcomes(_estimators(experiment, total, noise), warnings, progress)
     theta = {**{f"set {k}": o.theta for k, o in sets.items()}, **{k: o.theta for k, o in estimators.items()}}
     tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
     models = {"identified": sets[tightest].theta, "prior": equation.prior, **theta}
@@ -196,10 +195,11 @@ def _solved(
     return Outcome(sets, theta, certificate, float(np.median(seconds)), least)
 
 
-def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str]) -> dict[str, Outcome]:
+def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str], progress: Progress) -> dict[str, Outcome]:
     """What comes of every way that works; of the others, why not."""
     found = {}
-    for name, way in ways.items():
+    for done, (name, way) in enumerate(ways.items()):
+        progress(f"solving {name}", done / len(ways))
         try:
             found[name] = way()
         except SolverError as error:

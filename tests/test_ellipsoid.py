@@ -240,7 +240,7 @@ def test_a_thin_ellipsoid_lies_in_the_points_plane() -> None:
     S = smallest_around([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
     np.testing.assert_allclose(S.center, [0.5, 0.5, 1], atol=1e-4)
     np.testing.assert_allclose(np.diag(S.Q_s)[:2], [0.5, 0.5], rtol=1e-3)  # the circle through a unit square's corners
-    assert S.Q_s[2, 2] == pytest.approx(0.025**2, rel=1e-2)
+    assert S.Q_s[2, 2] == pytest.approx(0.05**2 / 2, rel=1e-2)  # of the distance to the corners
 
 
 @pytest.mark.parametrize("points", [[], [[0, 0, np.nan]], [[0, 0, 0], [np.inf, 0, 0]]])

@@ -151,6 +151,7 @@ def test_an_origin_that_is_no_numbers_is_said(robot_of: Read) -> None:
 # --- meshes ---
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the writer of DAE
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj", "ply", "off", "dae"])
 def test_every_format_holds_the_same_box(kind: str, box: trimesh.Trimesh, tmp_path: Path, robot_of: Read) -> None:
     name = f"m.{kind.removesuffix('_ascii').upper() if kind == 'stl' else kind.removesuffix('_ascii')}"
@@ -168,6 +169,7 @@ def test_a_mesh_is_scaled_before_it_is_placed(box: trimesh.Trimesh, tmp_path: Pa
     assert same(found.points, HALF * [0.001, 2, 1] @ R.T + P)
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the writer
 def test_a_collada_scene_s_unit_and_places_count(box: trimesh.Trimesh, tmp_path: Path, robot_of: Read) -> None:
     scene = trimesh.Scene()
     scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([1, 2, 3]))

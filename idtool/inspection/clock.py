@@ -43,7 +43,7 @@ def clock_deviation(t: Array) -> Array:
     """What a uniform clock, its rate fitted, leaves of the stamps of one segment [s], shape (N,)."""
     k = np.arange(len(t)) - 0.5 * (len(t) - 1)
     centred = t - t.mean()
-    return np.asarray(centred - k * (k @ centred) / max(k @ k, 1.0))
+    return np.asarray(centred - k * (k @ centred) / max(float(k @ k), 1.0))
 
 
 def gaps(log: Log) -> tuple[Gap, ...]:
