@@ -141,7 +141,8 @@ def test_projecting_again_changes_nothing(rng: np.random.Generator, kind: str, m
         body = some_body(rng, kind)
         once = project(disturbed(rng, body, 0.1), SETS[set_of(kind)], body, metric)
         twice = project(once.pi, SETS[set_of(kind)], body, metric)
-        assert twice.distance < 1e-4 * max(once.distance, 1.0)
+        # Far outside, the pull-back's eigenvalues lie 1e9 apart.
+        assert twice.distance < (1e-2 if metric == "pullback" else 1e-4) * max(once.distance, 0.1)
         if metric == "euclidean":
             np.testing.assert_allclose(twice.pi / units_of(body), once.pi / units_of(body), rtol=0, atol=1e-5)
 
