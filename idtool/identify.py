@@ -114,7 +114,8 @@ def estimate(
 ) -> Estimate:
     """The coefficients of a solution x, shape (m,), and the noise that they leave."""
     theta = problem.theta(problem.S @ x)
-    share = freedom(reduction, int(np.linalg.matrix_rank(weighted_rows(model, reduction, np.ones(len(reduction))))))
+    Y = weighted_rows(model, reduction, np.ones(len(reduction)))[:, :-1]
+    share = freedom(reduction, int(np.linalg.matrix_rank(Y @ problem.K)))
     pairs = zip(reduction, model.active(), strict=True)
     noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in pairs])
     pieces = problem.pieces(x)
