@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 
 from idtool.config import Config, Measured, Mirror
 from idtool.effects import JointTerm
+from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError
 from idtool.inertia import SIZE, mirrored
 from idtool.model import Model
-from idtool.names import nearest
+from idtool.names import nearest, some
 from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
+
+_ALIKE = 1e-2  # of a size
 
 
 @dataclass(frozen=True)
@@ -111,11 +114,23 @@ def knowledge(config: Config, model: Model, equation: LinearModel) -> Knowledge:
 
 
 def with_equal_bounds(model: Model, known: Knowledge) -> Model:
-    """The model in which the bounds of a body are those of the one that it is a copy of."""
-    bodies = list(model.bodies)
+    """The model in which the bounds of a body are those of the one that it is a copy of; others are warned of."""
+    bodies, lost = list(model.bodies), []
     for copy, (of, signs) in known.copies.items():
-        bodies[copy] = bodies[copy].bounded_as(bodies[of], signs)
-    return replace(model, bodies=tuple(bodies))
+        own = bodies[copy]
+        bodies[copy] = own.bounded_as(bodies[of], signs)
+        if own.bounds and not _alike(own.ellipsoids, bodies[copy].ellipsoids):
+            lost.append(own.name)
+    said = (f"copies, bounded as what they are copies of and not as configured: {some(lost)}",) if lost else ()
+    return replace(model, bodies=tuple(bodies), warnings=(*model.warnings, *said))
+
+
+def _alike(ones: tuple[Ellipsoid, ...], others: tuple[Ellipsoid, ...]) -> bool:
+    """Whether ellipsoids are the same to a hundredth of their size."""
+    return len(ones) == len(others) and all(
+        np.allclose(a.center, b.center, atol=_ALIKE * a.size) and np.allclose(a.Q_s, b.Q_s, atol=_ALIKE * a.size**2)
+        for a, b in zip(ones, others, strict=True)
+    )
 
 
 def _sources(mirrors: tuple[Mirror, ...], names: list[str], kind: str) -> dict[int, tuple[int, Array]]:

@@ -131,3 +131,17 @@ def test_a_copy_is_bounded_as_its_original_is(robot_of: Robots) -> None:
     inside = first.ellipsoids[0].contains(points)
     assert 20 < np.count_nonzero(inside) < 180
     np.testing.assert_array_equal(copy.ellipsoids[0].contains(points * [1, -1, 1]), inside)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_bounds_that_a_copy_loses_are_said(robot_of: Robots, turned: bool) -> None:
+    s = legs(robot_of, ("FL", "HR"), mirror=[{"body": "HR_link1", "of": "FL_link1", "plane": "xz"}])
+    names = [b.name for b in s.model.bodies]
+    of, copy = names.index("FL_link1"), names.index("HR_link1")
+    bodies = list(s.model.bodies)
+    own = bodies[of].ellipsoids[0].mirrored(np.array([1.0, 1.0 if turned else -1.0, 1.0]))
+    bodies[copy] = replace(bodies[copy], ellipsoids=(own,))
+    said = with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.known).warnings
+    assert [warning for warning in said if "HR_link1" in warning] == (
+        ["copies, bounded as what they are copies of and not as configured: HR_link1"] if turned else []
+    )

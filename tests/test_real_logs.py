@@ -13,6 +13,7 @@ from commands import config_with, fitted, validated
 
 from idtool.config import read_config
 from idtool.experiment import prepare
+from idtool.geometry import link_geometry
 from idtool.inertia import symmetric
 from idtool.problem import weighted_rows
 from idtool.robot import read_robot
@@ -47,6 +48,17 @@ def check_bodies(report: dict[str, Any], ellipsoids: Sequence[str]) -> None:
         assert body["realizable"], name
         assert body["min_eig_pseudo_inertia"] > 0, name
         assert body["ellipsoid_margin"] is None or body["ellipsoid_margin"] >= 0, name
+
+
+def test_go2s_ellipsoids_hold_the_meshes() -> None:
+    """To a hundredth, the configuration's rounding aside."""
+    robot, config = read_robot(GO2), read_config(GO2_YAML)
+    read = {link: link_geometry(robot, link) for link in config.bounding_ellipsoids}
+    whole = {link: geometry.points for link, geometry in read.items() if geometry.read and not geometry.missing}
+    assert {"FL_thigh", "FR_thigh", "RL_thigh", "RR_thigh", "FL_calf", "RR_calf"} < set(whole)
+    for link, points in whole.items():
+        (bounding,) = config.bounding_ellipsoids[link]
+        assert bounding.ellipsoid().contains(points, tolerance=0.02).all(), link
 
 
 @pytest.mark.parametrize("cutoff", FREE)
