@@ -21,6 +21,7 @@ from scipy import sparse
 
 from idtool.exceptions import SolverError
 from idtool.names import some
+from idtool.parts import Matrix
 from idtool.prior import LogDet
 from idtool.problem import Problem
 
@@ -98,17 +99,7 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     if len(problem.e):
         ES = problem.E @ problem.S
         rows.add(step, ES, problem.e - ES @ start, clarabel.ZeroConeT(len(ES)))
-    places = []
-    for inequality in problem.inequalities:
-        value = inequality.value(start)
-        if value.ndim == 1:
-            cone = clarabel.NonnegativeConeT(len(value))
-            places.append(rows.add(inequality.own, -inequality.G.T, value - inequality.interior, cone))
-        else:
-            n = len(value)
-            inside = value - inequality.interior * np.eye(n)
-            G, cone = -svec(inequality.G).T, clarabel.PSDTriangleConeT(n)
-            places.append(rows.add(inequality.own, G, svec(inside), cone))
+    places = [_add_inequality(rows, inequality, start) for inequality in problem.inequalities]
     bounded = problem.bounded
     if len(bounded):
         cone = clarabel.NonnegativeConeT(len(bounded))
@@ -131,6 +122,17 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     if not np.isfinite(problem.cost(problem.S @ x)):
         raise SolverError("solver", f"found nothing that has a cost ({status}); check units and magnitudes")
     return Solution(x, duals, multipliers, status, int(answer.iterations))
+
+
+def _add_inequality(rows: _Rows, inequality: Matrix, start: Array) -> int:
+    """The cone of one inequality; returns its place among the blocks."""
+    value = inequality.value(start)
+    n = len(value)
+    if value.ndim == 1:
+        inside, cone = value - inequality.interior, clarabel.NonnegativeConeT(n)
+        return rows.add(inequality.own, -inequality.G.T, inside, cone)
+    inside = svec(value - inequality.interior * np.eye(n))
+    return rows.add(inequality.own, -svec(inequality.G).T, inside, clarabel.PSDTriangleConeT(n))
 
 
 def _extra(term: LogDet) -> int:

@@ -15,6 +15,7 @@ from idtool.exceptions import ConfigError, LogError, ModelError
 from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
+from idtool.names import some
 from idtool.reduction import Reduction, empty, reduce_blocks
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
@@ -95,7 +96,7 @@ class Experiment:
         )
 
     def reduce(self, progress: Progress) -> Reduction:
-        """The training data as R-factors."""
+        """The training data as R-factors; see `checked`."""
         total = empty(self.equation.active())
         for run in self.runs:
             batches = tracked(
@@ -103,7 +104,21 @@ class Experiment:
             )
             blocks = map(self.equation.block, batches)
             total = reduce_blocks(blocks, total, run.signals.low_pass.redundancy)
-        return total
+        return self.checked(total)
+
+    def checked(self, data: Reduction) -> Reduction:
+        """The training data, with something to fit every joint to.
+
+        Raises
+        ------
+        LogError
+            If a joint has no sample that counts.
+        """
+        still = [name for name, factor in zip(self.equation.joints, data, strict=True) if not factor.rows]
+        if still:
+            what = "hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints"
+            raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
+        return data
 
 
 def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress, stage: str) -> Iterable[Batch]:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body
-from idtool.exceptions import LogError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify, stuck_note
 from idtool.inertia import SIZE, pseudo_inertia
@@ -78,12 +77,6 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     reduction = experiment.reduce(progress)
     clock.append(time.perf_counter())
     warnings = list(experiment.warnings)
-    for name, factor in zip(equation.joints, reduction, strict=True):
-        if not factor.rows:
-            raise LogError(
-                experiment.runs[0].signals.log.path,
-                f"joint {name} hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints",
-            )
     config = experiment.config
     wanted = config.constraints or ("full" if config.solver.name in LOCAL else None)  # all that a local solver knows
     sets, remarks = choose_sets(model.bodies, wanted)
@@ -93,16 +86,8 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     estimate = identify(
         equation, model.bodies, reduction, sets, config.regularization, known, solver=config.solver.name
     )
-    if stuck := stuck_note(estimate.certificate):
-        warnings.append(stuck)
+    warnings += _doubts(experiment, estimate)
     clock.append(time.perf_counter())
-    unreal = [
-        body.name for i, body in enumerate(model.bodies) if not _can_be(estimate.theta[SIZE * i : SIZE * (i + 1)])
-    ]
-    if unreal:
-        warnings.append(f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them")
-    if config.regularization.kind in ("entropic", "pullback") and (moved := moved_priors(equation, model.bodies)):
-        warnings.append(f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it")
     errors = uncertainty(equation, reduction, estimate.noise, known)
     models = {"identified": estimate.theta, "prior": equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)
@@ -112,6 +97,19 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     clock.append(time.perf_counter())
     seconds = dict(zip(("reduce", "identify", "evaluate"), np.diff(clock).tolist(), strict=True))
     return Fit(experiment, sets, estimate, errors, train, validation, tuple(warnings), seconds)
+
+
+def _doubts(experiment: Experiment, estimate: Estimate) -> list[str]:
+    """What speaks against an estimate."""
+    bodies, doubts = experiment.model.bodies, []
+    if stuck := stuck_note(estimate.certificate):
+        doubts.append(stuck)
+    unreal = [body.name for i, body in enumerate(bodies) if not _can_be(estimate.theta[SIZE * i : SIZE * (i + 1)])]
+    if unreal:
+        doubts.append(f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them")
+    if moved := moved_priors(experiment.equation, bodies, experiment.config.regularization):
+        doubts.append(f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it")
+    return doubts
 
 
 def _can_be(pi: NDArray[np.float64]) -> bool:

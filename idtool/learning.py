@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError, SolverError
+from idtool.exceptions import SolverError
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.identify import solve
 from idtool.inertia import SIZE, pseudo_inertia
-from idtool.names import some
 from idtool.problem import Problem
 from idtool.reduction import Factor, Reduction, empty, merge
 
@@ -114,10 +113,9 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
             keys = keys[least]
             chosen = [block[:, least] for block in blocks], [k[least] for k in kept]
             pool = Pool(*chosen, worth[least], samples <= _POOL)
-    still = [name for name, factor in zip(experiment.equation.joints, total, strict=True) if not factor.rows]
-    if pool is None or still:
-        what = f"joint {some(still)} hardly moves in the part to fit; log a motion, hold out less, or leave it out"
-        raise LogError(experiment.runs[0].signals.log.path, what)
+    experiment.checked(total)
+    if pool is None:
+        raise AssertionError  # ruled out by the check
     return total, pool
 
 

@@ -95,8 +95,10 @@ def reference(pi: Array, scales: Array) -> Array:
     return from_mass_com_inertia(mass, com, np.trace(covariance) * np.eye(3) - covariance)
 
 
-def moved_priors(model: LinearModel, bodies: Sequence[Body]) -> tuple[str, ...]:
-    """Names of the bodies whose `reference` is not the prior itself."""
+def moved_priors(model: LinearModel, bodies: Sequence[Body], regularization: Regularization) -> tuple[str, ...]:
+    """Names of the bodies whose distance is not from the prior itself but from its `reference`."""
+    if regularization.kind not in ("entropic", "pullback"):
+        return ()
     scales = np.array([c.scale or 0.0 for c in model.coefficients[: SIZE * len(bodies)]]).reshape(-1, SIZE)
     pairs = zip(bodies, scales, strict=True)
     return tuple(body.name for body, own in pairs if not np.array_equal(reference(body.pi, own), body.pi))

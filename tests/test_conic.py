@@ -82,7 +82,7 @@ def state(robot_of: Callable[[str], Robot]) -> State:
         s = synthetic(rng, robot, 60, {**limits, **options})
         tau, sigma = s.noisy(3.0, seed), 3 * s.tau.std(axis=1)
         prior = Regularization(kind=kind, weight=weight)
-        assert kind == "euclidean" or not moved_priors(s.linear, s.model.bodies)
+        assert not moved_priors(s.linear, s.model.bodies, prior)
         sets = [choose_set(body, name) for body in s.model.bodies]
         problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, prior, sigma, s.known)
         return Stated(s, tau, sigma, name, prior, problem)

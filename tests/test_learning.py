@@ -117,7 +117,8 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
         return SimpleNamespace(signals=signals, train=(slice(0, sum(sizes)),))
 
     equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), rows=rows)
-    return cast("Experiment", SimpleNamespace(equation=equation, runs=tuple(run(k * len(sizes)) for k in range(runs))))
+    logs = tuple(run(k * len(sizes)) for k in range(runs))
+    return Experiment(*cast("Any", (None, None, equation, None, logs)))
 
 
 def test_the_pool_is_bounded_and_holds_every_sample_alike(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,7 +59,7 @@ def stout_bounds(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def estimate(s: Synthetic, tau: Array, kind: str, set_name: str, units: str = "relative") -> Array:
-    assert moved_priors(s.linear, s.model.bodies) == ()
+    assert moved_priors(s.linear, s.model.bodies, Regularization(kind="pullback")) == ()
     regularization = Regularization.model_validate({"kind": kind, "weight": WEIGHT, "units": units})
     sets = [choose_set(body, set_name) for body in s.model.bodies]
     return identify(s.linear, s.model.bodies, s.reduction(tau), sets, regularization).theta
