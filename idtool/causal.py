@@ -139,7 +139,7 @@ class _Reader:
         if not different.all():
             v = np.where(different, v, self._smooth(outer, "v")[:, r:-r])
         a = differentiate(v, self._signals.log.dt)
-        t = self._channels.times(slice(part.start + self.ahead, part.stop + self.ahead))
+        t = self._channels.times(slice(part.start + self.ahead, part.stop + self.ahead)) - self._signals.log.t[0]
         tau, logged = self._smooth(part, "tau"), self._read("tau", part)
         return Motion(t, q[:, 2 * r : -2 * r], v[:, r:-r], a, tau, logged, self._signals.still, self._signals.log.dt)
 

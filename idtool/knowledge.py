@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.config import Config, Measured, Mirror
-from idtool.effects import JointTerm
 from idtool.ellipsoid import Ellipsoid
 from idtool.exceptions import ConfigError
 from idtool.inertia import SIZE, mirrored
@@ -166,12 +165,10 @@ def reflection(plane: str | None) -> Array:
 
 def _friction_pairs(equation: LinearModel, copy: str, of: str) -> list[tuple[int, int]]:
     """Indices of a joint's coefficients that do not depend on the direction, and of the same of another joint."""
-    index: Mapping[tuple[str, str, str], int] = {
-        (c.effect, c.owner, c.name): i for i, c in enumerate(equation.coefficients)
-    }
-    even = {(e.id, e.name) for e in equation.effects if isinstance(e, JointTerm) and e.even}
-    pairs = [(index.get((*key[:1], copy, key[1])), index.get((*key[:1], of, key[1]))) for key in sorted(even)]
-    return [(to, fro) for to, fro in pairs if to is not None and fro is not None]
+    index = {c.key: i for i, c in enumerate(equation.coefficients)}
+    even = [c for c in equation.coefficients if c.even and c.owner == copy]
+    pairs = [(index[c.key], index.get((c.effect, of, c.name, c.among))) for c in even]
+    return [(to, fro) for to, fro in pairs if fro is not None]
 
 
 def _masses(config: Config, names: list[str], p: int) -> list[Fact]:

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.base import Coefficient, Effect
+from idtool.mechanism import Mechanism
+from idtool.model import Model
 from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]
@@ -57,16 +59,27 @@ class LinearModel:
         )
 
     def columns(self, motion: Motion) -> list[Array]:
-        """Unfiltered columns and torque, per joint; shape (m_j + 1, N) each, the torque last."""
+        """Unfiltered columns and torque, per joint; shape (m_j + 1, N) each, the torque last.
+
+        All as it was, not as it was measured, and the torque less what takes no coefficient.
+        """
+        for effect in self.effects:
+            motion = effect.true(motion)
         blocks = [np.empty((len(active) + 1, len(motion.t))) for active in self.active()]
         first = [0] * len(self.joints)
         for effect in self.effects:
             sizes = [len(active) for active in effect.active]
             effect.write(motion, [block[f : f + s] for block, f, s in zip(blocks, first, sizes, strict=True)])
             first = [f + s for f, s in zip(first, sizes, strict=True)]
-        for block, tau in zip(blocks, motion.tau, strict=True):
+        known = self._known(motion)
+        for block, tau in zip(blocks, motion.tau - known if known is not None else motion.tau, strict=True):
             block[-1] = tau
         return blocks
+
+    def _known(self, motion: Motion) -> Array | None:
+        """Torque of the effects that takes no coefficient, shape (nv, N)."""
+        known = [torque for effect in self.effects if (torque := effect.known(motion)) is not None]
+        return np.sum(known, axis=0) if known else None
 
     def block(self, batch: Batch) -> list[Array]:
         """Filtered columns and torque in the band; per joint (m_j + 1, n), the torque last.
@@ -87,12 +100,12 @@ class LinearModel:
         return blocks, kept
 
     def torque(self, motion: Motion, theta: Array) -> Array:
-        """The torque that the model predicts, unfiltered.
+        """The torque that the model predicts, as the sensors give it, unfiltered.
 
         Parameters
         ----------
         motion
-            N samples.
+            N samples, as measured.
         theta
             Coefficients, shape (..., p).
 
@@ -102,4 +115,28 @@ class LinearModel:
         """
         blocks = self.columns(motion)
         rows = [theta[..., active] @ block[:-1] for active, block in zip(self.active(), blocks, strict=True)]
-        return np.stack(rows, axis=-2)
+        tau = np.stack(rows, axis=-2)
+        true = motion
+        for effect in self.effects:
+            true = effect.true(true)
+        known = self._known(true)
+        if known is not None:
+            tau = tau + known
+        for effect in reversed(self.effects):
+            tau = effect.measured(tau)
+        return tau
+
+    def mechanism(self, model: Model, theta: Array) -> Mechanism:
+        """The same equation run forwards.
+
+        Parameters
+        ----------
+        model
+            The tree of bodies that it is of.
+        theta
+            Coefficients, shape (p,).
+        """
+        mechanism = Mechanism(model)
+        for effect, first, last in zip(self.effects, self.offsets()[:-1], self.offsets()[1:], strict=True):
+            effect.join(theta[first:last], mechanism)
+        return mechanism

@@ -41,7 +41,7 @@ class Motion:
     Attributes
     ----------
     t
-        Time as logged [s], shape (N,).
+        Time since the log's first sample [s], shape (N,).
     q, v, a
         Position, velocity and acceleration, shape (nv, N).
     tau
@@ -89,7 +89,7 @@ class Batch:
 
     @property
     def t(self) -> Array:
-        """Times of the filtered samples [s], shape (n,)."""
+        """Times of the filtered samples since the log's first [s], shape (n,)."""
         return self.motion.t[self.before : len(self.motion.t) - self.after : self.low_pass.stride]
 
 
@@ -215,10 +215,19 @@ class Signals:
                 after = min(low_pass.reach, whole.stop - stop)
                 yield Batch(self._motion(slice(start - before, stop + after)), before, after, low_pass)
 
+    def velocity(self, part: slice) -> Array:
+        """Velocities at samples of the log, shape (nv, N); NaN where derivatives would reach across an end or gap."""
+        v = np.full((len(self.joints), part.stop - part.start), np.nan)
+        for known in self.ranges:
+            start, stop = max(known.start, part.start), min(known.stop, part.stop)
+            if stop > start:
+                v[:, start - part.start : stop - part.start] = self._kinematics(slice(start, stop))[1]
+        return v
+
     def _motion(self, part: slice) -> Motion:
         q, v, a = self._kinematics(part)
         tau, logged = self._torque(part)
-        return Motion(self.channels.times(part), q, v, a, tau, logged, self.still, self.log.dt)
+        return Motion(self.channels.times(part) - self.log.t[0], q, v, a, tau, logged, self.still, self.log.dt)
 
     def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
         r = DIFFERENCE_REACH

@@ -31,10 +31,13 @@ class Uncertainty:
         Shape (p,), SI; infinite where the data do not determine the coefficient.
     identifiable
         Whether they do, shape (p,).
+    covariance
+        Of their errors, shape (p, p), SI; infinite on the diagonal where the data do not determine the coefficient.
     """
 
     standard_error: Array
     identifiable: NDArray[np.bool_]
+    covariance: Array
 
 
 def uncertainty(model: LinearModel, reduction: Reduction, noise: Array, known: Knowledge | None = None) -> Uncertainty:
@@ -71,7 +74,9 @@ def uncertainty(model: LinearModel, reduction: Reduction, noise: Array, known: K
     directions = Vt @ N.T
     unseen = np.square(directions[rank:]).sum(axis=0)
     fixed = np.square(N).sum(axis=1) < _SHARE
-    error = np.sqrt(np.square(directions[:rank] / s[:rank, None]).sum(axis=0)) / size
     doubtful = ~((unseen < _SHARE) & (seen | fixed))
     identifiable = ~((known.K != 0) @ doubtful)  # a copy is what its original is
-    return Uncertainty(np.where(identifiable, np.abs(known.K) @ error, np.inf), identifiable)
+    root = known.K @ (directions[:rank] / s[:rank, None] / size).T
+    covariance = root @ root.T
+    covariance[~identifiable, ~identifiable] = np.inf
+    return Uncertainty(np.sqrt(np.diag(covariance)), identifiable, covariance)

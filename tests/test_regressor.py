@@ -13,6 +13,7 @@ from robots import actuated, leg_urdf, random_rotors, random_urdf
 
 from idtool.config import parse_config
 from idtool.effects import Coefficient, Effect, RigidBodies, build_effects
+from idtool.mechanism import Mechanism
 from idtool.model import Model, build_model
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
@@ -156,6 +157,9 @@ class Nothing(Effect):
 
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         assert all(rows.shape == (0, len(motion.t)) for rows in out)
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        assert theta.shape == (0,)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         mask = np.zeros(len(motion.t), dtype=bool)

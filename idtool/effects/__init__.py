@@ -9,23 +9,34 @@ from functools import cache
 
 from idtool.config import Config, EffectEntry, Friction, Uncertain
 from idtool.effects.base import Coefficient, Effect
+from idtool.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from idtool.effects.joint_term import JointTerm
+from idtool.effects.named import NamedEffect, place, plain
 from idtool.effects.rigid_body import RigidBodies
 from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import nearest
-from idtool.robot import Joint
+from idtool.names import nearest, shown
 
-__all__ = ["Coefficient", "Effect", "JointTerm", "RigidBodies", "build_effects", "known_effects"]
+__all__ = [
+    "Coefficient",
+    "Effect",
+    "JointTerm",
+    "NamedEffect",
+    "RigidBodies",
+    "build_effects",
+    "known_effects",
+    "named_effect",
+    "plain",
+]
 
 
 @cache
-def known_effects() -> dict[str, type[JointTerm]]:
+def known_effects() -> dict[str, type[NamedEffect]]:
     """The effects that can be named in a configuration, by id."""
-    found: dict[str, type[JointTerm]] = {}
+    found: dict[str, type[NamedEffect]] = {}
     for module in pkgutil.iter_modules(__path__):
         for _, member in inspect.getmembers(importlib.import_module(f"{__name__}.{module.name}"), inspect.isclass):
-            if issubclass(member, JointTerm) and not inspect.isabstract(member):
+            if issubclass(member, NamedEffect) and member.id and not inspect.isabstract(member):
                 found[member.id] = member
     return found
 
@@ -33,58 +44,48 @@ def known_effects() -> dict[str, type[JointTerm]]:
 def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
     """The terms of a model's torque equation: its rigid bodies, its friction, and what the configuration adds.
 
-    A coefficient's prior is the configuration's value, else the URDF's.
+    A coefficient's prior is the configuration's value, else the URDF's. An entry under `effects` takes the place of the
+    same term under `friction`.
 
     Raises
     ------
     ConfigError
-        If the configuration names an effect or joint that is not known, or gives a parameter that the effect has not.
+        If the configuration names an effect or joint that is not known, gives a parameter that the effect has not or
+        that cannot be, or has the same effect twice.
     """
-    terms: dict[tuple[str, int], dict[str, float]] = {}
-    for j, joint in enumerate(model.joints):
-        for effect, prior in _friction(joint, config.friction_of(joint.name)).items():
-            terms[effect, j] = {known_effects()[effect].name: prior}
+    found = {effect.key: effect for j in range(len(model.joints)) for effect in _friction(model, j, config)}
+    entries: set[tuple[str | float, ...]] = set()
     for entry in config.effects:
-        key = _entry(entry, model)
-        terms[key] = _parameters(entry)
-    effects: list[Effect] = [RigidBodies(model)]
-    for (effect, j), parameters in terms.items():
-        kind = known_effects()[effect]
-        effects.append(kind(model, j, parameters[kind.name], {name: parameters[name] for name in kind.held}))
-    return tuple(effects)
+        effect = named_effect(entry, model)
+        if effect.key in entries:
+            on = entry.joint or entry.link
+            raise ConfigError(place(entry), f"is there twice{f' for {shown(on)}' if on else ''}; keep one entry")
+        entries.add(effect.key)
+        found[effect.key] = effect
+    return (RigidBodies(model), *found.values())
 
 
-def _friction(joint: Joint, friction: Friction) -> dict[str, float]:
-    """Ids of a joint's friction terms and their priors."""
-    chosen = {
-        "viscous_friction": (friction.viscous, joint.damping),
-        "coulomb_friction": (friction.coulomb, joint.friction),
-        "torque_offset": (friction.offset, 0.0),
-    }
-    return {
-        effect: term.value if isinstance(term, Uncertain) else urdf for effect, (term, urdf) in chosen.items() if term
-    }
+def named_effect(entry: EffectEntry, model: Model) -> NamedEffect:
+    """The effect that an entry describes.
 
-
-def _entry(entry: EffectEntry, model: Model) -> tuple[str, int]:
-    """Id and joint of an entry under `effects`."""
-    where, known = f"effects: {entry.effect}", known_effects()
+    Raises
+    ------
+    ConfigError
+        If it is not known, or its entry cannot be used.
+    """
+    known = known_effects()
     if entry.effect not in known:
-        raise ConfigError(where, f"is not an effect of this version; {nearest(entry.effect, known)}")
-    if entry.joint is None or entry.link is not None:
-        raise ConfigError(where, "acts on a joint; give joint, and no link")
-    if entry.joint not in model.names:
-        raise ConfigError(where, f"{entry.joint} is no moving joint; {nearest(entry.joint, model.names)}")
-    return entry.effect, model.names.index(entry.joint)
+        raise ConfigError(place(entry), f"is not an effect of this version; {nearest(entry.effect, known)}")
+    return known[entry.effect].of(entry, model)
 
 
-def _parameters(entry: EffectEntry) -> dict[str, float]:
-    """Values of an entry's parameters."""
-    where, kind = f"effects: {entry.effect}", known_effects()[entry.effect]
-    names = (kind.name, *kind.held)
-    if set(entry.parameters) != set(names):
-        raise ConfigError(where, f"needs the parameters {', '.join(names)}, and no other")
-    try:
-        return {name: Uncertain.model_validate(entry.parameters[name]).value for name in names}
-    except ValueError:
-        raise ConfigError(where, "has a parameter that is not a number") from None
+def _friction(model: Model, j: int, config: Config) -> list[NamedEffect]:
+    """A joint's friction terms."""
+    joint = model.joints[j]
+    friction: Friction = config.friction_of(joint.name)
+    chosen: tuple[tuple[type[JointTerm], bool | Uncertain, float], ...] = (
+        (ViscousFriction, friction.viscous, joint.damping),
+        (CoulombFriction, friction.coulomb, joint.friction),
+        (TorqueOffset, friction.offset, 0.0),
+    )
+    return [kind(model, j, term.value if isinstance(term, Uncertain) else urdf) for kind, term, urdf in chosen if term]

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.mechanism import Mechanism
+from idtool.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
@@ -38,6 +40,10 @@ class Coefficient:
         Typical size in its unit, by which deviations from the prior are measured; None: the prior does not hold it.
     lower, upper
         What physics allows by itself.
+    even
+        Whether it stays as it is when the joint's direction is turned round.
+    among
+        What tells it from others of the same name and owner, such as the place of one of two end stops.
     """
 
     effect: str
@@ -48,6 +54,13 @@ class Coefficient:
     scale: float | None = None
     lower: float = -np.inf
     upper: float = np.inf
+    even: bool = False
+    among: tuple[float, ...] = ()
+
+    @property
+    def key(self) -> tuple[str, str, str, tuple[float, ...]]:
+        """What it is called; no two of a model are called the same."""
+        return self.effect, self.owner, self.name, self.among
 
 
 class Effect(ABC):
@@ -76,6 +89,34 @@ class Effect(ABC):
             Per joint, where to write them: shape (len(active[joint]), N).
         """
 
+    @abstractmethod
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """Add the effect's forward form.
+
+        Parameters
+        ----------
+        theta
+            Its coefficients, shape (m,).
+        mechanism
+            What it is added to.
+        """
+
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the columns cannot be known from the motion: joint index to a mask of shape (N,)."""
         return {}
+
+    def alter(self, model: Model) -> Model:
+        """The tree of bodies as the effect says that it is."""
+        return model
+
+    def true(self, motion: Motion) -> Motion:
+        """The motion as it was, from the motion as the sensors gave it."""
+        return motion
+
+    def measured(self, tau: Array) -> Array:
+        """Torque as the sensors give it, from the true one, shape (..., nv, N)."""
+        return tau
+
+    def known(self, motion: Motion) -> Array | None:
+        """Torque that takes no coefficient, on the load's side, shape (nv, N)."""
+        return None

@@ -1,35 +1,46 @@
-"""`JointTerm`: the base of effects that are one coefficient times one column on one joint."""
+"""`JointTerm` and `DryFriction`: one coefficient times one column on one joint; `JointTerms`: several of them.
+
+The column is all there is to write: forwards it is the torque at the simulated state. Dry friction gives its level
+instead, from which both follow: the column is the level times the direction of motion; forwards it is what a joint at
+rest can hold. A term is evaluated for several joints at once, ``joint`` being an array and the values in ``shape``
+columns; indexing and elementwise arithmetic need no care for that.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.effects.base import Coefficient, Effect
+from idtool.effects.base import Coefficient
+from idtool.effects.joint_effect import JointEffect
+from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
+_FAST = 0.1  # widths a sample above which the sign changes within it
+_SURE = 3.0  # widths of the rounded sign beyond which it is ±1 to half a percent
 
-class JointTerm(Effect):
+
+class JointTerm(JointEffect):
     """One coefficient on one joint.
 
     Attributes
     ----------
-    id, name
-        The effect's id and the coefficient's name (contract section 6).
+    name
+        The coefficient's name (contract section 6).
     unit
         For a revolute joint, and for a prismatic one.
     lower
         The least value that physics allows.
     even
         Whether the coefficient stays as it is when the joint's direction is turned round.
-    held
-        Names of the effect's other parameters, on which its column depends.
 
     Parameters
     ----------
@@ -43,25 +54,157 @@ class JointTerm(Effect):
         Values of the parameters in ``held``.
     """
 
-    id: str
     name: str
     unit: tuple[str, str]
     lower: float = 0.0
     even: bool = True
-    held: tuple[str, ...] = ()
 
     def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
-        self.joint = joint
-        self.shape = dict(shape or {})
-        owner = model.joints[joint]
-        unit = self.unit[owner.kind == "prismatic"]
-        self.coefficients = (Coefficient(self.id, owner.name, self.name, unit, prior, lower=self.lower),)
+        super().__init__(model, joint, shape)
+        coefficient = Coefficient(
+            effect=self.id,
+            owner=self.owner,
+            name=self.name,
+            unit=self.unit_in(model, joint),
+            prior=prior,
+            lower=self.lower,
+            even=self.even,
+            among=self.among,
+        )
+        self.coefficients = (coefficient,)
         self.active = tuple(np.arange(int(j == joint)) for j in range(len(model.joints)))
+
+    @classmethod
+    def made(cls) -> tuple[str, ...]:
+        """See `JointEffect.made`."""
+        return (cls.name,)
+
+    @classmethod
+    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
+        """See `JointEffect.with_values`."""
+        return cls(model, joint, values[cls.name], shape)
+
+    def unit_in(self, model: Model, joint: int) -> str:
+        """The coefficient's unit on a joint."""
+        return self.unit[model.joints[joint].kind == "prismatic"]
 
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         """See `Effect.write`."""
-        out[self.joint][0] = self.column(motion)
+        out[int(self.joint)][0] = self.column(motion)
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        mechanism.smooth.append((self, float(theta[0])))
 
     @abstractmethod
     def column(self, motion: Motion) -> Array:
-        """Torque per unit of the coefficient, shape (N,)."""
+        """Torque per unit of the coefficient, shape (N,); (k, N) for k joints."""
+
+
+class DryFriction(JointTerm):
+    """One coefficient on one joint whose torque is a level times the direction of motion."""
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        mechanism.dry.append((self, float(theta[0])))
+
+    @abstractmethod
+    def level(self, motion: Motion) -> Array:
+        """What it takes to move, per unit of the coefficient, shape (N,); (k, N) for k joints."""
+
+    def column(self, motion: Motion) -> Array:
+        """The level times the direction of motion, rounded where v is too small to have one.
+
+        The direction is the mean over the time from half a sample before to half a sample after.
+        """
+        x = motion.v[self.joint] / motion.still[self.joint]
+        return mean_within(np.tanh(x), x, _log_cosh) * self.level(motion)
+
+    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+        """Where the joint rests: friction there can be anything up to its level."""
+        joint = int(self.joint)
+        return {joint: np.abs(motion.v[joint]) < _SURE * motion.still[joint]}
+
+
+def mean_within(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array:
+    """Means of a function over the time from half a sample before to half a sample after.
+
+    Parameters
+    ----------
+    f
+        The function at the samples, which is its mean where x hardly changes, shape (N,).
+    x
+        Its argument, in units in which the function changes over 1 at the fastest, shape (N,).
+    integral
+        Its integral over x.
+    """
+    edge = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    change = np.diff(edge)
+    fast = np.abs(change) > _FAST
+    mean = f.copy()
+    mean[fast] = np.diff(integral(edge))[fast] / change[fast]
+    return mean
+
+
+def _log_cosh(x: Array) -> Array:
+    """The integral of tanh, but for a constant."""
+    return np.asarray(np.logaddexp(x, -x))
+
+
+class JointTerms(JointEffect):
+    """Several coefficients on one joint: terms that share their shape values.
+
+    Attributes
+    ----------
+    kinds
+        The terms, in the order of the coefficients. They bear no id.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    joint
+        Index of the joint.
+    prior
+        The coefficients before any data; none: 0.
+    shape
+        Values of the parameters in ``held``.
+    """
+
+    kinds: tuple[type[JointTerm], ...] = ()
+
+    def __init__(
+        self, model: Model, joint: int, prior: Sequence[float] = (), shape: Mapping[str, float] | None = None
+    ) -> None:
+        super().__init__(model, joint, shape)
+        priors = prior or [0.0] * len(self.kinds)
+        self.terms = tuple(kind(model, joint, x, shape) for kind, x in zip(self.kinds, priors, strict=True))
+        self.coefficients = tuple(
+            replace(term.coefficients[0], effect=self.id, among=self.among) for term in self.terms
+        )
+        self.active = tuple(np.arange(len(self.terms) * (j == joint)) for j in range(len(model.joints)))
+
+    @classmethod
+    def made(cls) -> tuple[str, ...]:
+        """See `JointEffect.made`."""
+        return tuple(kind.name for kind in cls.kinds)
+
+    @classmethod
+    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
+        """See `JointEffect.with_values`."""
+        return cls(model, joint, [values[name] for name in cls.made()], shape)
+
+    def write(self, motion: Motion, out: Sequence[Array]) -> None:
+        """See `Effect.write`."""
+        for row, term in zip(out[int(self.joint)], self.terms, strict=True):
+            row[:] = term.column(motion)
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        for k, term in enumerate(self.terms):
+            term.join(theta[k : k + 1], mechanism)
+
+    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+        """See `Effect.undefined`."""
+        masks = [mask for term in self.terms for mask in term.undefined(motion).values()]
+        return {int(self.joint): np.logical_or.reduce(masks)} if masks else {}

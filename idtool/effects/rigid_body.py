@@ -11,6 +11,7 @@ from idtool.body import Body
 from idtool.effects.base import Coefficient, Effect
 from idtool.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
 from idtool.kinematics import BodyMotion, body_motions, cross
+from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.signals import Motion
 
@@ -57,6 +58,11 @@ class RigidBodies(Effect):
                     _write_row(body_motion, D, k, rows)
                 else:
                     _write_own_row(body, body_motion, D, body.ratios[joint], rows)
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        mechanism.pi += theta.reshape(-1, SIZE)
+        mechanism.gravity = self.model.gravity
 
 
 def _write_own_row(body: Body, motion: BodyMotion, D: Array, ratio: float, out: Array) -> None:

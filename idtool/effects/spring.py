@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
 from idtool.signals import Motion
 
@@ -17,7 +18,7 @@ class ParallelSpring(JointTerm):
     id = "parallel_spring"
     name = "stiffness"
     unit = ("N·m/rad", "N/m")
-    held = ("rest_position",)
+    held = (Held("rest_position"),)
 
     def column(self, motion: Motion) -> Array:
         """The deflection."""

@@ -1,0 +1,38 @@
+"""Torque of one joint that leaks into another: cables and belts led past a joint, differentials out of trim."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.joint_effect import Held
+from idtool.effects.joint_term import JointTerm
+from idtool.model import Model
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+_UNITS = {(False, False): "1", (False, True): "m", (True, False): "1/m", (True, True): "1"}
+
+
+class TransmissionCoupling(JointTerm):
+    """−c tau_source: the joint is driven by its own actuator torque and c times that of the source joint.
+
+    So it takes so much less of its own for the same motion. A joint may have several sources.
+    """
+
+    id = "transmission_coupling"
+    name = "coefficient"
+    lower = -np.inf
+    even = False
+    held = (Held("source", joint=True, apart=True),)
+
+    def unit_in(self, model: Model, joint: int) -> str:
+        """See `JointTerm.unit_in`."""
+        receiver, source = (model.joints[j].kind == "prismatic" for j in (joint, int(self.shape["source"])))
+        return _UNITS[receiver, source]
+
+    def column(self, motion: Motion) -> Array:
+        """The source's torque, the other way."""
+        source = np.reshape(self.shape["source"], np.shape(self.joint)).astype(np.intp)
+        return -motion.tau[source]

@@ -1,0 +1,46 @@
+"""End stops: what a joint runs into."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.joint_effect import Held
+from idtool.effects.joint_term import JointTerm
+from idtool.model import Model
+from idtool.robot import Joint
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+
+class EndStop(JointTerm):
+    """k (q − position) beyond the position, and nothing before it.
+
+    Beyond means above it or below it: on the side of the joint's limit that is nearer to it where the URDF has both,
+    else away from zero. The position is held; a joint may have several stops.
+    """
+
+    id = "end_stop"
+    name = "stiffness"
+    unit = ("N·m/rad", "N/m")
+    even = False
+    held = (Held("position", apart=True),)
+
+    def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
+        super().__init__(model, joint, prior, shape)
+        self.shape["side"] = _side(model.joints[joint], self.shape["position"])
+
+    def column(self, motion: Motion) -> Array:
+        """How far the joint is beyond the position."""
+        side = self.shape["side"]
+        return np.asarray(side * np.maximum(side * (motion.q[self.joint] - self.shape["position"]), 0.0))
+
+
+def _side(joint: Joint, position: float) -> float:
+    """1 for a stop that acts above the position, −1 for one below."""
+    limited = np.isfinite(joint.lower) and np.isfinite(joint.upper) and joint.lower < joint.upper
+    middle = (joint.lower + joint.upper) / 2 if limited else 0.0
+    return 1.0 if position >= middle else -1.0

@@ -1,0 +1,157 @@
+"""`NamedEffect`: an effect that a configuration can name under `effects`.
+
+Its parameters (contract section 6) are of two kinds: those that its coefficients make, which are identified, and those
+that are held, on which its columns depend.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import EffectEntry, Uncertain
+from idtool.effects.base import Effect
+from idtool.exceptions import ConfigError
+from idtool.model import Model
+from idtool.names import nearest, shown, some
+
+Array = NDArray[np.float64]
+Value = tuple[float, float | None]  # and its standard error; None: not known
+
+
+class NamedEffect(Effect):
+    """An effect with an id. What acts on a joint is a `JointEffect`.
+
+    Attributes
+    ----------
+    id
+        Its name in a configuration; none: a base, or a part of another effect.
+    """
+
+    id: str = ""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, entry: EffectEntry, model: Model) -> NamedEffect:
+        """The effect that an entry describes, its coefficients' prior being the entry's values.
+
+        Raises
+        ------
+        ConfigError
+            If the entry names what is not there, or a parameter is missing, unknown or out of its range.
+        """
+
+    @property
+    @abstractmethod
+    def key(self) -> tuple[str | float, ...]:
+        """Its id, what it acts on, and what tells it from others that act on the same."""
+
+    @abstractmethod
+    def parameters(self, theta: Array, covariance: Array) -> dict[str, Value]:
+        """The parameters that its coefficients make, with their standard errors.
+
+        Parameters
+        ----------
+        theta
+            The coefficients, shape (m,).
+        covariance
+            Of their errors, shape (m, m); what is infinite is not known.
+        """
+
+
+def place(entry: EffectEntry) -> str:
+    """Where an entry stands, for messages."""
+    return f"effects: {entry.effect}"
+
+
+def check_names(entry: EffectEntry, names: tuple[str, ...]) -> None:
+    """That an entry gives all of its effect's parameters and no others.
+
+    Raises
+    ------
+    ConfigError
+        If it does not.
+    """
+    for given in entry.parameters:
+        if given not in names:
+            raise ConfigError(place(entry), f"has no parameter {shown(given)}; {nearest(given, names)}")
+    missing = [name for name in names if name not in entry.parameters]
+    if missing:
+        raise ConfigError(place(entry), f"needs the parameters {some(names)}; add {some(missing)}")
+
+
+def number(entry: EffectEntry, name: str) -> float:
+    """A parameter that is a number, alone or with its standard error.
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    try:
+        return Uncertain.model_validate(entry.parameters[name]).value
+    except ValueError:
+        raise ConfigError(place(entry), f"{name} is not a number; give one, or value and standard_error") from None
+
+
+def vector(entry: EffectEntry, name: str, length: int) -> Array:
+    """A parameter that is a list of numbers, each as for `number`; shape (length,).
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    try:
+        return _numbers(entry.parameters[name], length)
+    except ValueError:
+        raise ConfigError(place(entry), f"{name} is not a list of {length} numbers; give one") from None
+
+
+def rows(entry: EffectEntry, name: str, length: int) -> Array:
+    """A parameter that is a list of lists of numbers; shape (rows, length), one row or more.
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    given = entry.parameters[name]
+    try:
+        if not isinstance(given, list | tuple) or not given:
+            raise ValueError
+        return np.array([_numbers(row, length) for row in given])
+    except ValueError:
+        raise ConfigError(place(entry), f"{name} is not a list of lists of {length} numbers; give one") from None
+
+
+def _numbers(given: Any, length: int) -> Array:
+    if not isinstance(given, list | tuple) or len(given) != length:
+        raise ValueError
+    return np.array([Uncertain.model_validate(x).value for x in given])
+
+
+def joint_index(entry: EffectEntry, name: Any, model: Model, what: str = "") -> int:
+    """Index of the joint of that name; ``what`` is the parameter that names it.
+
+    Raises
+    ------
+    ConfigError
+        If the model has no such joint.
+    """
+    said = f"{what} {shown(str(name))}".strip()
+    if name not in model.names:
+        raise ConfigError(place(entry), f"{said} is no moving joint; {nearest(str(name), model.names)}")
+    return model.names.index(name)
+
+
+def plain(values: Mapping[str, Value]) -> dict[str, dict[str, float]]:
+    """Parameters as a configuration has them."""
+    return {
+        name: {"value": value} if error is None else {"value": value, "standard_error": error}
+        for name, (value, error) in values.items()
+    }

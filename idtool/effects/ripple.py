@@ -1,0 +1,80 @@
+"""Torque ripple: cogging, gear mesh, eccentric encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.joint_effect import Held
+from idtool.effects.joint_term import JointTerm, JointTerms
+from idtool.effects.named import Value
+from idtool.model import Model
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+
+class _Wave(JointTerm):
+    unit = ("N·m", "N")
+    lower = -np.inf
+    even = False
+
+    def angle(self, motion: Motion) -> Array:
+        """That of the wave [rad]."""
+        return np.asarray(self.shape["periods"] * motion.q[self.joint])
+
+
+class _Sine(_Wave):
+    """A cos φ."""
+
+    name = "sine"
+
+    def column(self, motion: Motion) -> Array:
+        """sin(n q)."""
+        return np.asarray(np.sin(self.angle(motion)))
+
+
+class _Cosine(_Wave):
+    """A sin φ."""
+
+    name = "cosine"
+
+    def column(self, motion: Motion) -> Array:
+        """cos(n q)."""
+        return np.asarray(np.cos(self.angle(motion)))
+
+
+class TorqueRipple(JointTerms):
+    """A sin(n q + φ), identified as A cos φ sin(n q) + A sin φ cos(n q); a joint may have several with other n.
+
+    n is held. It counts periods per turn of the joint, so that a motor's own are its gear ratio times those of its
+    turn, and need not be whole. On a prismatic joint it is per 2π m.
+    """
+
+    id = "torque_ripple"
+    held = (Held("periods", positive=True, apart=True),)
+    kinds = (_Sine, _Cosine)
+
+    @classmethod
+    def made(cls) -> tuple[str, ...]:
+        """See `JointEffect.made`."""
+        return "amplitude", "phase"
+
+    @classmethod
+    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
+        """See `JointEffect.with_values`."""
+        amplitude, phase = values["amplitude"], values["phase"]
+        return cls(model, joint, [amplitude * np.cos(phase), amplitude * np.sin(phase)], shape)
+
+    def parameters(self, theta: Array, covariance: Array) -> dict[str, Value]:
+        """See `NamedEffect.parameters`; errors to first order. The phase lies in [−π, π]."""
+        amplitude, phase = float(np.hypot(*theta)), float(np.arctan2(theta[1], theta[0]))
+        if not amplitude or not np.isfinite(covariance).all():
+            return {"amplitude": (amplitude, None), "phase": (phase, None)}
+        along = theta / amplitude
+        across = np.array([-along[1], along[0]]) / amplitude
+        errors = [float(np.sqrt(slope @ covariance @ slope)) for slope in (along, across)]
+        return {"amplitude": (amplitude, errors[0]), "phase": (phase, errors[1])}

@@ -1,0 +1,129 @@
+"""`Forces`: all that acts on a mechanism, from its state to its accelerations.
+
+Letters: q, v positions and velocities (n, W); s direction of the dry friction (n, W). W rollouts; n coordinates as in
+`dynamics`: the nv joints, then the motor sides of those whose gear gives way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.dynamics import Dynamics, motor_sides
+from idtool.gears import Gears
+from idtool.mechanism import Mechanism
+from idtool.moment import Flags, Lanes, Moment, solve
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+Drive = Callable[[Array, Array, Array, Lanes], Array]  # t (w,), q, v (nv, w), which rollouts → torque (nv, w)
+
+_NUDGE = 1e-6  # rad/s, rad: for central differences
+
+
+class Forces:
+    """What acts on a mechanism.
+
+    Attributes
+    ----------
+    motor
+        The coordinate of each joint's motor side, shape (nv,).
+    rubbing
+        Which coordinates have dry friction, shape (n, 1).
+    rubs
+        Whether any has.
+
+    Parameters
+    ----------
+    mechanism
+        What moves.
+    drive
+        The torque that acts, a continuous function of time and of the state of the motors' sides.
+    """
+
+    def __init__(self, mechanism: Mechanism, drive: Drive) -> None:
+        self._dynamics, self._drive = Dynamics(mechanism), drive
+        self._resisting, self._level = mechanism.resisting(), mechanism.level()
+        self._gears = Gears(mechanism) if mechanism.gears else None
+        self._loops = mechanism.hysteresis()
+        self.motor = motor_sides(mechanism)
+        self.rubbing = np.pad(mechanism.rubbing, (0, len(mechanism.gears)))[:, None]
+        self.rubs = bool(self.rubbing.any())
+        self._still = np.zeros(len(self.motor))
+
+    def start(self, t: Array, q: Array, v: Array) -> Moment:
+        """The first moment, from the state of the motors' sides, shape (nv, W).
+
+        A gear is deflected by the torque that acts on it then; hysteresis begins in the middle of its loop.
+        """
+        lanes = np.arange(len(t))
+        if self._gears is not None:
+            sides = (np.concatenate([x, x[self._gears.joint]]) for x in (q, v))
+            self._gears.damp(self._dynamics(*sides)[0])
+            q, v = self._gears.apart(q, v, self._drive(t, q, v, lanes))
+        loops = np.zeros((sum(len(joints) for _, joints, _ in self._loops), len(t)))
+        rests = np.zeros(q.shape, dtype=bool)
+        return self._moment(lanes, t.copy(), q.copy(), v.copy(), np.zeros(q.shape), rests, loops)
+
+    def again(self, state: Moment, lanes: Lanes, t: Array) -> Moment:
+        """A first moment of these rollouts at t [s], shape (W,), in the state of others."""
+        rests = np.zeros(state.q.shape, dtype=bool)
+        return self._moment(lanes, t, state.q.copy(), state.v.copy(), np.zeros(state.q.shape), rests, state.loops)
+
+    def later(self, start: Moment, h: Array, q: Array, v: Array) -> Moment:
+        """The moment h, shape (W,) [s], after another one, the directions of dry friction being the same."""
+        return self._moment(start.lanes, start.t + h, q, v, start.s, start.held, self._looped(start, q))
+
+    def steepness(self, now: Moment) -> tuple[Array, Array]:
+        """By how much the force on each coordinate falls with its own velocity and position, shape (n, W)."""
+
+        def slope(q: float, v: float) -> Array:
+            ahead, behind = (
+                self._free(now.t, now.q + way * q, now.v + way * v, now.loops, now.lanes)[0] for way in (1, -1)
+            )
+            return (behind - ahead) / (2 * _NUDGE)
+
+        damping, stiffness = slope(0.0, _NUDGE), slope(_NUDGE, 0.0)
+        if self._gears is not None:
+            self._gears.stiffen(damping, stiffness)
+        return damping, stiffness
+
+    def _moment(self, lanes: Lanes, t: Array, q: Array, v: Array, s: Array, held: Flags, loops: Array) -> Moment:
+        M, h = self._dynamics(q, v)
+        force, level = self._free(t, q, v, loops, lanes)
+        force -= h
+        return Moment(lanes, t, q, v, M, force, level, s, held, solve(M, force - s * level, held), loops)
+
+    def _free(self, t: Array, q: Array, v: Array, loops: Array, lanes: Lanes) -> tuple[Array, Array]:
+        """All torque but the bias and dry friction, and the level of the latter, shape (n, w)."""
+        if self._gears is None:
+            tau = self._drive(t, q, v, lanes)
+            motion = Motion(t, q, v, v, tau, tau, self._still, 0.0)
+            force = tau - self._resisting(motion)
+            level = self._level(motion) if self.rubs else np.zeros_like(q)
+        else:
+            nv = len(self.motor)
+            tau = self._drive(t, q[self.motor], v[self.motor], lanes)
+            motion = Motion(t, q[:nv], v[:nv], v[:nv], tau, tau, self._still, 0.0)
+            force, level = self._gears.torque(q, v), np.zeros_like(q)
+            force[self.motor] += tau
+            force[:nv] -= self._resisting(motion)
+            level[:nv] = self._level(motion)
+        first = 0
+        for _, joints, factors in self._loops:
+            force[joints] -= factors * loops[first : first + len(joints)]
+            first += len(joints)
+        return force, level
+
+    def _looped(self, start: Moment, q: Array) -> Array:
+        """States of the hysteretic terms when the joints have moved to q."""
+        if not self._loops:
+            return start.loops
+        states, first = [], 0
+        for term, joints, _ in self._loops:
+            before = start.loops[first : first + len(joints)]
+            states.append(term.after(before, q[joints] - start.q[joints]))
+            first += len(joints)
+        return np.concatenate(states)

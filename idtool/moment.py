@@ -1,0 +1,115 @@
+"""`Moment`: rollouts at one moment each, and the accelerations that the forces on them give.
+
+Letters: q, v, a positions, velocities, accelerations (n, W), M mass matrix (W, n, n), s direction of the dry friction
+(n, W): ±1 sliding, 0 held. W rollouts, n coordinates as in `dynamics`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Lanes = NDArray[np.intp]
+
+_BY_ROLLOUT = ("q", "v", "force", "level", "s", "held", "a", "loops")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Rollouts at one moment each, with the forces that act.
+
+    Attributes
+    ----------
+    lanes
+        Which rollouts.
+    force
+        All torque but dry friction, shape (n, W).
+    level
+        What dry friction can hold or takes when sliding, shape (n, W).
+    a
+        Acceleration, shape (n, W).
+    loops
+        States of the hysteretic terms, shape (terms, W).
+    """
+
+    lanes: Lanes
+    t: Array
+    q: Array
+    v: Array
+    M: Array
+    force: Array
+    level: Array
+    s: Array
+    held: Flags
+    a: Array
+    loops: Array
+
+    def of(self, some: Lanes) -> Moment:
+        """A part of the rollouts."""
+        by_rollout = {name: getattr(self, name)[:, some] for name in _BY_ROLLOUT}
+        return replace(self, lanes=self.lanes[some], t=self.t[some], M=self.M[some], **by_rollout)
+
+    def put(self, some: Lanes, part: Moment) -> None:
+        """Overwrite a part of the rollouts."""
+        self.t[some], self.M[some] = part.t, part.M
+        for name in _BY_ROLLOUT:
+            getattr(self, name)[:, some] = getattr(part, name)
+
+    @property
+    def reserve(self) -> Array:
+        """By how much dry friction could hold more than it does, where it holds; shape (n, W)."""
+        return np.asarray(self.level - np.abs(self.pull))
+
+    @property
+    def pull(self) -> Array:
+        """What friction holds, where it holds; shape (n, W)."""
+        return self.force - self.s * self.level - times(self.M, self.a)
+
+
+def between(start: Moment, end: Moment, h: Array, share: Array) -> tuple[Array, Array]:
+    """Position and velocity within a step, by the polynomials of lowest order through what is known at its ends.
+
+    Parameters
+    ----------
+    start, end
+        Its ends, with the same direction of friction.
+    h
+        Its length, shape (W,) [s].
+    share
+        The part of it that has gone, shape (W,), from 0 to 1.
+
+    Returns
+    -------
+    q, by the polynomial of order 5, and v, by that of order 3, shape (n, W).
+    """
+    x = share
+    v0, v1, a0, a1 = h * start.v, h * end.v, h**2 * start.a, h**2 * end.a
+    rise = end.q - start.q
+    c3, c4, c5 = (
+        10 * rise - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1,
+        -15 * rise + 8 * v0 + 7 * v1 + 1.5 * a0 - a1,
+        6 * rise - 3 * (v0 + v1) - 0.5 * (a0 - a1),
+    )
+    q = start.q + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
+    d2, d3 = 3 * (v1 - v0) - 2 * a0 - a1, 2 * (v0 - v1) + a0 + a1
+    return q, (v0 + x * (a0 + x * (d2 + x * d3))) / h
+
+
+def times(M: Array, a: Array) -> Array:
+    """M a, shape (n, W)."""
+    return np.asarray((M @ a.T[:, :, None])[:, :, 0].T)
+
+
+def solve(M: Array, force: Array, held: Flags) -> Array:
+    """Acceleration of the joints that are not held, shape (n, W)."""
+    if held.any():
+        free = ~held.T
+        M = M * (free[:, :, None] & free[:, None, :])
+        joint = np.arange(M.shape[1])
+        M[:, joint, joint] += held.T
+        force = np.where(held, 0.0, force)
+    return np.asarray(np.linalg.solve(M, force.T[:, :, None])[:, :, 0].T)

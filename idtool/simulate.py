@@ -1,0 +1,275 @@
+"""The model along a log as a simulation: under the logged torque, or closed loop under the joint controller.
+
+A rollout starts from the measured state. Those of many windows advance together.
+
+Shapes: nv joints, W rollouts, N samples of the longest. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.drive import Drive, starts, stretch_of, stride
+from idtool.exceptions import ModelError
+from idtool.integrate import LONGEST_STEP, Rollouts
+from idtool.mechanism import Mechanism
+from idtool.moment import Lanes, Moment, between
+from idtool.signals import Signals
+
+Array = NDArray[np.float64]
+
+_AT_ONCE = 256  # rollouts that advance together
+_FEW = 8  # rollouts, fewer than which are cut into pieces
+_PIECE = 1.0  # s
+_SAME = 1e-6  # of a sample
+_JOINED = 1e-7  # SI: by how much a piece may begin elsewhere than the one before it ended
+_PASSES = 5  # over all pieces together, before they are done one by one
+_AROUND = 0.25  # periods of the band to either side from which a state is taken
+_FEWEST = 3  # samples to either side for that, at least
+_FASTEST = 1e4  # rad/s or m/s: a rollout beyond it has lost its way
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Rollouts along windows of a log.
+
+    Attributes
+    ----------
+    windows
+        The samples of the log that each covers, the first being its start.
+    q, v, tau
+        Position, velocity and torque as sensors would give them, shape (nv, W, N); of a window that is shorter than the
+        longest, what lies beyond it means nothing.
+    lost
+        Which of them ran away and were stopped where they were, shape (W,).
+    """
+
+    windows: tuple[slice, ...]
+    q: Array
+    v: Array
+    tau: Array
+    lost: NDArray[np.bool_]
+
+
+def windows_of(signals: Signals, parts: Sequence[slice], seconds: float | None, again: bool = False) -> list[slice]:
+    """Windows of so many seconds, one after the other.
+
+    Parameters
+    ----------
+    signals
+        The log.
+    parts
+        Samples of it, no gap within one. One that reaches to the first or last sample that has all derivatives is
+        taken to begin or end with its stretch.
+    seconds
+        None: one window a part.
+    again
+        Whether a window ends with the sample that the next one begins with.
+    """
+    windows = []
+    for part in parts:
+        stretch = stretch_of(signals, part)
+        usable = next(whole for whole in signals.ranges if whole.start <= part.start < whole.stop)
+        start = stretch.start if part.start == usable.start else part.start
+        stop = stretch.stop if part.stop == usable.stop else part.stop
+        every = stop - start if seconds is None else max(round(seconds / signals.log.dt), 1)
+        firsts = range(start, stop - 1, every)
+        windows += [slice(first, min(first + every + again, stop)) for first in firsts]
+    return windows
+
+
+def measured_states(signals: Signals, samples: Sequence[int]) -> tuple[Array, Array]:
+    """Position and velocity at samples of a log, from a parabola through the positions around them.
+
+    Parameters
+    ----------
+    signals
+        The log.
+    samples
+        Their W indices.
+
+    Returns
+    -------
+    q, v, shape (nv, W) each.
+    """
+    dt = signals.log.dt
+    reach = max(_FEWEST, round(_AROUND / (signals.band_hz * dt)))
+    states = np.zeros((len(samples), 2, len(signals.joints)))
+    for state, sample in zip(states, samples, strict=True):
+        within = stretch_of(signals, slice(sample, sample + 1))
+        near = slice(max(sample - reach, within.start), min(sample + reach + 1, within.stop))
+        steps = np.arange(near.start, near.stop) - sample
+        powers = np.vander(steps * dt, min(3, len(steps)), increasing=True)
+        found = np.linalg.lstsq(powers, signals.channels.signal("q", near).T, rcond=None)[0][:2]
+        state[: len(found)] = found
+    return states[:, 0].T.copy(), states[:, 1].T.copy()
+
+
+def simulate(
+    mechanism: Mechanism, signals: Signals, windows: Sequence[slice], tell: Callable[[float], None]
+) -> Iterator[Simulated]:
+    """Run a model along windows of a log.
+
+    Parameters
+    ----------
+    mechanism
+        The model.
+    signals
+        The log.
+    windows
+        Samples of the log, no gap within one.
+    tell
+        Told the share that is done.
+
+    Yields
+    ------
+    The windows in their order, a bounded number of them at a time.
+
+    Raises
+    ------
+    ModelError
+        If the model cannot move: its mass matrix is not positive definite.
+    """
+    if len(windows) < _FEW and max((window.stop - window.start for window in windows), default=0) > 2 * _piece(signals):
+        for window in windows:
+            yield _chained(mechanism, signals, window, tell)
+        return
+    total, done = max(sum(window.stop - window.start for window in windows), 1), 0
+    for first in range(0, len(windows), _AT_ONCE):
+        some = tuple(windows[first : first + _AT_ONCE])
+        size = sum(window.stop - window.start for window in some)
+        run = _Run(mechanism, signals, some)
+        run.advance(np.arange(len(some)), partial(_tell_part, tell, done / total, size / total))
+        yield run.result()
+        done += size
+
+
+def _tell_part(tell: Callable[[float], None], before: float, size: float, share: float) -> None:
+    tell(before + size * share)
+
+
+def _piece(signals: Signals) -> int:
+    return max(round(_PIECE / signals.log.dt), 1)
+
+
+def _chained(mechanism: Mechanism, signals: Signals, window: slice, tell: Callable[[float], None]) -> Simulated:
+    """One long rollout, as pieces that advance together, each from the measured state at first.
+
+    Those that did not begin where the piece before them ended are done again from there. A controller makes motions
+    forget how they began, so that few passes settle all; where it does not, they are done one after the other.
+    """
+    size = _piece(signals)
+    firsts = range(window.start, window.stop - 1, size)
+    run = _Run(mechanism, signals, tuple(slice(first, min(first + size + 1, window.stop)) for first in firsts))
+    todo, passes = np.arange(len(firsts)), 0
+    while todo.size:
+        if passes:
+            run.resume(todo, todo - 1)
+        run.advance(todo, partial(_tell_part, tell, 1 - todo.size / len(firsts), todo.size / len(firsts)))
+        passes += 1
+        todo = 1 + np.flatnonzero((np.abs(run.begun[:, 1:] - run.rollouts.state[:, :-1]) > _JOINED).any(axis=0))
+        todo = todo if passes < _PASSES else todo[:1]
+    one = run.result()
+    lengths = [size] * (len(firsts) - 1) + [window.stop - firsts[-1]]
+    q, v, tau = (
+        np.concatenate([x[:, w, :length] for w, length in enumerate(lengths)], axis=1)[:, None]
+        for x in (one.q, one.v, one.tau)
+    )
+    return Simulated((window,), q, v, tau, np.atleast_1d(one.lost.any()))
+
+
+class _Run:
+    """Rollouts that advance together, and what they have left behind.
+
+    Attributes
+    ----------
+    rollouts
+        Where they are.
+    begun
+        The states that they began in, shape (states, W).
+    """
+
+    def __init__(self, mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...]) -> None:
+        self._signals, self._windows = signals, windows
+        self._t0, self._last = starts(signals, windows), np.array([w.stop - w.start - 1 for w in windows])
+        self._drive, self._offset = Drive(signals, windows, mechanism), mechanism.position_offset[:, None]
+        q, v = measured_states(signals, [window.start for window in windows])
+        step = stride(signals) * signals.log.dt
+        self.rollouts = _started(mechanism, self._t0, q + self._offset, v, self._drive, min(step, LONGEST_STEP))
+        self.begun = self.rollouts.state
+        self._q, self._v = np.empty((2, len(q), len(windows), self._last.max() + 1))
+        self._lost = np.zeros(len(windows), dtype=bool)
+
+    def resume(self, lanes: Lanes, others: Lanes) -> None:
+        """Begin some again, in the states that others are in."""
+        self.rollouts.resume(lanes, others, self._t0[lanes])
+        self.begun[:, lanes] = self.rollouts.state[:, lanes]
+        self._lost[lanes] = False
+
+    def advance(self, lanes: Lanes, tell: Callable[[float], None]) -> None:
+        """Take some to their ends."""
+        rollouts, dt = self.rollouts, self._signals.log.dt
+        self._q[:, lanes, 0] = rollouts.q[:, lanes] - self._offset
+        self._v[:, lanes, 0] = rollouts.v[:, lanes]
+        until = rollouts.t.copy()
+        until[lanes] = self._t0[lanes] + self._last[lanes] * dt
+
+        def keep(lanes: Lanes, start: Moment, end: Moment) -> None:
+            self._keep(lanes, start, end)
+            gone = np.abs(end.v).max(axis=0)
+            lost = lanes[~(gone < _FASTEST)]
+            if lost.size:
+                self._lose(lost, until)
+            tell(float(np.min((rollouts.t - self._t0)[lanes] / (self._last[lanes] * dt))))
+
+        rollouts.advance(until, keep)
+
+    def _lose(self, lanes: Lanes, until: Array) -> None:
+        """Stop rollouts that have run away: they stay where they last were."""
+        for lane in lanes:
+            k = int((self.rollouts.t[lane] - self._t0[lane]) / self._signals.log.dt)
+            self._q[:, lane, k:] = self._q[:, lane, max(k - 1, 0)][:, None]
+            self._v[:, lane, k:] = 0.0
+        self._lost[lanes] = True
+        until[lanes] = -np.inf
+
+    def _keep(self, lanes: Lanes, start: Moment, end: Moment) -> None:
+        """Take down the samples that lie in a step."""
+        rate, t0, motor = 1 / self._signals.log.dt, self._t0[lanes], self.rollouts.motor
+        begun, ended = ((moment.t - t0) * rate for moment in (start, end))
+        first, last = np.floor(begun + _SAME).astype(np.intp) + 1, np.floor(ended + _SAME).astype(np.intp)
+        for k in range(int((last - first).max()) + 1):
+            some = np.flatnonzero(first + k <= last)
+            at, h = first[some] + k, (end.t - start.t)[some]
+            share = np.minimum((at - begun[some]) / (ended - begun)[some], 1.0)
+            every = some.size == len(lanes)
+            q, v = between(start if every else start.of(some), end if every else end.of(some), h, share)
+            self._q[:, lanes[some], at] = q[motor] - self._offset
+            self._v[:, lanes[some], at] = v[motor]
+
+    def result(self) -> Simulated:
+        """What was simulated, as sensors would give it."""
+        tau = np.empty_like(self._q)
+        lanes = np.arange(len(self._windows))
+        for k in range(tau.shape[2]):
+            t = self._t0 + np.minimum(k, self._last) * self._signals.log.dt
+            tau[:, :, k] = self._drive.measured(t, self._q[:, :, k], self._v[:, :, k], lanes)
+        return Simulated(self._windows, self._q, self._v, tau, self._lost)
+
+
+def _started(mechanism: Mechanism, t: Array, q: Array, v: Array, drive: Drive, step: float) -> Rollouts:
+    try:
+        rollouts = Rollouts(mechanism, t, q, v, drive, step)
+        np.linalg.cholesky(rollouts.mass_matrix)
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            mechanism.model.robot.path,
+            "cannot be simulated: a joint has no inertia, or less than none; fit within `full` or tighter, or give the "
+            "rotors of its light joints",
+        ) from None
+    return rollouts
