@@ -26,6 +26,7 @@ from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
 from idtool.fit import Fit, fit
 from idtool.inertia import NAMES, from_mass_com_inertia, symmetric
+from idtool.replay import HORIZONS, replay
 from idtool.robot import read_robot
 
 Array = NDArray[np.float64]
@@ -153,3 +154,26 @@ def test_coulomb_friction_is_the_truths(case: tuple[str, Fit, Comparison]) -> No
     for joint, friction in TRUTH[robot]["friction"].items():
         assert found[joint, "coulomb"] == pytest.approx(friction["coulomb"], rel=0.03)
         assert found[joint, "viscous"] == pytest.approx(friction["viscous"], rel=0.1)
+
+
+def test_a_simulation_departs_as_one_with_the_true_parameters_does(case: tuple[str, Fit, Comparison]) -> None:
+    """Under the logged torque, noise and all, even the truth departs from the log; that is the floor."""
+    robot, result, _ = case
+    experiment = result.experiment
+    models = {
+        "identified": result.estimate.theta,
+        "true": true_coefficients(robot, experiment),
+        "prior": experiment.equation.prior,
+    }
+    outcome = replay(experiment, models, held_out=True, progress=lambda stage, share: None)
+    errors = {
+        name: [departure.rmse(experiment.equation.joints, "position")["overall"]]
+        + [(departure.horizon(experiment.equation.joints, seconds) or {})["overall"] for seconds in HORIZONS]
+        for name, departure in outcome.departures.items()
+    }
+    assert (outcome.kind, outcome.windows >= 8, outcome.lost["identified"]) == ("open_loop", True, 0)
+    for found, true, prior, still in zip(
+        *(errors[n] for n in ("identified", "true", "prior", "baseline")), strict=True
+    ):
+        assert found <= 1.1 * true
+        assert found <= 0.4 * prior < still

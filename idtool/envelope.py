@@ -1,0 +1,66 @@
+"""`Envelope`: curves for drawing, of bounded size, in which no spike is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_POINTS = 2000  # a curve is drawn as the least and greatest value in this many stretches of time
+
+
+@dataclass
+class Trace:
+    """Curves for drawing, of bounded size: (t, least, greatest) in stretches of time.
+
+    Attributes
+    ----------
+    name
+        The log's.
+    t
+        Times [s], shape (points,).
+    curves
+        Name to values, shape (nv, points): ``measured``, ``residual`` (measured less the first model's) or a model's.
+    """
+
+    name: str
+    t: Array
+    curves: dict[str, Array] = field(default_factory=dict)
+
+
+class Envelope:
+    """Collects the least and greatest value of every curve in stretches of time, so that no spike is lost."""
+
+    def __init__(self, parts: Sequence[slice], t: Array) -> None:
+        self.start, self.stop = float(t[parts[0].start]), float(t[parts[-1].stop - 1])
+        samples = sum(part.stop - part.start for part in parts)
+        self.bins = min(_POINTS, max(samples, 1))
+        self.low: dict[str, Array] = {}
+        self.high: dict[str, Array] = {}
+
+    def add(self, t: Array, curves: Mapping[str, Array]) -> None:
+        """Take values at times [s], shape (N,), of curves, shape (nv, N) each."""
+        if not len(t):
+            return
+        share = (t - self.start) / max(self.stop - self.start, np.finfo(float).tiny)
+        index = np.clip((share * self.bins).astype(int), 0, self.bins - 1)
+        first = np.flatnonzero(np.diff(index, prepend=-1))
+        for name, x in curves.items():
+            low = self.low.setdefault(name, np.full((len(x), self.bins), np.inf))
+            high = self.high.setdefault(name, np.full((len(x), self.bins), -np.inf))
+            at = index[first]
+            low[:, at] = np.minimum(low[:, at], np.minimum.reduceat(x, first, axis=1))
+            high[:, at] = np.maximum(high[:, at], np.maximum.reduceat(x, first, axis=1))
+
+    def trace(self, name: str) -> Trace:
+        """Two points a stretch; NaN, a break in the line, where nothing was measured."""
+        centres = self.start + (self.stop - self.start) * (np.arange(self.bins) + 0.5) / self.bins
+        curves = {}
+        for curve, low in self.low.items():
+            pairs = np.stack([low, self.high[curve]], axis=-1).reshape(len(low), -1)
+            curves[curve] = np.where(np.isfinite(pairs), pairs, np.nan)
+        return Trace(name, np.repeat(centres, 2), curves)
