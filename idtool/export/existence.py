@@ -1,0 +1,38 @@
+"""Whether a simulator takes an inertia: MuJoCo refuses one that no body can have, Drake puts another in its place."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.exceptions import ModelError
+from idtool.inertia import mass_com_inertia
+from idtool.robot import Robot
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-9  # relative
+
+
+def slack(inertia: Array) -> float:
+    """The least of the principal moments and of A + B − C over them [kg·m²].
+
+    Parameters
+    ----------
+    inertia
+        About the centre of mass, shape (3, 3).
+    """
+    moments = np.linalg.eigvalsh(inertia)
+    return float(min(moments[0], moments[0] + moments[1] - moments[2]))
+
+
+def can_exist(pi: Array) -> bool:
+    """Whether parameters, shape (10,), are those of some body, or of none, but for rounding."""
+    mass, _, inertia = mass_com_inertia(pi)
+    return mass >= 0 and slack(inertia) >= -_ROUNDING * float(np.abs(inertia).sum())
+
+
+def refused(robot: Robot, name: str) -> ModelError:
+    """What to say of a body that cannot exist."""
+    where = f"{robot.path}: {name}"
+    return ModelError(where, "has an inertia that no body can have, which the simulator refuses; fit it within full")
