@@ -34,6 +34,8 @@ class Forces:
         Which coordinates have dry friction, shape (n, 1).
     rubs
         Whether any has.
+    slopes
+        How the gaps of springs with a beginning change with the coordinates, shape (gaps, n).
 
     Parameters
     ----------
@@ -52,6 +54,14 @@ class Forces:
         self.rubbing = np.pad(mechanism.rubbing, (0, len(mechanism.gears)))[:, None]
         self.rubs = bool(self.rubbing.any())
         self._still = np.zeros(len(self.motor))
+        stops = [(np.eye(len(self.rubbing))[joint], position) for joint, position in mechanism.stops]
+        stops += self._gears.stops(len(self.rubbing)) if self._gears is not None else []
+        self.slopes = np.array([slope for slope, _ in stops]).reshape(-1, len(self.rubbing))
+        self._where = np.array([[position] for _, position in stops]).reshape(-1, 1)
+
+    def gaps(self, q: Array) -> Array:
+        """How far springs with a beginning are from it, shape (gaps, W)."""
+        return np.asarray(self.slopes @ q - self._where)
 
     def start(self, t: Array, q: Array, v: Array) -> Moment:
         """The first moment, from the state of the motors' sides, shape (nv, W).

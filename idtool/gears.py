@@ -50,6 +50,15 @@ class Gears:
         out[self._motor], out[self.joint] = -carried, carried
         return out
 
+    def stops(self, coordinates: int) -> list[tuple[Array, float]]:
+        """Where teeth meet: the deflection's slope in the coordinates, shape (n,), and its value there."""
+        found = []
+        for link, motor, half in zip(self.joint, self._motor, self._half_play[:, 0], strict=True):
+            slope = np.zeros(coordinates)
+            slope[motor], slope[link] = 1.0, -1.0
+            found += [(slope, side * float(half)) for side in (-1, 1) if half]
+        return found
+
     def stiffen(self, damping: Array, stiffness: Array) -> None:
         """Let no rate of damping and stiffness, shape (n, w), be less than the gears make it."""
         for side in (self._motor, self.joint):

@@ -31,9 +31,10 @@ LONGEST_STEP = 5e-3  # s
 _STABLE = 2.0  # step times the fastest rate; the explicit method is stable to 2.8
 _STIFF = 6e3  # 1/s: rates above it are dealt with implicitly
 _STIFF_STEP = 1e-3  # s, the longest then
-_ROUGH = 1e-2  # by how much two estimates of a step's change of velocity may differ [rad/s or m/s, and relative]
+_ROUGH = 1e-4  # error of a step's velocity that is accepted, to order 3 [rad/s or m/s, and relative]
 _SHORTEST = 1e-3  # of the longest step
 _EVENTS = 30  # changes of direction between two grid points, beyond which they are no longer looked for one by one
+_HALVINGS = 14  # of a step that straddles the beginning of a spring
 _RATES_EVERY = 16  # steps
 _SLOWEST = 1e-6  # 1/s
 
@@ -153,15 +154,16 @@ class Rollouts:
         self._rates[lanes] = np.maximum(rates[0], np.sqrt(np.maximum(rates[1], 0.0)))
 
     def _stepped(self, start: Moment, step: Array) -> Moment:
-        """The end of a step, or of the part of it before the first change of direction."""
+        """The end of a step, or of the part of it before the first change of a force's form."""
         end, step = self._smooth_enough(start, step)
+        if len(self._forces.slopes):
+            step = self._up_to_a_stop(start, end, step)
         if not self._forces.rubs:
             return end
-        share = changes(start, end, step)
+        lanes, share = start.lanes, changes(start, end, step)
         first = share.min(axis=0)
-        events = self._events[start.lanes] + (first < 1)
-        self._events[start.lanes] = events
-        first[events > _EVENTS] = 1.0
+        self._events[lanes] += first < 1
+        first[self._events[lanes] > _EVENTS] = 1.0
         cut = np.flatnonzero(first < 1)
         stops = (share <= first) & (share < 2) & (start.s != 0)
         if cut.size:
@@ -170,6 +172,28 @@ class Rollouts:
             end.put(cut, self._forces.later(start.of(cut), first[cut] * step[cut], q, v))
         end.v[stops] = 0.0
         return end
+
+    def _up_to_a_stop(self, start: Moment, end: Moment, step: Array) -> Array:
+        """Let steps end just beyond where the first spring with a beginning is met or left; their lengths [s], (w,).
+
+        By bisection: what a step that straddles the place says of the motion before it is not to be trusted.
+        """
+        gaps = self._forces.gaps
+        some = np.flatnonzero((gaps(start.q) * gaps(end.q) < 0).any(axis=0))
+        some = some[self._events[start.lanes[some]] < _EVENTS]
+        if not some.size:
+            return step
+        self._events[start.lanes[some]] += 1
+        short, before = start.of(some), gaps(start.q[:, some])
+        low, high = np.zeros(some.size), step[some]
+        for _ in range(_HALVINGS):
+            part = self._whole(short, (low + high) / 2)
+            beyond = (before * gaps(part.q) < 0).any(axis=0)
+            low, high = np.where(beyond, low, part.t - short.t), np.where(beyond, part.t - short.t, high)
+        end.put(some, self._whole(short, high))
+        step = step.copy()
+        step[some] = high
+        return step
 
     def _settled(self, now: Moment) -> Moment:
         """The moment with the direction of every joint's dry friction, which of those at rest it holds among them."""
@@ -182,6 +206,13 @@ class Rollouts:
         now = replace(now, s=s, held=held, a=solve(now.M, now.force - s * now.level, held))
         return released(now) if held.any() else now
 
+    def _whole(self, start: Moment, step: Array) -> Moment:
+        """A step of a length that is known to be short enough."""
+        lanes = start.lanes
+        if self._is_stiff(start):
+            return implicit(self._forces, start, step, self._damping[:, lanes], self._stiffness[:, lanes])
+        return runge_kutta(self._forces, start, step)[0]
+
     def _is_stiff(self, start: Moment) -> bool:
         return bool((self._rates[start.lanes] > _STIFF).any())
 
@@ -189,7 +220,7 @@ class Rollouts:
         """A step in which the forces do not change too much, shorter than the given one where they would."""
         lanes = start.lanes
         if self._is_stiff(start):
-            return implicit(self._forces, start, step, self._damping[:, lanes], self._stiffness[:, lanes]), step
+            return self._whole(start, step), step
         end, rough = runge_kutta(self._forces, start, step)
         most = _ROUGH * (1 + np.abs(start.v).max(axis=0))
         limit = self._limit[lanes]

@@ -89,6 +89,8 @@ class Mechanism:
         Terms whose torque depends on the path, with their coefficients.
     torques
         Torque on the load's side as a function of the motion, shape (nv, W), that no joint term gives.
+    stops
+        Joint and position where a torque begins or ends, which a step should not straddle.
     gravity
         In the root link's frame, shape (3,) [m/s²].
     gears
@@ -108,6 +110,7 @@ class Mechanism:
     dry: list[tuple[Term, float]] = field(default_factory=list)
     loops: list[tuple[Loop, float]] = field(default_factory=list)
     torques: list[Evaluated] = field(default_factory=list)
+    stops: list[tuple[int, float]] = field(default_factory=list)
     gravity: Array = field(init=False)
     gears: dict[int, Gear] = field(default_factory=dict)
     sensors: dict[int, TorqueSensor] = field(default_factory=dict)

@@ -6,6 +6,7 @@ Letters: q, v, a positions, velocities, accelerations (n, W), M mass matrix (W, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Lanes = NDArray[np.intp]
 
+_HALVINGS = 40
 _BY_ROLLOUT = ("q", "v", "force", "level", "s", "held", "a", "loops")
 
 
@@ -86,17 +88,27 @@ def between(start: Moment, end: Moment, h: Array, share: Array) -> tuple[Array, 
     -------
     q, by the polynomial of order 5, and v, by that of order 3, shape (n, W).
     """
-    x = share
+    x, rise = share, end.q - start.q
     v0, v1, a0, a1 = h * start.v, h * end.v, h**2 * start.a, h**2 * end.a
-    rise = end.q - start.q
-    c3, c4, c5 = (
-        10 * rise - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1,
-        -15 * rise + 8 * v0 + 7 * v1 + 1.5 * a0 - a1,
-        6 * rise - 3 * (v0 + v1) - 0.5 * (a0 - a1),
-    )
-    q = start.q + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
-    d2, d3 = 3 * (v1 - v0) - 2 * a0 - a1, 2 * (v0 - v1) + a0 + a1
-    return q, (v0 + x * (a0 + x * (d2 + x * d3))) / h
+    c3 = 10 * rise - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1
+    c4 = -15 * rise + 8 * v0 + 7 * v1 + 1.5 * a0 - a1
+    c5 = 6 * rise - 3 * (v0 + v1) - 0.5 * (a0 - a1)
+    return start.q + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5)))), cubic(x, v0, v1, a0, a1) / h
+
+
+def cubic(x: Array, v0: Array, v1: Array, a0: Array, a1: Array) -> Array:
+    """At x, the polynomial with these values and slopes at 0 and 1."""
+    return np.asarray(v0 + x * (a0 + x * (3 * (v1 - v0) - 2 * a0 - a1 + x * (2 * (v0 - v1) + a0 + a1))))
+
+
+def root(curve: Callable[[Array], Array], sign: Array) -> Array:
+    """Just beyond where in [0, 1] curves that begin with a sign first have another, by bisection; shape (m,)."""
+    low, high = np.zeros_like(sign), np.ones_like(sign)
+    for _ in range(_HALVINGS):
+        x = (low + high) / 2
+        beyond = curve(x) * sign < 0
+        low, high = np.where(beyond, low, x), np.where(beyond, x, high)
+    return high
 
 
 def times(M: Array, a: Array) -> Array:

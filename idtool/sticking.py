@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.moment import Moment, solve
+from idtool.moment import Moment, cubic, root, solve
 
 Array = NDArray[np.float64]
 
@@ -46,22 +46,11 @@ def changes(start: Moment, end: Moment, h: Array) -> Array:
     share = np.full(start.v.shape, 2.0)
     stops = (start.s != 0) & (end.v * start.s <= 0)
     if stops.any():
-        rollout = np.nonzero(stops)[1]
-        share[stops] = _root(start.v[stops], end.v[stops], h[rollout] * start.a[stops], h[rollout] * end.a[stops])
+        length = h[np.nonzero(stops)[1]]
+        v0, v1, a0, a1 = start.v[stops], end.v[stops], length * start.a[stops], length * end.a[stops]
+        share[stops] = root(lambda x: cubic(x, v0, v1, a0, a1), start.s[stops])
     if start.held.any():
         before, after = start.reserve, end.reserve
         slips = start.held & (after < 0) & (before > _SLIPS * start.level)
         share[slips] = before[slips] / (before[slips] - after[slips])
     return share
-
-
-def _root(v0: Array, v1: Array, a0: Array, a1: Array) -> Array:
-    """Where in [0, 1] the cubic with these ends and slopes is zero, v1 not being of the sign of v0; shape (m,)."""
-    low, high = np.zeros_like(v0), np.ones_like(v0)
-    c2, c3 = 3 * (v1 - v0) - 2 * a0 - a1, 2 * (v0 - v1) + a0 + a1
-    sign = np.where(v0 != 0, np.sign(v0), np.sign(a0))
-    for _ in range(40):
-        x = (low + high) / 2
-        beyond = (v0 + x * (a0 + x * (c2 + x * c3))) * sign < 0
-        low, high = np.where(beyond, low, x), np.where(beyond, x, high)
-    return (low + high) / 2

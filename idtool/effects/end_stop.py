@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
+from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.robot import Joint
 from idtool.signals import Motion
@@ -32,6 +33,11 @@ class EndStop(JointTerm):
     def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, prior, shape)
         self.shape["side"] = _side(model.joints[joint], self.shape["position"])
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        super().join(theta, mechanism)
+        mechanism.stops.append((int(self.joint), self.shape["position"]))
 
     def column(self, motion: Motion) -> Array:
         """How far the joint is beyond the position."""
