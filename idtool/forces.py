@@ -74,13 +74,12 @@ class Forces:
             self._gears.damp(self._dynamics(*sides)[0])
             q, v = self._gears.apart(q, v, self._drive(t, q, v, lanes))
         loops = np.zeros((sum(len(joints) for _, joints, _ in self._loops), len(t)))
+        return self.at(lanes, t, q, v, loops)
+
+    def at(self, lanes: Lanes, t: Array, q: Array, v: Array, loops: Array) -> Moment:
+        """A first moment in which all that the future depends on is known."""
         rests = np.zeros(q.shape, dtype=bool)
         return self._moment(lanes, t.copy(), q.copy(), v.copy(), np.zeros(q.shape), rests, loops)
-
-    def again(self, state: Moment, lanes: Lanes, t: Array) -> Moment:
-        """A first moment of these rollouts at t [s], shape (W,), in the state of others."""
-        rests = np.zeros(state.q.shape, dtype=bool)
-        return self._moment(lanes, t, state.q.copy(), state.v.copy(), np.zeros(state.q.shape), rests, state.loops)
 
     def later(self, start: Moment, h: Array, q: Array, v: Array) -> Moment:
         """The moment h, shape (W,) [s], after another one, the directions of dry friction being the same."""

@@ -97,9 +97,10 @@ class Rollouts:
         """M at the present positions, shape (W, n, n)."""
         return self._now.M
 
-    def resume(self, lanes: Lanes, others: Lanes, t: Array) -> None:
-        """Set rollouts to t, shape (w,) [s], and to the state that others are in."""
-        self._now.put(lanes, self._forces.again(self._now.of(others), lanes, t))
+    def resume(self, lanes: Lanes, state: Array, t: Array) -> None:
+        """Set rollouts to t, shape (w,) [s], and to states, shape (states, w)."""
+        n = len(self._now.q)
+        self._now.put(lanes, self._forces.at(lanes, t, state[:n], state[n : 2 * n], state[2 * n :]))
         self._grid[lanes] = t
 
     def advance(self, until: Array, keep: Keep | None = None) -> None:

@@ -135,18 +135,24 @@ def simulate(
     ModelError
         If the model cannot move: its mass matrix is not positive definite.
     """
-    if len(windows) < _FEW and max((window.stop - window.start for window in windows), default=0) > 2 * _piece(signals):
-        for window in windows:
-            yield _chained(mechanism, signals, window, tell)
-        return
     total, done = max(sum(window.stop - window.start for window in windows), 1), 0
-    for first in range(0, len(windows), _AT_ONCE):
-        some = tuple(windows[first : first + _AT_ONCE])
+    longest = max((window.stop - window.start for window in windows), default=0)
+    chained = len(windows) < _FEW and longest > 2 * _piece(signals)
+    for first in range(0, len(windows), 1 if chained else _AT_ONCE):
+        some = tuple(windows[first : first + (1 if chained else _AT_ONCE)])
         size = sum(window.stop - window.start for window in some)
-        run = _Run(mechanism, signals, some)
-        run.advance(np.arange(len(some)), partial(_tell_part, tell, done / total, size / total))
-        yield run.result()
+        part = partial(_tell_part, tell, done / total, size / total)
+        yield (_chained if chained else _together)(mechanism, signals, some, part)
         done += size
+
+
+def _together(
+    mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...], tell: Callable[[float], None]
+) -> Simulated:
+    """Rollouts that advance together."""
+    run = _Run(mechanism, signals, windows)
+    run.advance(np.arange(len(windows)), tell)
+    return run.result()
 
 
 def _tell_part(tell: Callable[[float], None], before: float, size: float, share: float) -> None:
@@ -157,30 +163,52 @@ def _piece(signals: Signals) -> int:
     return max(round(_PIECE / signals.log.dt), 1)
 
 
-def _chained(mechanism: Mechanism, signals: Signals, window: slice, tell: Callable[[float], None]) -> Simulated:
-    """One long rollout, as pieces that advance together, each from the measured state at first.
+def _chained(
+    mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...], tell: Callable[[float], None]
+) -> Simulated:
+    """One long rollout, section by section, each in pieces that advance together."""
+    (window,) = windows
+    q, v, tau = np.empty((3, len(signals.joints), 1, window.stop - window.start))
+    lost, state, size = False, None, _AT_ONCE * _piece(signals)
+    for first in range(window.start, window.stop - 1, size):
+        section, here = slice(first, min(first + size + 1, window.stop)), first - window.start
+        done = partial(_tell_part, tell, here / q.shape[2], (section.stop - first) / q.shape[2])
+        run = _settled(mechanism, signals, section, state, done)
+        state = run.rollouts.state[:, -1:]
+        some = run.result()
+        for w, part in enumerate(some.windows):
+            at, length = slice(part.start - window.start, part.stop - window.start), part.stop - part.start
+            if lost:  # what comes after a rollout that ran away would have begun nowhere
+                q[:, 0, at], v[:, 0, at], tau[:, 0, at] = q[:, 0, at.start, None], 0.0, tau[:, 0, at.start, None]
+            else:
+                q[:, 0, at], v[:, 0, at], tau[:, 0, at] = (x[:, w, :length] for x in (some.q, some.v, some.tau))
+            lost |= bool(some.lost[w])
+    return Simulated(windows, q, v, tau, np.array([lost]))
 
-    Those that did not begin where the piece before them ended are done again from there. A controller makes motions
-    forget how they began, so that few passes settle all; where it does not, they are done one after the other.
+
+def _settled(
+    mechanism: Mechanism, signals: Signals, section: slice, state: Array | None, tell: Callable[[float], None]
+) -> _Run:
+    """A section from a state, shape (states, 1), or the measured one, in pieces that each begin where the last ended.
+
+    At first each but the first begins in the measured state, and those that did not begin where the piece before them
+    ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
+    where it does not, they are done one after the other.
     """
     size = _piece(signals)
-    firsts = range(window.start, window.stop - 1, size)
-    run = _Run(mechanism, signals, tuple(slice(first, min(first + size + 1, window.stop)) for first in firsts))
+    firsts = range(section.start, section.stop - 1, size)
+    run = _Run(mechanism, signals, tuple(slice(first, min(first + size + 1, section.stop)) for first in firsts))
+    if state is not None:
+        run.resume(np.zeros(1, dtype=np.intp), state)
     todo, passes = np.arange(len(firsts)), 0
     while todo.size:
         if passes:
-            run.resume(todo, todo - 1)
+            run.resume(todo, run.rollouts.state[:, todo - 1])
         run.advance(todo, partial(_tell_part, tell, 1 - todo.size / len(firsts), todo.size / len(firsts)))
         passes += 1
         todo = 1 + np.flatnonzero((np.abs(run.begun[:, 1:] - run.rollouts.state[:, :-1]) > _JOINED).any(axis=0))
         todo = todo if passes < _PASSES else todo[:1]
-    one = run.result()
-    lengths = [size] * (len(firsts) - 1) + [window.stop - firsts[-1]]
-    q, v, tau = (
-        np.concatenate([x[:, w, :length] for w, length in enumerate(lengths)], axis=1)[:, None]
-        for x in (one.q, one.v, one.tau)
-    )
-    return Simulated((window,), q, v, tau, np.atleast_1d(one.lost.any()))
+    return run
 
 
 class _Run:
@@ -205,9 +233,9 @@ class _Run:
         self._q, self._v = np.empty((2, len(q), len(windows), self._last.max() + 1))
         self._lost = np.zeros(len(windows), dtype=bool)
 
-    def resume(self, lanes: Lanes, others: Lanes) -> None:
-        """Begin some again, in the states that others are in."""
-        self.rollouts.resume(lanes, others, self._t0[lanes])
+    def resume(self, lanes: Lanes, state: Array) -> None:
+        """Begin some again, in states, shape (states, w)."""
+        self.rollouts.resume(lanes, state, self._t0[lanes])
         self.begun[:, lanes] = self.rollouts.state[:, lanes]
         self._lost[lanes] = False
 
