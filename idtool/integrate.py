@@ -35,7 +35,7 @@ _ROUGH = 1e-4  # error of a step's velocity that is accepted, to order 3 [rad/s 
 _SHORTEST = 1e-3  # of the longest step
 _EVENTS = 30  # changes of direction between two grid points, beyond which they are no longer looked for one by one
 _HALVINGS = 14  # of a step that straddles the beginning of a spring
-_RATES_EVERY = 16  # steps
+_RATES_EVERY = 64  # steps
 _SLOWEST = 1e-6  # 1/s
 
 
@@ -63,7 +63,7 @@ class Rollouts:
         self._now = self._forces.start(t, q, v)
         self._grid, self._step = t.copy(), step
         self._limit = np.full(len(t), step)
-        self._rates, self._steps = np.zeros(len(t)), 0
+        self._rates, self._count = np.zeros(len(t)), np.zeros(len(t), dtype=np.intp)
         self._events = np.zeros(len(t), dtype=np.intp)
         self._damping, self._stiffness = np.zeros((2, *self._now.q.shape))
 
@@ -101,7 +101,7 @@ class Rollouts:
         """Set rollouts to t, shape (w,) [s], and to states, shape (states, w)."""
         n = len(self._now.q)
         self._now.put(lanes, self._forces.at(lanes, t, state[:n], state[n : 2 * n], state[2 * n :]))
-        self._grid[lanes] = t
+        self._grid[lanes], self._count[lanes], self._limit[lanes] = t, 0, self._step
 
     def advance(self, until: Array, keep: Keep | None = None) -> None:
         """Take the rollouts to a later moment.
@@ -116,20 +116,28 @@ class Rollouts:
         slack = 1e-9 * self._step
         lanes = np.flatnonzero(until > self.t + slack)
         while lanes.size:
-            if self._steps % _RATES_EVERY == 0:
-                self._look_at(lanes)
-            self._steps += 1
-            every = lanes.size == len(self.t)
-            start = self._settled(self._now if every else self._now.of(lanes))
-            end = self._stepped(start, self._lengths(lanes, until))
-            if every:
-                self._now = end
-            else:
-                self._now.put(lanes, end)
-            if keep is not None:
-                keep(lanes, start, end)
-            lanes = lanes[until[lanes] > end.t + slack]
+            due = lanes[self._count[lanes] % _RATES_EVERY == 0]
+            if due.size:
+                self._look_at(due)
+            self._count[lanes] += 1
+            stiff = self._rates[lanes] > _STIFF
+            for some in (lanes[stiff], lanes[~stiff]):
+                if some.size:
+                    self._move(some, until, keep)
+            lanes = lanes[until[lanes] > self.t[lanes] + slack]
         np.maximum(self.t, until, out=self.t)
+
+    def _move(self, lanes: Lanes, until: Array, keep: Keep | None) -> None:
+        """One step of rollouts that are all stiff or all not."""
+        every = lanes.size == len(self.t)
+        start = self._settled(self._now if every else self._now.of(lanes))
+        end = self._stepped(start, self._lengths(lanes, until))
+        if every:
+            self._now = end
+        else:
+            self._now.put(lanes, end)
+        if keep is not None:
+            keep(lanes, start, end)
 
     def _lengths(self, lanes: Lanes, until: Array) -> Array:
         """How long the next steps may be [s], shape (w,)."""

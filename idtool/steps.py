@@ -67,10 +67,11 @@ def implicit(forces: Forces, start: Moment, h: Array, damping: Array, stiffness:
     K = g * stiffness
     S = M.copy()
     S[:, joint, joint] += (g * (damping + K)).T
-    dv1 = solve(S, times(M, start.a) - K * v, held)
+    drift = _GAMMA * times(M, forces.later(start, h, q, v).a - start.a)  # of the forces by themselves
+    dv1 = solve(S, times(M, start.a) + drift - K * v, held)
     dq1 = v + g * dv1
     middle = forces.later(start, h, q + h * dq1, v + h * dv1)
     rest = v + h * dv1 - 2 * dq1
-    dv2 = solve(S, times(M, middle.a - 2 * dv1) - K * rest, held)
+    dv2 = solve(S, times(M, middle.a - 2 * dv1) - drift - K * rest, held)
     dq2 = rest + g * dv2
     return forces.later(start, h, q + h / 2 * (3 * dq1 + dq2), v + h / 2 * (3 * dv1 + dv2))

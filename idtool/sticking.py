@@ -14,7 +14,7 @@ from idtool.moment import Moment, cubic, root, solve
 
 Array = NDArray[np.float64]
 
-_SLIPS = 1e-6  # relative: friction this near its level no longer holds
+_SLIPS = 1e-8  # relative: friction this near its level no longer holds
 
 
 def released(now: Moment) -> Moment:
@@ -25,7 +25,7 @@ def released(now: Moment) -> Moment:
     """
     resting, rollout = now.held | (now.v == 0) & (now.s != 0), np.arange(len(now.t))
     for _ in range(2 * len(resting) + 2):
-        excess = np.where(now.held, -now.reserve + _SLIPS * now.level, 0.0)
+        excess = np.where(now.held, -now.reserve - _SLIPS * now.level, 0.0)
         against = np.where(resting & ~now.held, -now.a * now.s, 0.0)
         lets_go, stops = excess.max(axis=0) > 0, against.max(axis=0) > 0
         stops &= ~lets_go
@@ -51,6 +51,7 @@ def changes(start: Moment, end: Moment, h: Array) -> Array:
         share[stops] = root(lambda x: cubic(x, v0, v1, a0, a1), start.s[stops])
     if start.held.any():
         before, after = start.reserve, end.reserve
-        slips = start.held & (after < 0) & (before > _SLIPS * start.level)
-        share[slips] = before[slips] / (before[slips] - after[slips])
+        aim = 2 * _SLIPS * start.level
+        slips = start.held & (after < -aim) & (before > -aim)
+        share[slips] = (before + aim)[slips] / (before[slips] - after[slips])
     return share
