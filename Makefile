@@ -22,7 +22,7 @@ test-slow: $(READY)  ## what takes longer than CI allows
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m slow
 
 benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
-	for script in lmi mcap_reading memory reduced_solve regressor startup; do \
+	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \
 		OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 samples: $(READY)  ## make the sample logs anew in MuJoCo

@@ -1,11 +1,11 @@
 """Simulated seconds a wall second, against a Python loop over Pinocchio's forward dynamics.
 
-Run ``python benchmarks/simulate.py [FOLDER]``: the leg under its logged torque, in windows of a second; with FOLDER, which
-holds go2.urdf and chirp_7.csv (not part of this repository), also the quadruped closed loop over the whole log.
+Run ``python benchmarks/simulate.py [FOLDER]``: the leg under its logged torque, in windows of a second; with FOLDER,
+which holds go2.urdf and chirp_7.csv (not part of this repository), also the quadruped closed loop over the whole log.
 
 The loop is what one would write in an afternoon: `pin.aba` with the rotors as armature, friction rounded to
-c tanh(v / 0.01), once with a semi-implicit Euler step a millisecond, once with a step of Runge–Kutta's method of order 4.
-It has neither sticking nor the rotors' gyroscopic torque, nor does it find when friction changes its direction.
+c tanh(v / 0.01), once with a semi-implicit Euler step a millisecond, once with a step of Runge–Kutta's method of order
+4. It has neither sticking nor the rotors' gyroscopic torque, nor does it find when friction changes its direction.
 """
 
 from __future__ import annotations

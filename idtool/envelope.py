@@ -35,10 +35,10 @@ class Trace:
 class Envelope:
     """Collects the least and greatest value of every curve in stretches of time, so that no spike is lost."""
 
-    def __init__(self, parts: Sequence[slice], t: Array) -> None:
+    def __init__(self, parts: Sequence[slice], t: Array, points: int = _POINTS) -> None:
         self.start, self.stop = float(t[parts[0].start]), float(t[parts[-1].stop - 1])
         samples = sum(part.stop - part.start for part in parts)
-        self.bins = min(_POINTS, max(samples, 1))
+        self.bins = min(points, max(samples, 1))
         self.low: dict[str, Array] = {}
         self.high: dict[str, Array] = {}
 

@@ -137,6 +137,7 @@ def prepare(
     logs: Sequence[Path],
     validate: Sequence[Path] = (),
     holdout: float = 0.3,
+    seen_as: Callable[[Log], Log] = lambda log: log,
 ) -> Experiment:
     """Read the logs and put model and data together.
 
@@ -152,6 +153,8 @@ def prepare(
         Whole logs for validation; where given, nothing is held out of the others.
     holdout
         Share at the end of every log that is kept for validation.
+    seen_as
+        A log as read → what it is taken for.
 
     Raises
     ------
@@ -164,7 +167,10 @@ def prepare(
         raise LogError("logs", "none given; name at least one MCAP or CSV file")
     options = config.log
     fitted, kept = (
-        [read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale)) for path in paths]
+        [
+            seen_as(read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale)))
+            for path in paths
+        ]
         for paths in (logs, validate)
     )
     every = (*fitted, *kept)
@@ -231,7 +237,7 @@ def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> NDA
     config = config.model_copy(update={"joints": joints})
     model = build_model(robot, config, joints)
     coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
-    values = {(c.effect, c.owner, c.name): c.prior for c in coefficients}
+    values = {c.key: c.prior for c in coefficients}
     if {body.name for body in model.bodies} != {body.name for body in experiment.model.bodies}:
         raise ModelError(robot.path, "has not the same bodies as the model; compare URDFs of one robot")
-    return np.array([values.get((c.effect, c.owner, c.name), 0.0) for c in experiment.equation.coefficients])
+    return np.array([values.get(c.key, 0.0) for c in experiment.equation.coefficients])

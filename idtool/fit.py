@@ -14,7 +14,9 @@ from idtool.identify import Estimate, identify, stuck_note
 from idtool.inertia import SIZE, pseudo_inertia
 from idtool.local import LOCAL
 from idtool.prior import moved_priors
+from idtool.replay import Replay, replay
 from idtool.sets import ConstraintSet, choose_set
+from idtool.simulation_report import simulation_notes
 from idtool.uncertainty import Uncertainty, uncertainty
 from idtool.validate import Evaluation, evaluate
 
@@ -35,6 +37,8 @@ class Fit:
         Standard errors.
     train, validation
         Errors of the ``identified`` and the ``prior`` model; ``validation`` has no samples where nothing was held out.
+    simulation
+        The same models run forwards, on what was held out, else on the training data; None: not asked for.
     warnings
         What a user should know, a plain sentence each.
     seconds
@@ -47,6 +51,7 @@ class Fit:
     uncertainty: Uncertainty
     train: Evaluation
     validation: Evaluation
+    simulation: Replay | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -55,7 +60,7 @@ class Fit:
         return self.estimate.theta[SIZE * index : SIZE * (index + 1)]
 
 
-def fit(experiment: Experiment, progress: Progress) -> Fit:
+def fit(experiment: Experiment, progress: Progress, simulated: bool = False) -> Fit:
     """Identify.
 
     Parameters
@@ -64,6 +69,8 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
         Model and data.
     progress
         Told the stage and how far it has come.
+    simulated
+        Whether to run the identified model and the prior forwards too.
 
     Raises
     ------
@@ -92,11 +99,15 @@ def fit(experiment: Experiment, progress: Progress) -> Fit:
     models = {"identified": estimate.theta, "prior": equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)
     validation = evaluate(experiment, models, held_out=True, progress=progress)
-    if not validation.errors["identified"].samples:
+    held_out = validation.errors["identified"].samples > 0
+    if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")
     clock.append(time.perf_counter())
-    seconds = dict(zip(("reduce", "identify", "evaluate"), np.diff(clock).tolist(), strict=True))
-    return Fit(experiment, sets, estimate, errors, train, validation, tuple(warnings), seconds)
+    simulation = replay(experiment, models, held_out, progress) if simulated else None
+    warnings += simulation_notes(simulation, "identified")
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("reduce", "identify", "evaluate", "simulate"), np.diff(clock).tolist(), strict=True))
+    return Fit(experiment, sets, estimate, errors, train, validation, simulation, tuple(warnings), seconds)
 
 
 def _doubts(experiment: Experiment, estimate: Estimate) -> list[str]:

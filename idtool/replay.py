@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
 _LONGEST = 120.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it
+_DRAWN = 1000  # stretches of time in which the least and greatest position are drawn
 
 
 @dataclass
@@ -120,6 +121,8 @@ class Replay:
 def replay(experiment: Experiment, models: Mapping[str, Array], held_out: bool, progress: Progress) -> Replay:
     """Simulate the training or the held-out parts with one or more models.
 
+    Where some logs hold torque and others only a command, it is done for the latter.
+
     Parameters
     ----------
     experiment
@@ -131,14 +134,15 @@ def replay(experiment: Experiment, models: Mapping[str, Array], held_out: bool, 
     progress
         Told how far it has come.
     """
-    closed = any(run.signals.command.joints.any() for run in experiment.runs)
+    parts = [(run.signals, run.held_out if held_out else run.train) for run in experiment.runs]
+    closed = any(signals.command.joints.any() for signals, some in parts if some)
     window = None if closed else experiment.config.simulation.window
-    jobs, of = _spread(experiment, held_out, closed)
+    jobs, of = _spread(parts, window, closed)
     departures = {name: Departure.none(len(experiment.model.joints)) for name in (*models, "baseline")}
     lost, failed, traces = dict.fromkeys(models, 0), {}, []
     for signals, windows in jobs:
         measured = [_Measured(signals, part, closed) for part in windows]
-        envelope = Envelope(windows, signals.log.t)
+        envelope = Envelope(windows, signals.log.t, _DRAWN)
         for one in measured:
             departures["baseline"].add(one, *one.baseline, signals.log.dt)
             envelope.add(one.t, {"measured": one.q})
@@ -195,14 +199,15 @@ class _Measured:
         return np.where(by_command, commanded, q), np.where(by_command, speed, v)
 
 
-def _spread(experiment: Experiment, held_out: bool, closed: bool) -> tuple[list[tuple[Signals, list[slice]]], int]:
-    """The windows of every log that are simulated, and how many there are."""
-    window = None if closed else experiment.config.simulation.window
-    jobs = []
-    for run in experiment.runs:
-        parts = run.held_out if held_out else run.train
-        if parts:
-            jobs.append((run.signals, windows_of(run.signals, parts, window, again=True)))
+def _spread(
+    parts: Sequence[tuple[Signals, Sequence[slice]]], window: float | None, closed: bool
+) -> tuple[list[tuple[Signals, list[slice]]], int]:
+    """The windows that are simulated of every log that is driven in the same way, and how many there are."""
+    jobs = [
+        (signals, windows_of(signals, some, window, again=True))
+        for signals, some in parts
+        if some and signals.command.joints.any() == closed
+    ]
     of = sum(len(windows) for _, windows in jobs)
     most = of if window is None else max(int(_LONGEST / window), 1)
     if of > most:

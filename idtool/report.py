@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from idtool import __version__
 from idtool.body import Body
 from idtool.check import LinkCheck
-from idtool.config import Config
-from idtool.effects import known_effects
+from idtool.config import Config, EffectEntry
+from idtool.effects import NamedEffect, named_effect, plain
 from idtool.ellipsoid import Ellipsoid
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.simulation_report import simulation_report
 from idtool.urdf import JointDynamics
 from idtool.validate import Evaluation
 from idtool.verdict import Verdict, judge
@@ -42,6 +43,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "rms": _rms(fit, joints, raw=False),
         "rms_raw": _rms(fit, joints, raw=True),
         "nrms": nrms(fit.validation if validated else fit.train, "identified", joints),
+        "simulation": simulation_report(fit.simulation, "identified", experiment),
         "noise": dict(zip(joints, estimate.noise.tolist(), strict=True)),
         "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         "friction": {joint: friction_report(fit, joint) for joint in joints},
@@ -211,9 +213,8 @@ def model_config(fit: Fit) -> dict[str, Any]:
     data["joints"] = list(experiment.equation.joints)
     data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
     data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.equation.joints}
-    for entry in data.get("effects", ()):
-        name = known_effects()[entry["effect"]].name
-        entry["parameters"][name] = _term(fit, entry["effect"], entry["joint"])
+    for entry, given in zip(data.get("effects", ()), config.effects, strict=True):
+        entry["parameters"].update(_parameters(fit, given))
     robot_links = experiment.model.robot.links
     for i, body in enumerate(experiment.model.bodies):
         if body.kind == "rotor":
@@ -223,6 +224,16 @@ def model_config(fit: Fit) -> dict[str, Any]:
                 inertial = {"mass": mass, "com": com.tolist(), "inertia": six(inertia).tolist()}
                 data["rotors"][body.name]["inertial"] = inertial
     return data
+
+
+def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, float]]:
+    """What was identified of an effect's parameters, as the configuration has them."""
+    equation = fit.experiment.equation
+    places = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
+    i = places[named_effect(entry, fit.experiment.model).key]
+    part = slice(*equation.offsets()[i : i + 2])
+    covariance = fit.uncertainty.covariance[part, part]
+    return plain(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
 
 
 def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:
@@ -239,7 +250,11 @@ def _term(fit: Fit, effect: str, joint: str) -> dict[str, float] | bool:
 
 
 def validation_report(
-    evaluation: Evaluation, units: Mapping[str, str], band_hz: float, bounds: Mapping[str, float]
+    evaluation: Evaluation,
+    units: Mapping[str, str],
+    band_hz: float,
+    bounds: Mapping[str, float],
+    simulation: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The content of validation.json.
 
@@ -253,6 +268,8 @@ def validation_report(
         The low-pass's cut-off.
     bounds
         Largest rms in the band that is accepted, by joint or ``overall``.
+    simulation
+        From `simulation_report`.
     """
     joints = tuple(units)
     rms = {model: errors.rms(joints) for model, errors in evaluation.errors.items()}
@@ -265,6 +282,7 @@ def validation_report(
         "rms": rms,
         "rms_raw": {model: errors.rms(joints, raw=True) for model, errors in evaluation.errors.items()},
         "nrms": nrms(evaluation, "model", joints),
+        "simulation": simulation,
         "bound": dict(bounds),
         "ok": {name: rms["model"][name] <= bound for name, bound in bounds.items()},
     }

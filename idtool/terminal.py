@@ -108,6 +108,28 @@ def _figure(x: float | None) -> str:
     return "-" if x is None else f"{x:.4g}"
 
 
+def _show_simulation(terminal: Terminal, found: Mapping[str, Any] | None) -> None:
+    """Position errors of a model run forwards, by joint and by time since the restart."""
+    if found is None:
+        return
+    closed = found["kind"] == "closed_loop"
+    often = f"{found['window']:g} s at a time" if found["window"] else f"{found['seconds']:.3g} s, never restarted"
+    how = f"{'closed loop under the controller' if closed else 'open loop'}, {often}"
+    units = " or ".join(dict.fromkeys(found["units"].values()))
+    sources = {
+        "model": (found, "position"),
+        **({"prior": (found["prior"], "prior")} if found["prior"] else {}),
+        "q = qcmd" if closed else "stays": (found["baseline"], "baseline"),
+    }
+    table = _table(f"Simulated position, RMS error, {units}: {how}", "joint", *sources)
+    for name in found["position"]:
+        table.add_row(escape(name), *(_figure(of["position"][name]) for of, _ in sources.values()))
+    for at in found["horizon"]:
+        reached = (_figure((at[key] or {}).get("overall")) for _, key in sources.values())
+        table.add_row(f"after {1000 * at['seconds']:g} ms", *reached)
+    terminal.show(table)
+
+
 def show_fit(terminal: Terminal, fit: Fit, report: dict[str, Any], folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
     rms = report["rms"]
@@ -118,6 +140,7 @@ def show_fit(terminal: Terminal, fit: Fit, report: dict[str, Any], folder: Path)
         held_out = [(rms[key] or {}).get(name) for key in ("prior_validation", "validation")]
         table.add_row(escape(name), _figure(held_out[0]), _figure(rms["train"][name]), _figure(held_out[1]))
     terminal.show(table)
+    _show_simulation(terminal, report["simulation"])
     table = _table("Bodies", "body", "prior kg", "mass kg", "± se", "determined", "realizable")
     for name, body in report["bodies"].items():
         table.add_row(
@@ -157,6 +180,7 @@ def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) ->
             "" if bound is None else f"{bound:g}{met}",
         )
     terminal.show(table)
+    _show_simulation(terminal, report["simulation"])
     terminal.warn(report["warnings"])
     terminal.say(f"written: {folder}/validation.json, validation.html")
 

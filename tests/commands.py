@@ -69,16 +69,18 @@ def installed(*arguments: object, folder: Path) -> Result:
     return Result(done.returncode, done.stdout, done.stderr)
 
 
-def fitted(folder: Path, *arguments: object) -> dict[str, Any]:
+def fitted(folder: Path, *arguments: object, simulated: bool = False) -> dict[str, Any]:
     """The report of a fit that writes to a folder and succeeds."""
-    done = idtool("fit", *arguments, "--out", folder, "--quiet", "--json")
+    leave_out = [] if simulated else ["--no-simulation"]
+    done = idtool("fit", *arguments, "--out", folder, "--quiet", "--json", *leave_out)
     assert done.code == 0, done.err
     return done.json
 
 
-def validated(folder: Path, *arguments: object) -> dict[str, Any]:
+def validated(folder: Path, *arguments: object, simulated: bool = False) -> dict[str, Any]:
     """The report of a validation that writes to a folder and succeeds."""
-    done = idtool("validate", *arguments, "--out", folder, "--quiet", "--json")
+    leave_out = [] if simulated else ["--no-simulation"]
+    done = idtool("validate", *arguments, "--out", folder, "--quiet", "--json", *leave_out)
     assert done.code == 0, done.err
     return done.json
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.envelope import Trace
 from idtool.inertia import from_mass_com_inertia
-from idtool.validate import Errors, Evaluation, Trace
+from idtool.validate import Errors, Evaluation
 
 Array = NDArray[np.float64]
 

@@ -67,7 +67,19 @@ ORDER = (
         "fit",
         "regression",
     ),
-    *("barrier", "causal", "recursive", "adapt", "learning", "study", "study_report", "outputs", "export", "report", "pages"),
+    *(
+        "barrier",
+        "causal",
+        "recursive",
+        "adapt",
+        "learning",
+        "study",
+        "study_report",
+        "outputs",
+        "export",
+        "report",
+        "pages",
+    ),
     *("terminal", "cli"),
 )
 

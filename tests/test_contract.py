@@ -31,20 +31,33 @@ BODIES = {"abad_link", "thigh_link", "shank_link", "abad_rotor", "hip_rotor", "k
 LEG_YAML = LEG.with_suffix(".yaml")
 
 # Keys of report.json and of a body (contract, section 5) and the length of those that are lists.
-REPORT = {"idtool", "schema", "joints", "samples", "band_hz", "rms", "rms_raw", "bodies", "friction", "solver"}
+REPORT = {
+    "idtool",
+    "schema",
+    "joints",
+    "samples",
+    "band_hz",
+    "rms",
+    "rms_raw",
+    "bodies",
+    "friction",
+    "solver",
+    "simulation",
+}
 BODY = {
     **{"mass": None, "com": 3, "inertia_com": 6, "pi": 10, "standard_error": 10, "min_eig_pseudo_inertia": None},
     **{"ellipsoid_margin": None, "realizable": None, "identifiable": 10},
 }
 SOLVER = {"name": str, "status": str, "objective": float, "duality_gap": float, "iterations": int, "seconds": float}
-VALIDATION = {"idtool", "schema", "band_hz", "rms", "rms_raw", "nrms", "bound", "ok"}
+VALIDATION = {"idtool", "schema", "band_hz", "rms", "rms_raw", "nrms", "simulation", "bound", "ok"}
+SIMULATION = {"kind", "position", "velocity", "baseline"}
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that a fit to one log, validated on another, has written."""
     folder = tmp_path_factory.mktemp("fit")
-    fitted(folder, LEG, TRAIN, "--validate", VALIDATE)
+    fitted(folder, LEG, TRAIN, "--validate", VALIDATE, simulated=True)
     return folder
 
 
@@ -58,7 +71,8 @@ def report(out: Path) -> dict[str, Any]:
 def validation(out: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """A validation.json of the identified model and the prior."""
     folder = tmp_path_factory.mktemp("validate")
-    validated(folder, out / "identified.urdf", VALIDATE, "--prior", LEG, "--max-rms", "hip=9", "--max-rms", "9")
+    arguments = ["--prior", LEG, "--max-rms", "hip=9", "--max-rms", "9"]
+    validated(folder, out / "identified.urdf", VALIDATE, *arguments, simulated=True)
     assert {path.name for path in folder.iterdir()} == VALIDATION_FILES
     return dict(strict_json((folder / "validation.json").read_text()))
 
@@ -122,6 +136,36 @@ def test_validation_has_the_contracts_keys(validation: dict[str, Any]) -> None:
     assert set(validation["nrms"]) >= set(JOINTS)
     assert validation["bound"] == {"hip": 9, "overall": 9}
     assert validation["ok"] == {"hip": True, "overall": True}
+
+
+@pytest.mark.parametrize("source", ["report", "validation"])
+def test_simulation_has_the_contracts_keys(source: str, request: pytest.FixtureRequest) -> None:
+    """Both simulate the identified model and the prior on the same log, so they agree."""
+    simulation = request.getfixturevalue(source)["simulation"]
+    assert set(simulation) >= SIMULATION
+    assert simulation["kind"] == "open_loop"
+    assert simulation["window"] == 1.0
+    assert simulation["units"] == dict.fromkeys(JOINTS, "rad")
+    assert simulation["windows"] == {"simulated": 10, "of": 10}
+    for figures in (simulation, simulation["baseline"], simulation["prior"]):
+        assert is_rms(figures["position"])
+        assert is_rms(figures["velocity"])
+    assert [at["seconds"] for at in simulation["horizon"]] == [0.01, 0.05, 0.1, 0.5]
+    for at in simulation["horizon"]:
+        assert is_rms(at["position"])
+        assert at["position"]["overall"] < at["prior"]["overall"]
+        assert at["position"]["overall"] < at["baseline"]["overall"]
+    other = request.getfixturevalue("validation" if source == "report" else "report")["simulation"]
+    assert simulation["position"] == pytest.approx(other["position"], rel=1e-6)
+    assert simulation["prior"]["velocity"] == pytest.approx(other["prior"]["velocity"], rel=1e-6)
+    assert (simulation["lost"], simulation["prior_lost"]) == (0, 0)
+
+
+def test_what_was_not_asked_for_is_not_simulated(tmp_path: Path) -> None:
+    report = fitted(tmp_path, LEG, TRAIN)
+    assert report["simulation"] is None
+    assert report["seconds"]["simulate"] < 0.1
+    assert validated(tmp_path, LEG, VALIDATE)["simulation"] is None
 
 
 def test_what_is_printed_is_what_is_written(tmp_path: Path) -> None:
@@ -211,8 +255,8 @@ def test_the_config_beside_the_urdf_is_found(tmp_path: Path) -> None:
 
 
 def test_where_files_go_without_out(tmp_path: Path) -> None:
-    assert idtool("fit", LEG, TRAIN, "--quiet", folder=tmp_path).code == 0
-    assert idtool("validate", LEG, VALIDATE, "--quiet", folder=tmp_path).code == 0
+    for command, log in (("fit", TRAIN), ("validate", VALIDATE)):
+        assert idtool(command, LEG, log, "--quiet", "--no-simulation", folder=tmp_path).code == 0
     assert set(files(tmp_path)) == {f"leg_idtool/{name}" for name in FIT_FILES | VALIDATION_FILES}
 
 
@@ -235,7 +279,7 @@ def test_nothing_held_out_is_said(tmp_path: Path) -> None:
     report = fitted(tmp_path, LEG, TRAIN, "--holdout", "0")
     assert report["rms"]["validation"] is report["rms"]["prior_validation"] is None
     assert is_rms(report["rms"]["train"])
-    assert "nothing was held out" in idtool("fit", LEG, TRAIN, "--holdout", "0", folder=tmp_path).out
+    assert "nothing was held out" in idtool("fit", LEG, TRAIN, "--holdout", "0", "--no-simulation", folder=tmp_path).out
 
 
 def test_validate_keeps_whole_logs(tmp_path: Path, report: dict[str, Any]) -> None:

@@ -85,7 +85,7 @@ def go2(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     """A configuration, and the report of a fit with it to three runs, validated on a fourth."""
     folder = tmp_path_factory.mktemp("go2")
     config = config_with(folder / "go2.yaml", GO2_YAML, joints=request.param)
-    report = fitted(folder / "out", GO2, *GO2_FIT, "--validate", GO2_HELD_OUT, "--config", config)
+    report = fitted(folder / "out", GO2, *GO2_FIT, "--validate", GO2_HELD_OUT, "--config", config, simulated=True)
     assert report["joints"] == (request.param or list(yaml.safe_load(GO2_YAML.read_text())["controller"]["kp"]))
     return config, report
 
@@ -118,6 +118,17 @@ def test_go2_errors(go2: tuple[Path, dict[str, Any]]) -> None:
     free = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=1e-10)[0] / size
     left = evaluate(experiment, {"free": free}, held_out=True, progress=lambda stage, share: None).errors["free"]
     assert rms <= 1.1 * left.rms(equation.joints)["overall"]
+
+
+def test_go2_closed_loop(go2: tuple[Path, dict[str, Any]]) -> None:
+    """Over the whole of a log that was not fitted, never restarted: replaying another log gives 0.0031 rad."""
+    _, report = go2
+    simulation = report["simulation"]
+    assert (simulation["kind"], simulation["windows"]) == ("closed_loop", {"simulated": 1, "of": 1})
+    assert simulation["position"]["overall"] <= 0.0025
+    assert simulation["baseline"]["position"]["overall"] == pytest.approx(0.079, abs=0.001)  # the data's README
+    assert simulation["prior"]["position"]["overall"] > 3 * simulation["position"]["overall"]
+    check_bodies(report, [])
 
 
 def test_go2_files_are_the_identified_model(go2: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:

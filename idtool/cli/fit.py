@@ -11,6 +11,7 @@ from idtool.cli.options import (
     JsonOption,
     LogsArgument,
     MaxRmsOption,
+    NoSimulationOption,
     OutOption,
     QuietOption,
     UrdfArgument,
@@ -31,6 +32,7 @@ def fit_command(
     holdout: HoldoutOption = 0.3,
     validate: ValidateOption = None,
     max_rms: MaxRmsOption = None,
+    no_simulation: NoSimulationOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -51,7 +53,7 @@ def fit_command(
         progress("reading", 0.0)
         experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
         bounds = bounds_of(max_rms or [], experiment)
-        result = fit(experiment, progress)
+        result = fit(experiment, progress, simulated=not no_simulation)
         progress("writing", 0.0)
         report = fit_report(result)
         bodies = {body.name: (body, result.parameters(i)) for i, body in enumerate(experiment.model.bodies)}

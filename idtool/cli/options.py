@@ -29,6 +29,9 @@ HoldoutOption = Annotated[float, typer.Option(help="Share at the end of every lo
 ValidateOption = Annotated[
     list[Path] | None, typer.Option(help="A whole log kept for validation, in place of the holdout; repeatable.")
 ]
+NoSimulationOption = Annotated[
+    bool, typer.Option("--no-simulation", help="Leave out running the model forwards; quicker.")
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 MaxRmsOption = Annotated[
     list[str] | None,

@@ -11,6 +11,7 @@ from idtool.cli.app import app
 from idtool.cli.options import (
     JsonOption,
     MaxRmsOption,
+    NoSimulationOption,
     OutOption,
     QuietOption,
     bounds_of,
@@ -35,15 +36,16 @@ def validate_command(
     prior: Annotated[Path | None, typer.Option(help="A URDF to compare with.")] = None,
     out: OutOption = None,
     max_rms: MaxRmsOption = None,
+    no_simulation: NoSimulationOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Tell how well a model predicts the torque of logs; without arguments, run the regression on sample_logs/."""
+    """Tell how well a model predicts the torque and the motion of logs; without arguments, run the regression."""
     from idtool.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
-        if config or prior or out or max_rms:
+        if config or prior or out or max_rms or no_simulation:
             raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
         _regression(terminal)
         return
@@ -51,12 +53,14 @@ def validate_command(
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
     from idtool.pages import validation_page
+    from idtool.replay import replay
     from idtool.report import validation_report
     from idtool.robot import read_robot
+    from idtool.simulation_report import simulation_notes, simulation_report
     from idtool.terminal import show_validation
     from idtool.validate import evaluate
 
-    settings = config_of(urdf, config)
+    settings, folder = config_of(urdf, config), out or Path(f"{urdf.stem}_idtool")
     with terminal.progress() as progress:
         progress("reading", 0.0)
         experiment = prepare(read_robot(urdf), settings, [], logs or [])
@@ -66,13 +70,13 @@ def validate_command(
             own = config_of(prior, None) if prior.with_suffix(".yaml").is_file() else settings.without_friction_values()
             models["prior"] = coefficients_of(read_robot(prior), own, experiment)
         evaluation = evaluate(experiment, models, held_out=True, progress=progress)
-        report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds)
-        report["warnings"] = list(experiment.warnings)
-        write_all(
-            out or Path(f"{urdf.stem}_idtool"),
-            {"validation.json": dump(report), "validation.html": validation_page(evaluation, report, command())},
-        )
-    show_validation(terminal, report, out or Path(f"{urdf.stem}_idtool"))
+        rollouts = None if no_simulation else replay(experiment, models, held_out=True, progress=progress)
+        simulation = simulation_report(rollouts, "model", experiment)
+        report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation)
+        report["warnings"] = [*experiment.warnings, *simulation_notes(rollouts, "model")]
+        page = validation_page(evaluation, report, command(), rollouts)
+        write_all(folder, {"validation.json": dump(report), "validation.html": page})
+    show_validation(terminal, report, folder)
     finish(terminal, report, report["ok"])
 
 

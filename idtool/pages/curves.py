@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.envelope import Trace
 from idtool.validate import Evaluation
 
 Array = NDArray[np.float64]
 
-_MOST_VALUES = 120_000  # that all curves of a page hold together: some 900 kB of text
+_MOST_VALUES = 100_000  # that all curves of torque hold together: some 750 kB of text
 _MOST_LOGS = 6  # that are drawn
 _DIGITS = 5  # of a curve's largest value
 _MOST_DECIMALS = 12
@@ -38,24 +39,42 @@ def curves(evaluation: Evaluation, model: str, units: Mapping[str, str]) -> dict
     curves; ``omitted``, the number of logs that are not drawn.
     """
     names = {"measured": "measured", "predicted": model, "residual": "residual", "prior": "prior", "position": "q"}
+    return drawn(evaluation.traces, names, units, _MOST_VALUES)
+
+
+def drawn(traces: Sequence[Trace], names: Mapping[str, str], units: Mapping[str, str], most: int) -> dict[str, Any]:
+    """Traces as `curves` returns them.
+
+    Parameters
+    ----------
+    traces
+        One a log; the first few are drawn.
+    names
+        A curve's name on the page to that in the trace; one that a trace has not is left out.
+    units
+        By joint, in the order of the curves.
+    most
+        Values that all curves hold together.
+    """
     logs = []
-    traces = evaluation.traces[:_MOST_LOGS]
-    values = sum(x.size for trace in traces for x in trace.curves.values())
-    stretches = max(math.ceil(values / _MOST_VALUES), 1)
-    for trace in traces:
+    values = sum(x.size for trace in traces[:_MOST_LOGS] for x in trace.curves.values())
+    stretches = max(math.ceil(values / most), 1)
+    for trace in traces[:_MOST_LOGS]:
         start = math.floor(trace.t[0]) if abs(trace.t[0]) > _LATE else 0
-        drawn = {name: merged(trace.curves[k], stretches) for name, k in names.items() if k in trace.curves}
+        coarse = {name: merged(trace.curves[k], stretches) for name, k in names.items() if k in trace.curves}
         joints = [
-            {"name": joint, "unit": unit, **{name: rounded(x[j]) for name, x in drawn.items()}}
+            {"name": joint, "unit": unit, **{name: rounded(x[j]) for name, x in coarse.items()}}
             for j, (joint, unit) in enumerate(units.items())
         ]
         t = merged(trace.t[None] - start, stretches)[0]
         logs.append({"name": trace.name, "start": start, "t": t.round(5).tolist(), "joints": joints})
-    return {"logs": logs, "omitted": len(evaluation.traces) - len(logs)}
+    return {"logs": logs, "omitted": len(traces) - len(logs)}
 
 
 def merged(x: Array, count: int) -> Array:
     """The least and greatest value of ``count`` stretches at a time; NaN only where all are.
+
+    Where the curve falls, the greatest comes first, so that a smooth one is drawn smooth.
 
     Parameters
     ----------
@@ -70,7 +89,10 @@ def merged(x: Array, count: int) -> Array:
     """
     short = -x.shape[1] % (2 * count)
     blocks = np.pad(x, [(0, 0), (0, short)], constant_values=np.nan).reshape(len(x), -1, 2 * count)
-    pairs = np.stack([np.fmin.reduce(blocks, axis=-1), np.fmax.reduce(blocks, axis=-1)], axis=-1)
+    low, high = np.fmin.reduce(blocks, axis=-1), np.fmax.reduce(blocks, axis=-1)
+    around = np.pad(low + high, [(0, 0), (1, 1)], mode="edge")
+    falls = around[:, 2:] < around[:, :-2]
+    pairs = np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=-1)
     return np.asarray(pairs.reshape(len(x), -1))
 
 

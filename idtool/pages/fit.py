@@ -10,11 +10,13 @@ from idtool.pages.base import render
 from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
+from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 
 _SECTIONS = (
     ("What was found", "fit_findings.html"),
     ("Torque error", "fit_errors.html"),
     ("Measured and predicted torque", "torques.html"),
+    SIMULATION,
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
     ("Bodies in 3D", "bodies_3d.html"),
@@ -40,11 +42,16 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
     held_out = own is not None
     return render(
         f"{Path(report['urdf']).stem}: identified dynamics",
-        _SECTIONS,
-        ["torques.js", "bodies.js"],
-        {**curves(fit.validation if held_out else fit.train, "identified", units), **body_views(report["bodies"])},
+        with_simulation(_SECTIONS, report),
+        ["torques.js", "lines.js", "positions.js", "bodies.js"],
+        {
+            **curves(fit.validation if held_out else fit.train, "identified", units),
+            **simulation_view(fit.simulation, report, "identified"),
+            **body_views(report["bodies"]),
+        },
         report=report,
         groups=by_unit(units),
+        **simulation_text(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
         worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
         determined=fit.uncertainty.identifiable,

@@ -52,6 +52,27 @@ const plots = (() => {
   const drawn = () => all().filter((plot) => plot.dataset.drawn);
   const redraw = () => drawn().forEach(draw);
   const hidden = (plot) => plot.closest("details:not([open])");
+
+  // Have the plots of one log show the same stretch of time, which the log remembers as its range.
+  const shows = new Map();
+  let following = false;
+
+  function together(plot, log) {
+    shows.set(plot, log);
+    if (!plot.dataset.drawn) plot.on("plotly_relayout", (change) => follow(plot, change));
+  }
+
+  function follow(plot, change) {
+    const whole = change["xaxis.autorange"];
+    if (following || !(whole || "xaxis.range[0]" in change)) return;
+    const log = shows.get(plot);
+    log.range = whole ? undefined : [change["xaxis.range[0]"], change["xaxis.range[1]"]];
+    const others = drawn().filter((other) => other !== plot && shows.get(other) === log);
+    following = true;
+    const same = () => (whole ? { "xaxis.autorange": true } : { "xaxis.range": [...log.range] });
+    Promise.all(others.map((other) => Plotly.relayout(other, same()))).finally(() => { following = false; });
+  }
+
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   addEventListener("beforeprint", () => {
     root.classList.add("paper");
@@ -64,5 +85,5 @@ const plots = (() => {
   });
 
   const data = JSON.parse(document.getElementById("data").textContent);
-  return { data, touch, color, axis, layout, config, watch, draw, drawn, redraw, erase };
+  return { data, touch, color, axis, layout, config, watch, together, draw, drawn, redraw, erase };
 })();

@@ -37,20 +37,7 @@
     const log = logs[plot.dataset.log];
     const joint = log.joints[plot.dataset.joint];
     Plotly.react(plot, traces(log, joint), layout(log, joint), plots.config());
-    if (!plot.dataset.drawn) plot.on("plotly_relayout", (change) => follow(plot, change));
-  }
-
-  let following = false;
-
-  function follow(plot, change) {
-    const whole = change["xaxis.autorange"];
-    if (following || !(whole || "xaxis.range[0]" in change)) return;
-    const log = logs[plot.dataset.log];
-    log.range = whole ? undefined : [change["xaxis.range[0]"], change["xaxis.range[1]"]];
-    const others = plots.drawn().filter((other) => other !== plot && other.dataset.log === plot.dataset.log);
-    following = true;
-    const same = () => (whole ? { "xaxis.autorange": true } : { "xaxis.range": [...log.range] });
-    Promise.all(others.map((other) => Plotly.relayout(other, same()))).finally(() => { following = false; });
+    plots.together(plot, log);
   }
 
   plots.watch(document.querySelectorAll("[data-log]"), draw);

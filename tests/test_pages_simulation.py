@@ -1,0 +1,178 @@
+"""The section on simulation: what is drawn, tabled and said of it, and nothing where there was none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pages import Page, complete, evaluation_of
+from replays import experiment_of, replay_of
+
+from idtool.pages import validation_page
+from idtool.replay import Departure, Replay
+from idtool.report import validation_report
+from idtool.simulation_report import simulation_report
+
+Array = NDArray[np.float64]
+
+UNITS = {"j0": "N·m", "j1": "N"}
+
+
+@pytest.fixture
+def motion(rng: np.random.Generator) -> dict[str, Array]:
+    """Positions measured, of a model that runs away for a while, and of a prior that does at once; with a gap."""
+    measured = np.sort(rng.normal(size=(2, 200, 2)), axis=-1).reshape(2, 400)
+    model, prior = measured + 0.1, measured + 1e4
+    model[:, 300:320] = 500.0
+    measured[:, 100:140] = model[:, 100:140] = prior[:, 100:140] = np.nan
+    return {"measured": measured, "model": model, "prior": prior}
+
+
+def page_of(replay: Replay | None, **changes: Any) -> Page:
+    """validation.html of a simulation, and made-up torques."""
+    evaluation = evaluation_of({name: np.ones((2, 4)) for name in ("measured", "model", "prior")})
+    simulation = simulation_report(replay, "model", experiment_of(UNITS))
+    if simulation:
+        simulation |= changes
+    report = validation_report(evaluation, UNITS, 40.0, {}, simulation)
+    return Page(validation_page(evaluation, report, "idtool validate x", replay))
+
+
+def test_the_page_is_complete_in_itself(motion: dict[str, Array]) -> None:
+    complete(page_of(replay_of(motion)))
+    complete(page_of(replay_of(motion, closed=True)))
+
+
+def test_the_curves_are_those_of_the_simulation(motion: dict[str, Array]) -> None:
+    simulation = page_of(replay_of(motion)).data["simulation"]
+    (log,) = simulation["logs"]
+    assert simulation["omitted"] == 0
+    assert log["name"] == "log 0"
+    assert [joint["unit"] for joint in log["joints"]] == ["rad", "m"]
+    for j, joint in enumerate(log["joints"]):
+        for name, drawn in (("measured", "measured"), ("model", "simulated"), ("prior", "prior")):
+            pairs = np.sort(np.array(joint[drawn], dtype=float).reshape(-1, 2))
+            wanted = np.sort(motion[name][j].reshape(-1, 2))
+            np.testing.assert_allclose(pairs, wanted, atol=1e-4 * np.nanmax(np.abs(wanted)))
+
+
+def test_what_runs_away_does_not_flatten_what_was_measured(motion: dict[str, Array]) -> None:
+    """A curve that leaves the measured range is shown for half of it beyond."""
+    (log,) = page_of(replay_of(motion)).data["simulation"]["logs"]
+    for joint, measured in zip(log["joints"], motion["measured"], strict=True):
+        low, high = joint["range"]
+        least, greatest = np.nanmin(measured), np.nanmax(measured)
+        span = greatest - least
+        assert least - 0.1 * span < low < least
+        assert greatest + 0.5 * span < high < greatest + 0.6 * span
+
+
+def test_a_joint_at_rest_has_a_range() -> None:
+    still = np.zeros((2, 40))
+    (log,) = page_of(replay_of({"measured": still, "model": still})).data["simulation"]["logs"]
+    assert log["joints"][0]["range"] == [-0.01, 0.01]
+
+
+def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
+    page = page_of(replay_of(motion))
+    rows = [row for row in page.rows if row[0].strip() in UNITS and len(row) == 7]
+    assert [[cell.strip() for cell in row[1:]] for row in rows] == [
+        ["0.100", "0.200", "0.900", "0.200", "0.400", "1.80"]
+    ] * 2
+    heads = [row[1] for row in page.rows if row[-1].startswith("velocity")]
+    assert heads == ["position [rad]", "position [m]", "position [rad and m together]"]
+
+
+def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: dict[str, Array]) -> None:
+    page = page_of(replay_of(motion))
+    assert "10 times of 12, spread over the logs, each for 0.5 s from the measured state" in page.plain
+    assert "stays where it was" in page.plain
+    chart = page.data["charts"]["horizon"]
+    assert chart["x"] == {"values": [0.01, 0.05, 0.1, 0.5], "title": "time since the restart [s]", "log": True}
+    (panel,) = chart["panels"]
+    assert panel["log"]
+    assert {line["name"]: line["y"] for line in panel["lines"]} == {
+        "model": [0.001, 0.005, 0.01, 0.05],
+        "prior": [0.002, 0.01, 0.02, 0.1],
+        "stays where it was": [0.009, 0.045, 0.09, 0.45],
+    }
+    assert [attrs["data-chart"] for _, attrs in page.tags if "data-chart" in attrs] == ["horizon"]
+
+
+def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
+    page = page_of(replay_of(motion, closed=True))
+    assert (
+        "under the joint controller, on the logged command and with its delay, over 5.00 s; never restarted"
+        in page.plain
+    )
+    assert "q = qcmd" in page.plain
+    assert page.data["charts"] == {}
+    assert not [attrs for _, attrs in page.tags if "data-chart" in attrs]
+
+
+@pytest.mark.parametrize(
+    ("own", "level", "said"),
+    [
+        (0.1, "good", "0.100 rad and m together RMS"),
+        (0.3, "note", "the prior's, 0.200"),  # worse than the prior
+        (1.5, "note", "so it drifts: 0.0150 rad and m together after 0.01 s"),  # worse than what does not move
+        (float("nan"), "note", "runs away"),
+    ],
+)
+def test_the_finding(motion: dict[str, Array], own: float, level: str, said: str) -> None:
+    replay = replay_of(motion)
+    squares = np.full(2, 1000 * own**2)
+    after = {0.01: (np.full(2, 10 * (0.01 * own) ** 2), 10)}
+    page = page_of(
+        replace(replay, departures={**replay.departures, "model": Departure(squares, squares, 1000, 1000, after)})
+    )
+    assert page.levels[1] == level
+    assert said in page.plain
+
+
+def test_a_rollout_that_ran_away_is_said(motion: dict[str, Array]) -> None:
+    page = page_of(replay_of(motion, lost={"model": 3, "prior": 0}))
+    assert "3 of 10 ran away and were stopped." in page.plain
+    assert page.levels[1] == "note"
+
+
+def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> None:
+    """Not even where it was simulated on the first log before it failed on the next."""
+    replay = replay_of(motion, failed={"prior": "no inertia"})
+    del replay.departures["prior"]  # type: ignore[attr-defined]
+    page = page_of(replay)
+    assert [row for row in page.rows if len(row) == 5 and row[0] in UNITS]
+    assert "simulated-prior" not in {attrs.get("id") for _, attrs in page.tags}
+    assert "prior" not in page.data["simulation"]["logs"][0]["joints"][0]
+    assert [line["name"] for line in page.data["charts"]["horizon"]["panels"][0]["lines"]] == [
+        "model",
+        "stays where it was",
+    ]
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_without_a_simulation_there_is_no_section(motion: dict[str, Array], asked: bool) -> None:
+    page = page_of(replay_of(motion, failed={"model": "no inertia"}) if asked else None)
+    assert "simulation" not in page.data
+    assert "Simulation" not in page.text
+    complete(page)
+
+
+def test_many_joints_and_logs_stay_small(rng: np.random.Generator) -> None:
+    curves = {name: rng.normal(size=(2, 4000)) for name in ("measured", "model", "prior")}
+    page = page_of(replay_of(curves, logs=20))
+    assert len(page.html.encode()) < 6e6
+    simulation = page.data["simulation"]
+    assert len(simulation["logs"]) + simulation["omitted"] == 20
+    assert f"{simulation['omitted']} more logs are not drawn." in page.plain
+    values = sum(
+        len(joint[k])
+        for log in simulation["logs"]
+        for joint in log["joints"]
+        for k in joint
+        if isinstance(joint[k], list)
+    )
+    assert values < 41_000
