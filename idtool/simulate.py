@@ -230,7 +230,7 @@ class _Run:
         step = stride(signals) * signals.log.dt
         self.rollouts = _started(mechanism, self._t0, q + self._offset, v, self._drive, min(step, LONGEST_STEP))
         self.begun = self.rollouts.state
-        self._q, self._v = np.empty((2, len(q), len(windows), self._last.max() + 1))
+        self._q, self._v = np.zeros((2, len(q), len(windows), self._last.max() + 1))
         self._lost = np.zeros(len(windows), dtype=bool)
 
     def resume(self, lanes: Lanes, state: Array) -> None:

@@ -143,6 +143,15 @@ def test_closed_loop_the_baseline_is_the_command(discs: Build, given: bool) -> N
     assert (velocity["j1"], velocity["j2"]) == pytest.approx(wanted, abs=2e-3)
 
 
+def test_of_logs_of_both_kinds_those_with_a_command_are_simulated(discs: Build) -> None:
+    torque = swinging(3)
+    command = {"q": torque["q"], "v": torque["v"], "qcmd": torque["q"]}
+    for logs in ((torque, command), (command, torque)):
+        experiment = discs(*logs, controller={"kp": {"j1": 5, "j2": 5}})
+        found = replay(experiment, {"model": experiment.equation.prior}, True, quietly)
+        assert (found.kind, found.windows, found.of, len(found.traces)) == ("closed_loop", 1, 1, 1)
+
+
 def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two minutes of two logs, 150 and 50 s long; what the simulation gave is what is compared."""
     seen: dict[str, list[slice]] = {}
