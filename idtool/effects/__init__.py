@@ -53,6 +53,8 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
         If the configuration names an effect or joint that is not known, gives a parameter that the effect has not or
         that cannot be, or has the same effect twice.
     """
+    for entry in config.effects:
+        model = named_effect(entry, model).alter(model)
     found = {effect.key: effect for j in range(len(model.joints)) for effect in _friction(model, j, config)}
     entries: set[tuple[str | float, ...]] = set()
     for entry in config.effects:
