@@ -24,7 +24,8 @@ from idtool.experiment import Experiment, prepare
 from idtool.mechanism import Mechanism
 from idtool.robot import read_robot
 from idtool.signals import Signals
-from idtool.simulate import simulate, windows_of
+from idtool.simulate import simulate
+from idtool.windows import windows_of
 
 Array = NDArray[np.float64]
 Torque = Callable[[float, Array, Array], Array]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from idtool.mechanism import Mechanism
 from idtool.moment import Lanes
 from idtool.signals import Signals
+from idtool.windows import starts, stretch_of
 
 Array = NDArray[np.float64]
 
@@ -138,15 +139,3 @@ def _clipped(read: Callable[[slice], Array], first: int, length: int, stretch: s
     """Samples of a signal, those that lie outside its stretch being as at its end."""
     start, stop = max(first, stretch.start), min(first + length, stretch.stop)
     return np.pad(read(slice(start, stop)), [(0, 0), (start - first, first + length - stop)], mode="edge")
-
-
-def stretch_of(signals: Signals, window: slice) -> slice:
-    """The stretch of the log without a gap that a window lies in."""
-    parts: list[slice] = signals.channels.parts()
-    return next(part for part in parts if part.start <= window.start < part.stop)
-
-
-def starts(signals: Signals, windows: Sequence[slice]) -> Array:
-    """When windows begin, since the log's first sample [s], shape (W,)."""
-    firsts = [signals.channels.times(slice(window.start, window.start + 1))[0] for window in windows]
-    return np.asarray(np.array(firsts) - signals.log.t[0])

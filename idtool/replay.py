@@ -21,7 +21,8 @@ from idtool.exceptions import ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.mechanism import Mechanism
 from idtool.signals import Signals
-from idtool.simulate import measured_states, simulate, windows_of
+from idtool.simulate import simulate
+from idtool.windows import measured_states, windows_of
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.drive import Drive, starts, stretch_of, stride
+from idtool.drive import Drive, stride
 from idtool.exceptions import ModelError
 from idtool.integrate import LONGEST_STEP, Rollouts
 from idtool.mechanism import Mechanism
 from idtool.moment import Lanes, Moment, between
 from idtool.signals import Signals
+from idtool.windows import measured_states, starts
 
 Array = NDArray[np.float64]
 
@@ -29,8 +30,6 @@ _PIECE = 1.0  # s
 _SAME = 1e-6  # of a sample
 _JOINED = 1e-7  # SI: by how much a piece may begin elsewhere than the one before it ended
 _PASSES = 5  # over all pieces together, before they are done one by one
-_AROUND = 0.25  # periods of the band to either side from which a state is taken
-_FEWEST = 3  # samples to either side for that, at least
 _FASTEST = 1e4  # rad/s or m/s: a rollout beyond it has lost its way
 
 
@@ -54,60 +53,6 @@ class Simulated:
     v: Array
     tau: Array
     lost: NDArray[np.bool_]
-
-
-def windows_of(signals: Signals, parts: Sequence[slice], seconds: float | None, again: bool = False) -> list[slice]:
-    """Windows of so many seconds, one after the other.
-
-    Parameters
-    ----------
-    signals
-        The log.
-    parts
-        Samples of it, no gap within one. One that reaches to the first or last sample that has all derivatives is
-        taken to begin or end with its stretch.
-    seconds
-        None: one window a part.
-    again
-        Whether a window ends with the sample that the next one begins with.
-    """
-    windows = []
-    for part in parts:
-        stretch = stretch_of(signals, part)
-        usable = next(whole for whole in signals.ranges if whole.start <= part.start < whole.stop)
-        start = stretch.start if part.start == usable.start else part.start
-        stop = stretch.stop if part.stop == usable.stop else part.stop
-        every = stop - start if seconds is None else max(round(seconds / signals.log.dt), 1)
-        firsts = range(start, stop - 1, every)
-        windows += [slice(first, min(first + every + again, stop)) for first in firsts]
-    return windows
-
-
-def measured_states(signals: Signals, samples: Sequence[int]) -> tuple[Array, Array]:
-    """Position and velocity at samples of a log, from a parabola through the positions around them.
-
-    Parameters
-    ----------
-    signals
-        The log.
-    samples
-        Their W indices.
-
-    Returns
-    -------
-    q, v, shape (nv, W) each.
-    """
-    dt = signals.log.dt
-    reach = max(_FEWEST, round(_AROUND / (signals.band_hz * dt)))
-    states = np.zeros((len(samples), 2, len(signals.joints)))
-    for state, sample in zip(states, samples, strict=True):
-        within = stretch_of(signals, slice(sample, sample + 1))
-        near = slice(max(sample - reach, within.start), min(sample + reach + 1, within.stop))
-        steps = np.arange(near.start, near.stop) - sample
-        powers = np.vander(steps * dt, min(3, len(steps)), increasing=True)
-        found = np.linalg.lstsq(powers, signals.channels.signal("q", near).T, rcond=None)[0][:2]
-        state[: len(found)] = found
-    return states[:, 0].T.copy(), states[:, 1].T.copy()
 
 
 def simulate(

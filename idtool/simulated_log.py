@@ -17,7 +17,8 @@ from idtool.exceptions import LogError, ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.logs import Log, make_log
 from idtool.signals import Signals
-from idtool.simulate import simulate, windows_of
+from idtool.simulate import simulate
+from idtool.windows import windows_of
 
 Array = NDArray[np.float64]
 

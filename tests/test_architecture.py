@@ -54,6 +54,7 @@ ORDER = (
         "dynamics",
         "gears",
         "moment",
+        "windows",
         "drive",
         "forces",
         "steps",

@@ -24,7 +24,8 @@ from idtool.logs.log import Log, make_log
 from idtool.mechanism import Mechanism
 from idtool.robot import Robot
 from idtool.signals import Signals
-from idtool.simulate import Simulated, measured_states, simulate, windows_of
+from idtool.simulate import Simulated, simulate
+from idtool.windows import measured_states, windows_of
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

@@ -1,0 +1,69 @@
+"""`HeldEffect`, `HeldJointEffect`: effects whose parameters are all held, which add no unknown to the equation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.base import Coefficient
+from idtool.effects.joint_effect import JointEffect
+from idtool.effects.named import NamedEffect, Value
+from idtool.model import Model
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+
+class HeldEffect(NamedEffect):
+    """An effect without coefficients.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    """
+
+    coefficients: tuple[Coefficient, ...] = ()
+
+    def __init__(self, model: Model) -> None:
+        self.active = tuple(np.arange(0) for _ in model.joints)
+
+    def write(self, motion: Motion, out: Sequence[Array]) -> None:
+        """See `Effect.write`; there is no column."""
+
+    def parameters(self, theta: Array, covariance: Array) -> dict[str, Value]:
+        """See `NamedEffect.parameters`; none is identified."""
+        return {}
+
+
+class HeldJointEffect(HeldEffect, JointEffect):
+    """An effect on one joint without coefficients.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    joint
+        Index of the joint.
+    shape
+        Values of the parameters.
+    """
+
+    joint: int
+
+    def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
+        HeldEffect.__init__(self, model)
+        JointEffect.__init__(self, model, joint, shape)
+
+    @classmethod
+    def made(cls) -> tuple[str, ...]:
+        """See `JointEffect.made`."""
+        return ()
+
+    @classmethod
+    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
+        """See `JointEffect.with_values`."""
+        return cls(model, joint, shape)

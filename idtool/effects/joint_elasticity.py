@@ -1,0 +1,87 @@
+"""Joints whose motor and link sides are joined by a spring."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.held_effect import HeldJointEffect
+from idtool.effects.joint_effect import Held
+from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate
+from idtool.inertia import symmetric
+from idtool.mechanism import Gear, Mechanism
+from idtool.model import Model
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+_DAMPING = 0.05  # of what is critical: harmonic drives and belts have a few per cent
+_BAND = 14.0  # Hz, below which torque tells the deflection and its second derivative is not mostly noise
+_OF_RATE = 0.2  # or this share of the sampling rate
+_ORDER = 4
+
+
+class JointElasticity(HeldJointEffect):
+    """Motor side less link side = carried torque / stiffness.
+
+    The joint is measured and driven at the motor's side, where its rotors turn; friction and all other effects act at
+    the link's. Forwards it is a spring with a damper of 5 % of what is critical for the motor, which needs a rotor or
+    `rotor_inertia` on the joint.
+
+    In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
+    torque, less what the rotors take of it by their prior, below 14 Hz. What the rotors take more than they would if
+    they turned with the link is known then too. That of a `rotor_inertia` is not: give a heavy rotor under `rotors`.
+    """
+
+    id = "joint_elasticity"
+    held = (Held("stiffness", positive=True),)
+
+    def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
+        super().__init__(model, joint, shape)
+        self._rotors = np.zeros((len(model.joints), len(model.joints)))  # torque on each joint per acceleration of each
+        for body in model.bodies:
+            if body.kind == "rotor":
+                axial = float(body.axis @ symmetric(body.pi[4:]) @ body.axis)
+                self._rotors += axial * np.outer(body.ratios, body.ratios)
+
+    def true(self, motion: Motion) -> Motion:
+        """See `Effect.true`: the link's motion."""
+        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+        for x, deflection in zip((q, v, a), self._deflection(motion.tau, motion.a, motion.dt), strict=True):
+            x[self.joint] -= deflection
+        return replace(motion, q=q, v=v, a=a)
+
+    def known(self, motion: Motion) -> Array:
+        """See `Effect.known`: what it takes to turn the rotors ahead of the link, the link's motion being given."""
+        ahead = self._deflection(motion.tau, motion.a, motion.dt)[2]
+        return np.outer(self._rotors[:, self.joint], ahead)
+
+    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+        """Where the deflection is not known, since its filter reaches beyond the samples."""
+        edge = min(_low_pass(motion.dt).edge, len(motion.t))
+        mask = np.zeros(len(motion.t), dtype=bool)
+        mask[:edge] = mask[len(mask) - edge :] = True
+        return dict.fromkeys(range(len(motion.q)), mask)
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        play = mechanism.gears[self.joint].play if self.joint in mechanism.gears else 0.0
+        mechanism.gears[self.joint] = Gear(self.shape["stiffness"], _DAMPING, play)
+
+    def _deflection(self, tau: Array, a: Array, dt: float) -> tuple[Array, Array, Array]:
+        """The deflection and its first two derivatives, shape (N,)."""
+        carried = tau[self.joint] - self._rotors[self.joint] @ a
+        low_pass, r = _low_pass(dt), 2 * DIFFERENCE_REACH
+        around = np.pad(carried, low_pass.reach + r, mode="reflect", reflect_type="odd")
+        x = low_pass(around[None], low_pass.reach, low_pass.reach) / self.shape["stiffness"]
+        v = differentiate(x, dt)
+        return x[0, r:-r], v[0, r // 2 : -(r // 2)], differentiate(v, dt)[0]
+
+
+@cache
+def _low_pass(dt: float) -> LowPass:
+    return LowPass(min(_BAND, _OF_RATE / dt), _ORDER, dt)

@@ -1,0 +1,95 @@
+"""Torque that is recorded late or early against the position."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from idtool.config import EffectEntry
+from idtool.effects.held_effect import HeldEffect
+from idtool.effects.named import check_names, joint_index, number, place
+from idtool.exceptions import ConfigError
+from idtool.mechanism import Mechanism
+from idtool.model import Model
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+_LONGEST = 1.0  # s: what is later belongs to another motion
+
+
+class TimeDelay(HeldEffect):
+    """The measured torque is the true one a delay before; below zero, after.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    delay
+        In seconds.
+    joint
+        Index of the joint whose torque it is; None: all.
+    """
+
+    id = "time_delay"
+
+    def __init__(self, model: Model, delay: float, joint: int | None = None) -> None:
+        super().__init__(model)
+        self.delay = delay
+        self.joints = np.arange(len(model.joints)) if joint is None else np.array([joint])
+        self._owner = "all joints" if joint is None else model.names[joint]
+        self._dt = 0.0
+
+    @classmethod
+    def of(cls, entry: EffectEntry, model: Model) -> Self:
+        """See `NamedEffect.of`."""
+        if entry.link is not None:
+            raise ConfigError(place(entry), "acts on a joint, or on all without one; give no link")
+        check_names(entry, ("delay",))
+        joint = None if entry.joint is None else joint_index(entry, entry.joint, model)
+        delay = number(entry, "delay")
+        if not abs(delay) <= _LONGEST:
+            raise ConfigError(place(entry), f"delay of {delay:g} s cannot be told; give one within {_LONGEST:g} s")
+        return cls(model, delay, joint)
+
+    @property
+    def key(self) -> tuple[str | float, ...]:
+        """See `NamedEffect.key`."""
+        return self.id, self._owner
+
+    def true(self, motion: Motion) -> Motion:
+        """See `Effect.true`; at the ends of the samples, torque that lies beyond them is as there."""
+        self._dt = motion.dt  # `measured` is not told; it is called on samples that have been here
+        return replace(motion, tau=self._late(motion.tau, -self.delay / motion.dt))
+
+    def measured(self, tau: Array) -> Array:
+        """See `Effect.measured`."""
+        return self._late(tau, self.delay / self._dt)
+
+    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+        """Where the torque lies beyond the samples."""
+        mask = np.zeros(len(motion.t), dtype=bool)
+        beyond = int(np.ceil(abs(self.delay) / motion.dt))
+        mask[: beyond if self.delay < 0 else 0] = True
+        mask[len(mask) - (beyond if self.delay > 0 else 0) :] = True
+        return {int(joint): mask for joint in self.joints}
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        mechanism.torque_late[self.joints] += self.delay
+
+    def _late(self, tau: Array, samples: float) -> Array:
+        """The torque of the joints so many samples before, shape (..., nv, N): on a spline of order 5.
+
+        A straight line between samples would damp what is near the end of the band.
+        """
+        tau = tau.copy()
+        for row in np.ndindex(tau.shape[:-2]):
+            for joint in self.joints:
+                own = tau[*row, joint]
+                own[:] = ndimage.shift(own, samples, order=5, mode="nearest")
+        return tau

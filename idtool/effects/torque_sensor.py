@@ -1,0 +1,102 @@
+"""Torque sensors, and what is used as one, that give another torque than the true one.
+
+Several on a joint lie one behind the other: the first in the configuration is nearest to the log.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.held_effect import HeldJointEffect
+from idtool.effects.joint_effect import Held
+from idtool.mechanism import Mechanism, TorqueSensor
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+
+class Sensor(HeldJointEffect):
+    """A one-to-one map between the true and the measured torque of a joint."""
+
+    @abstractmethod
+    def given(self, tau: Array) -> Array:
+        """The measured torque of the joint, from the true one; elementwise."""
+
+    @abstractmethod
+    def meant(self, tau: Array) -> Array:
+        """The true torque of the joint, from the measured one; elementwise."""
+
+    def true(self, motion: Motion) -> Motion:
+        """See `Effect.true`."""
+        tau = motion.tau.copy()
+        tau[self.joint] = self.meant(tau[self.joint])
+        return replace(motion, tau=tau)
+
+    def measured(self, tau: Array) -> Array:
+        """See `Effect.measured`."""
+        tau = tau.copy()
+        tau[..., self.joint, :] = self.given(tau[..., self.joint, :])
+        return tau
+
+    def join(self, theta: Array, mechanism: Mechanism) -> None:
+        """See `Effect.join`."""
+        own, nearer = TorqueSensor(self.given, self.meant), mechanism.sensors.get(self.joint)
+        mechanism.sensors[self.joint] = own if nearer is None else _behind(own, nearer)
+
+
+class TorqueGain(Sensor):
+    """Measured = gain × true: a torque constant, gear ratio or efficiency taken for another."""
+
+    id = "torque_gain"
+    held = (Held("gain", positive=True),)
+
+    def given(self, tau: Array) -> Array:
+        """See `Sensor.given`."""
+        return np.asarray(self.shape["gain"] * tau)
+
+    def meant(self, tau: Array) -> Array:
+        """See `Sensor.meant`."""
+        return np.asarray(tau / self.shape["gain"])
+
+
+class TorqueSaturation(Sensor):
+    """Measured torque that bends away from the true one beyond a level.
+
+    With x and y what the true and the measured torque have above the level in size:
+
+    - bend ≥ 0: x = y + bend y²/2. The measured torque falls behind, as that of a strain gauge at the end of its range
+      does; its slope is 1 at the level and half of that where y = 1 / bend.
+    - bend < 0: y = x − bend x²/2. The measured torque runs ahead, as that from the current of a motor whose iron
+      saturates does.
+
+    So it is one to one over all torques, its slope has no jump, both directions are polynomials or square roots of
+    them, which noise and wrong values cannot drive to infinity, and bend = 0 is no saturation. The level is in N·m or
+    N, the bend in the inverse of that.
+    """
+
+    id = "torque_saturation"
+    held = (Held("level", positive=True), Held("bend"))
+
+    def given(self, tau: Array) -> Array:
+        """See `Sensor.given`."""
+        return self._bent(tau, -self.shape["bend"])
+
+    def meant(self, tau: Array) -> Array:
+        """See `Sensor.meant`."""
+        return self._bent(tau, self.shape["bend"])
+
+    def _bent(self, tau: Array, bend: float) -> Array:
+        """Torque whose size above the level grows by bend/2 times its square, or falls by the inverse of that."""
+        above = np.maximum(np.abs(tau) - self.shape["level"], 0.0)
+        # (√(1 + 2bx) − 1) / b, without the difference of like numbers
+        other = above + bend / 2 * above**2 if bend >= 0 else 2 * above / (1 + np.sqrt(1 - 2 * bend * above))
+        return np.asarray(tau + np.sign(tau) * (other - above))
+
+
+def _behind(farther: TorqueSensor, nearer: TorqueSensor) -> TorqueSensor:
+    """Two sensors as one."""
+    return TorqueSensor(lambda tau: nearer.measured(farther.measured(tau)), lambda tau: farther.true(nearer.true(tau)))

@@ -1,0 +1,243 @@
+"""Joints whose motor is not fast to their link: MuJoCo has it, the entry says so.
+
+A motor is a body with a hinge of its own in MuJoCo, which turns the gear ratio times as far as its joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+import yaml
+from commands import config_with, fitted, idtool, refuse
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from spatial_arm import (
+    RATE,
+    RIGID,
+    Act,
+    Log,
+    experiment,
+    recorded,
+    residual,
+    residuals,
+    rolled_out,
+    spec_of,
+    written,
+)
+
+from idtool.effects import known_effects
+from idtool.mechanism import Gear
+from idtool.model import Model
+from idtool.regressor import LinearModel
+
+Array = NDArray[np.float64]
+Build = Callable[..., Model]
+
+N = 20.0  # gear ratio
+K = 800.0  # N·m/rad
+WIDTH = 0.01  # rad
+PLACES: dict[str, tuple[str, list[float], list[float], list[float]]] = {
+    # joint: the link that carries its motor; where it is there; its axis
+    "lift": ("turret", [0.05, 0, 0.1], [0.1, 0, 0], [0, 1, 0]),
+    "roll": ("upper", [0.3, 0, 0.05], [0, 0.2, 0.4], [0, 0.6, 0.8]),
+}
+
+
+def entry(effect: str, joint: str, **parameters: Any) -> dict[str, Any]:
+    """An entry under `effects`."""
+    return {"effect": effect, "joint": joint, "parameters": parameters}
+
+
+def rotor(joint: str, inertia: float) -> dict[str, Any]:
+    """A round motor under `rotors`."""
+    parent, xyz, rpy, axis = PLACES[joint]
+    inertial = {"mass": 0.2, "inertia": [inertia, 0, inertia, 0, 0, inertia]}
+    origin = {"xyz": xyz, "rpy": rpy}
+    return {
+        "motor": {
+            "joint": joint,
+            "gear_ratio": N,
+            "parent": parent,
+            "origin": origin,
+            "axis": axis,
+            "inertial": inertial,
+        }
+    }
+
+
+def with_motor(joint: str, inertia: float) -> Any:
+    """The same in MuJoCo, free of its joint."""
+    spec = spec_of()
+    parent, xyz, rpy, axis = PLACES[joint]
+    turn = Rotation.from_euler("xyz", rpy).as_quat(scalar_first=True)
+    body = spec.body(parent).add_body(name="motor", pos=xyz, quat=turn, explicitinertial=True, mass=0.2)
+    body.ipos, body.fullinertia = [0.0] * 3, [inertia] * 3 + [0.0] * 3
+    body.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+    return spec
+
+
+MOTOR = 1e-4  # kg·m²
+ELASTICITY = entry("joint_elasticity", "lift", stiffness=K)
+
+
+@pytest.fixture(scope="module")
+def elastic() -> Log:
+    """The lift on a spring with a damper of 5 % of what is critical for its motor."""
+    spec = with_motor("lift", MOTOR)
+    tendon = spec.add_tendon(name="spring", stiffness=K, damping=2 * 0.05 * np.sqrt(K * MOTOR * N**2))
+    tendon.wrap_joint("motor", 1 / N)
+    tendon.wrap_joint("lift", -1)
+    return recorded(spec.compile(), 2.5, motors={"lift": ("motor", N)}, sag={"lift": lambda tau: tau / K})
+
+
+def test_an_elastic_joint_leaves_only_noise_and_moves_as_it_did(tmp_path: Path, elastic: Log) -> None:
+    rotors = rotor("lift", MOTOR)
+    with_it, without = residuals(tmp_path, elastic, ELASTICITY, rotors=rotors)
+    # Part of the torque's noise is in the deflection, and what is predicted follows it.
+    assert ((with_it > 0.8) & (with_it < 1.1)).all()
+    assert (without > 3).all()
+    assert np.abs(rolled_out(tmp_path, elastic, ELASTICITY, rotors=rotors)).max() < 1e-4
+    assert np.abs(rolled_out(tmp_path, elastic, rotors=rotors)).max() > 1e-2
+
+
+def test_the_deflection_is_that_of_the_torque_that_the_spring_carries(tmp_path: Path, elastic: Log) -> None:
+    """Its first two derivatives too, while the motor's inertia takes part of the torque."""
+    urdf, csv = written(tmp_path, elastic)
+    tried = experiment(urdf, csv, ELASTICITY, rotors=rotor("lift", MOTOR))
+    (batch,) = tried.runs[0].signals.batches(every_sample=True)
+    seen, inner = batch.motion, slice(300, -300)
+    link = tried.equation.effects[-1].true(seen)
+    carried = seen.tau[1] - MOTOR * N**2 * seen.a[1]
+    deflection = seen.q[1] - link.q[1]
+    np.testing.assert_allclose(deflection[inner], carried[inner] / K, atol=1e-4)
+    assert np.ptp(deflection[inner]) > 0.02
+    for x, dx in ((seen.q - link.q, seen.v - link.v), (seen.v - link.v, seen.a - link.a)):
+        np.testing.assert_allclose(np.gradient(x[1], seen.dt)[inner], dx[1, inner], atol=2e-3 * np.ptp(dx[1]))
+        np.testing.assert_array_equal(dx[[0, 2]], 0)
+
+
+def test_samples_whose_deflection_is_not_known_do_not_count(tmp_path: Path, elastic: Log) -> None:
+    urdf, csv = written(tmp_path, elastic)
+    tried = experiment(urdf, csv, ELASTICITY, rotors=rotor("lift", MOTOR))
+    (batch,) = tried.runs[0].signals.batches()
+    masks = tried.equation.effects[-1].undefined(batch.motion)
+    assert sorted(masks) == [0, 1, 2]
+    for mask in masks.values():
+        inner = np.flatnonzero(~mask)
+        assert 20 < inner[0] < 200  # some milliseconds of a filter at 14 Hz
+        assert len(mask) - 1 - inner[-1] == inner[0]
+        assert not mask[inner[0] : inner[-1] + 1].any()
+
+
+TOOTHED = 1e-5  # kg·m²
+BACKLASH = entry("backlash", "roll", width=WIDTH)
+
+
+def toothed(model: Any, width: float) -> tuple[Act, float]:
+    """Teeth on which the motor would swing at 200 Hz, half critically damped, which push and do not pull; stiffness."""
+    inertia, rate = TOOTHED * N**2, 2 * np.pi * 200
+    stiffness, damping = inertia * rate**2, inertia * rate
+    motor, link = (int(model.joint(name).dofadr[0]) for name in ("motor", "roll"))
+
+    def act(data: Any) -> None:
+        gap, closing = (x[motor] / N - x[link] for x in (data.qpos, data.qvel))
+        beyond = gap - np.clip(gap, -width / 2, width / 2)
+        push = stiffness * beyond + damping * closing if beyond else 0.0
+        push = push if push * beyond > 0 else 0.0
+        data.qfrc_applied[motor] -= push / N
+        data.qfrc_applied[link] += push
+
+    return act, stiffness
+
+
+@pytest.fixture(scope="module")
+def loose() -> Log:
+    """The roll's motor plays in its gear."""
+    model = with_motor("roll", TOOTHED).compile()
+    act, stiffness = toothed(model, WIDTH)
+    sag = {"roll": lambda tau: tau / stiffness + np.sign(tau) * WIDTH / 2}
+    return recorded(model, 1.05, act, motors={"roll": ("motor", N)}, steps=20, sag=sag)
+
+
+def test_a_joint_with_backlash_moves_as_it_did(tmp_path: Path, loose: Log) -> None:
+    rotors = rotor("roll", TOOTHED)
+    assert np.abs(rolled_out(tmp_path, loose, BACKLASH, rotors=rotors)).max() < 1e-4
+    assert np.abs(rolled_out(tmp_path, loose, rotors=rotors)).max() > 1e-2
+
+
+def test_backlash_is_nothing_in_the_torque_equation(tmp_path: Path, loose: Log) -> None:
+    urdf, csv = written(tmp_path, loose)
+    tried = [experiment(urdf, csv, *some, rotors=rotor("roll", TOOTHED)) for some in ((BACKLASH,), ())]
+    np.testing.assert_array_equal(*map(residual, tried))
+
+
+def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Gear]:
+    """What entries make of a joint with the lift's motor."""
+    text = (
+        '<robot name="r"><link name="turret"/><link name="l1"/><joint name="lift" type="revolute">'
+        '<parent link="turret"/><child link="l1"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    model = build(text, ["lift"], rotors=rotor("lift", MOTOR))
+    effects = [known_effects()[e["effect"]](model, 0, e["parameters"]) for e in entries]
+    return LinearModel(("lift",), tuple(effects)).mechanism(model, np.zeros(0)).gears
+
+
+def test_a_gear_may_give_and_play(build: Build) -> None:
+    play = entry("backlash", "lift", width=0.02)
+    for entries in ((ELASTICITY, play), (play, ELASTICITY)):
+        assert gears(build, *entries) == {0: Gear(K, 0.05, 0.02)}
+    assert gears(build, ELASTICITY) == {0: Gear(K, 0.05, 0.0)}
+
+
+@pytest.mark.parametrize("given", [ELASTICITY, BACKLASH], ids=lambda given: given["effect"])
+def test_without_a_rotor_it_cannot_be_simulated(tmp_path: Path, elastic: Log, given: dict[str, Any]) -> None:
+    urdf, csv = written(tmp_path, {name: x[:600] for name, x in elastic.items()})
+    config = config_with(tmp_path / "arm.yaml", **RIGID, effects=[given])
+    refuse(tmp_path, "simulate", urdf, csv, "--out", "out/a.csv", naming="cannot be simulated: a joint has no inertia")
+    inertia = entry("rotor_inertia", given["joint"], inertia=0.04)
+    config_with(config, **RIGID, effects=[inertia, given])
+    assert idtool("simulate", urdf, csv, "--out", tmp_path / "a.csv", "--quiet").code == 0
+
+
+def test_without_a_rotor_it_can_be_fitted(tmp_path: Path, elastic: Log) -> None:
+    urdf, csv = written(tmp_path, {name: x[:600] for name, x in elastic.items()})
+    config_with(tmp_path / "arm.yaml", **RIGID, effects=[ELASTICITY])
+    said = fitted(tmp_path / "fitted", urdf, csv, simulated=True)["warnings"]
+    assert any("cannot be simulated" in warning for warning in said)
+
+
+def test_every_command_takes_the_entries_and_the_model_keeps_them(tmp_path: Path, elastic: Log) -> None:
+    entries = [ELASTICITY, entry("backlash", "lift", width={"value": 0.002, "standard_error": 1e-4})]
+    urdf, csv = written(tmp_path, {name: x[:1000] for name, x in elastic.items()})
+    config = config_with(tmp_path / "given.yaml", **RIGID, rotors=rotor("lift", MOTOR), effects=entries)
+    done = idtool("fit", urdf, csv, "--config", config, "--out", tmp_path / "out", "--quiet", "--no-simulation")
+    assert done.code == 0, done.err
+    model = tmp_path / "out" / "model.yaml"
+    assert yaml.safe_load(model.read_text())["effects"] == entries
+    for command, out in ((["validate", "--no-simulation"], "again"), (["simulate"], "simulated.csv")):
+        identified = tmp_path / "out" / "identified.urdf"
+        done = idtool(*command, identified, csv, "--config", model, "--out", tmp_path / out, "--quiet")
+        assert done.code == 0, done.err
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "no stiffness": (entry("joint_elasticity", "lift", stiffness=0), "joint_elasticity: stiffness of 0 cannot be"),
+    "a spring that pushes": (entry("joint_elasticity", "lift", stiffness=-5), "stiffness of -5 cannot be"),
+    "an unknown joint": (entry("joint_elasticity", "lit", stiffness=5), "lit is no moving joint; did you mean lift?"),
+    "no width": (entry("backlash", "lift", width=0), "backlash: width of 0 cannot be"),
+    "a list": (entry("backlash", "lift", width=[0.1]), "backlash: width is not a number"),
+}
+
+
+@pytest.mark.parametrize(("bad", "message"), BAD.values(), ids=BAD)
+def test_a_bad_entry_is_refused(tmp_path: Path, bad: dict[str, Any], message: str) -> None:
+    rest = {"t": np.arange(300) / RATE, **{name: np.zeros((300, 3)) for name in ("q", "v", "tau")}}
+    urdf, csv = written(tmp_path, rest)
+    config_with(tmp_path / "arm.yaml", effects=[bad])
+    refuse(tmp_path, "fit", urdf, csv, "--out", "out", naming=message)
