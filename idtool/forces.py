@@ -70,8 +70,7 @@ class Forces:
         """
         lanes = np.arange(len(t))
         if self._gears is not None:
-            sides = (np.concatenate([x, x[self._gears.joint]]) for x in (q, v))
-            self._gears.damp(self._dynamics(*sides)[0])
+            self._gears.damp(self._dynamics(*np.zeros((2, len(self.rubbing), 1)))[0][0])
             q, v = self._gears.apart(q, v, self._drive(t, q, v, lanes))
         loops = np.zeros((sum(len(joints) for _, joints, _ in self._loops), len(t)))
         return self.at(lanes, t, q, v, loops)
@@ -86,7 +85,7 @@ class Forces:
         return self._moment(start.lanes, start.t + h, q, v, start.s, start.held, self._looped(start, q))
 
     def steepness(self, now: Moment) -> tuple[Array, Array]:
-        """By how much the force on each coordinate falls with its own velocity and position, shape (n, W)."""
+        """By how much the forces fall with velocities and positions, about, shape (W, n, n)."""
 
         def slope(q: float, v: float) -> Array:
             ahead, behind = (
@@ -94,7 +93,9 @@ class Forces:
             )
             return (behind - ahead) / (2 * _NUDGE)
 
-        damping, stiffness = slope(0.0, _NUDGE), slope(_NUDGE, 0.0)
+        damping, stiffness = (
+            np.maximum(x, 0.0).T[:, :, None] * np.eye(len(x)) for x in (slope(0.0, _NUDGE), slope(_NUDGE, 0.0))
+        )
         if self._gears is not None:
             self._gears.stiffen(damping, stiffness)
         return damping, stiffness

@@ -14,6 +14,9 @@ from idtool.mechanism import Mechanism
 Array = NDArray[np.float64]
 
 
+_RIGID = 2 * np.pi * 200.0  # rad/s: far above what a log's band holds, and no need of very short steps
+
+
 class Gears:
     """Springs with dampers and play between the motors' and the links' sides."""
 
@@ -27,8 +30,13 @@ class Gears:
         self._damping = np.zeros_like(self._stiffness)
 
     def damp(self, M: Array) -> None:
-        """Set the dampers by the motors' own inertia, in the mass matrix, shape (W, n, n)."""
-        inertia = np.diagonal(M, axis1=1, axis2=2).mean(axis=0)[self._motor][:, None]
+        """Set the dampers and what is as good as rigid by the inertias in the mass matrix at zero, shape (n, n)."""
+        gear, apart = np.arange(len(self.joint)), np.zeros((len(self.joint), len(M)))
+        apart[gear, self._motor], apart[gear, self.joint] = 1.0, -1.0
+        reduced = 1 / np.einsum("ki,ij,kj->k", apart, np.linalg.inv(M), apart)
+        rigid = np.isinf(self._stiffness)
+        inertia = np.where(rigid, reduced[:, None], np.diag(M)[self._motor, None])
+        self._stiffness = np.where(rigid, inertia * _RIGID**2, self._stiffness)
         self._damping = 2 * self._ratio * np.sqrt(self._stiffness * np.maximum(inertia, 0))
 
     def apart(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
@@ -60,7 +68,8 @@ class Gears:
         return found
 
     def stiffen(self, damping: Array, stiffness: Array) -> None:
-        """Let no rate of damping and stiffness, shape (n, w), be less than the gears make it."""
-        for side in (self._motor, self.joint):
-            stiffness[side] = np.maximum(stiffness[side], self._stiffness)
-            damping[side] = np.maximum(damping[side], self._damping)
+        """Let damping and stiffness, shape (w, n, n), be no less than the gears make them."""
+        for x, own in ((stiffness, self._stiffness[:, 0]), (damping, self._damping[:, 0])):
+            for side, other in ((self._motor, self.joint), (self.joint, self._motor)):
+                x[:, side, side] = np.maximum(x[:, side, side], own)
+                x[:, side, other] = -own

@@ -65,7 +65,7 @@ class Rollouts:
         self._limit = np.full(len(t), step)
         self._rates, self._count = np.zeros(len(t)), np.zeros(len(t), dtype=np.intp)
         self._events = np.zeros(len(t), dtype=np.intp)
-        self._damping, self._stiffness = np.zeros((2, *self._now.q.shape))
+        self._damping, self._stiffness = np.zeros((2, *self._now.M.shape))
 
     @property
     def t(self) -> Array:
@@ -154,12 +154,9 @@ class Rollouts:
         """How stiff the joints' own springs and dampers are, and the fastest rate at which they act [1/s]."""
         now = self._now.of(lanes)
         damping, stiffness = self._forces.steepness(now)
-        self._damping[:, lanes], self._stiffness[:, lanes] = np.maximum(damping, 0), np.maximum(stiffness, 0)
-        mobility = np.linalg.inv(now.M)
-        rates = []
-        for x in (damping, stiffness):  # the eigenvalues of M⁻¹ X are those of X^½ M⁻¹ X^½
-            root = np.sqrt(np.abs(x)).T
-            rates.append(np.linalg.eigvalsh(root[:, :, None] * mobility * root[:, None, :])[:, -1])
+        self._damping[lanes], self._stiffness[lanes] = damping, stiffness
+        L = np.linalg.inv(np.linalg.cholesky(now.M))  # the eigenvalues of M⁻¹ X are those of L⁻¹ X L⁻ᵀ
+        rates = [np.linalg.eigvalsh(L @ x @ L.transpose(0, 2, 1))[:, -1] for x in (damping, stiffness)]
         self._rates[lanes] = np.maximum(rates[0], np.sqrt(np.maximum(rates[1], 0.0)))
 
     def _stepped(self, start: Moment, step: Array) -> Moment:
@@ -219,7 +216,7 @@ class Rollouts:
         """A step of a length that is known to be short enough."""
         lanes = start.lanes
         if self._is_stiff(start):
-            return implicit(self._forces, start, step, self._damping[:, lanes], self._stiffness[:, lanes])
+            return implicit(self._forces, start, step, self._damping[lanes], self._stiffness[lanes])
         return runge_kutta(self._forces, start, step)[0]
 
     def _is_stiff(self, start: Moment) -> bool:

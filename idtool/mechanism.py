@@ -49,9 +49,9 @@ class Gear:
     Attributes
     ----------
     stiffness
-        Torque per deflection [N·m/rad or N/m].
+        Torque per deflection [N·m/rad or N/m]; infinite: as good as rigid, motor and link would swing on it at 200 Hz.
     damping
-        As a ratio of what is critical for the motor's side.
+        As a ratio of what is critical for the motor's side; on a rigid gear, for motor and link against each other.
     play
         Deflection that takes no torque, from one end to the other [rad or m].
     """

@@ -123,7 +123,7 @@ class LinearModel:
         if known is not None:
             tau = tau + known
         for effect in reversed(self.effects):
-            tau = effect.measured(tau)
+            tau = effect.measured(tau, motion)
         return tau
 
     def mechanism(self, model: Model, theta: Array) -> Mechanism:

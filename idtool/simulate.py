@@ -8,6 +8,7 @@ Shapes: nv joints, W rollouts, N samples of the longest. Units: rad or m, s, N·
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
@@ -173,7 +174,10 @@ class _Run:
         self._drive, self._offset = Drive(signals, windows, mechanism), mechanism.position_offset[:, None]
         q, v = measured_states(signals, [window.start for window in windows])
         step = stride(signals) * signals.log.dt
-        self.rollouts = _started(mechanism, self._t0, q + self._offset, v, self._drive, min(step, LONGEST_STEP))
+        self._mechanism = mechanism
+        with _movable(mechanism):
+            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._drive, min(step, LONGEST_STEP))
+            np.linalg.cholesky(self.rollouts.mass_matrix)
         self.begun = self.rollouts.state
         self._q, self._v = np.zeros((2, len(q), len(windows), self._last.max() + 1))
         self._lost = np.zeros(len(windows), dtype=bool)
@@ -200,7 +204,8 @@ class _Run:
                 self._lose(lost, until)
             tell(float(np.min((rollouts.t - self._t0)[lanes] / (self._last[lanes] * dt))))
 
-        rollouts.advance(until, keep)
+        with _movable(self._mechanism):
+            rollouts.advance(until, keep)
 
     def _lose(self, lanes: Lanes, until: Array) -> None:
         """Stop rollouts that have run away: they stay where they last were."""
@@ -235,14 +240,14 @@ class _Run:
         return Simulated(self._windows, self._q, self._v, tau, self._lost)
 
 
-def _started(mechanism: Mechanism, t: Array, q: Array, v: Array, drive: Drive, step: float) -> Rollouts:
+@contextmanager
+def _movable(mechanism: Mechanism) -> Iterator[None]:
+    """What cannot be solved for accelerations as an error that a user can act on."""
     try:
-        rollouts = Rollouts(mechanism, t, q, v, drive, step)
-        np.linalg.cholesky(rollouts.mass_matrix)
+        yield
     except np.linalg.LinAlgError:
         raise ModelError(
             mechanism.model.robot.path,
             "cannot be simulated: a joint has no inertia, or less than none; fit within `full` or tighter, or give the "
             "rotors of its light joints",
         ) from None
-    return rollouts

@@ -60,18 +60,17 @@ def implicit(forces: Forces, start: Moment, h: Array, damping: Array, stiffness:
     h
         Its length, shape (W,) [s].
     damping, stiffness
-        By how much the force on each coordinate falls with its velocity and position, about, shape (n, W).
+        By how much the forces fall with velocities and positions, about, shape (W, n, n).
     """
     q, v, M, held = start.q, start.v, start.M, start.held
-    g, joint = _GAMMA * h, np.arange(len(start.q))
-    K = g * stiffness
-    S = M.copy()
-    S[:, joint, joint] += (g * (damping + K)).T
+    g = _GAMMA * h
+    K = g[:, None, None] * stiffness
+    S = M + g[:, None, None] * (damping + K)
     drift = _GAMMA * times(M, forces.later(start, h, q, v).a - start.a)  # of the forces by themselves
-    dv1 = solve(S, times(M, start.a) + drift - K * v, held)
+    dv1 = solve(S, times(M, start.a) + drift - times(K, v), held)
     dq1 = v + g * dv1
     middle = forces.later(start, h, q + h * dq1, v + h * dv1)
     rest = v + h * dv1 - 2 * dq1
-    dv2 = solve(S, times(M, middle.a - 2 * dv1) - drift - K * rest, held)
+    dv2 = solve(S, times(M, middle.a - 2 * dv1) - drift - times(K, rest), held)
     dq2 = rest + g * dv2
     return forces.later(start, h, q + h / 2 * (3 * dq1 + dq2), v + h / 2 * (3 * dv1 + dv2))

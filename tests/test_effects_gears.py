@@ -134,15 +134,23 @@ def test_samples_whose_deflection_is_not_known_do_not_count(tmp_path: Path, elas
         assert not mask[inner[0] : inner[-1] + 1].any()
 
 
-TOOTHED = 1e-5  # kg·m²
 BACKLASH = entry("backlash", "roll", width=WIDTH)
 
 
 def toothed(model: Any, width: float) -> tuple[Act, float]:
-    """Teeth on which the motor would swing at 200 Hz, half critically damped, which push and do not pull; stiffness."""
-    inertia, rate = TOOTHED * N**2, 2 * np.pi * 200
-    stiffness, damping = inertia * rate**2, inertia * rate
+    """Teeth on which motor and link would swing at 200 Hz, half critically damped, which push and do not pull.
+
+    With them comes their stiffness: 1 / the relative acceleration that a pair of torques gives the two at the start,
+    times the square of that rate.
+    """
     motor, link = (int(model.joint(name).dofadr[0]) for name in ("motor", "roll"))
+    data, M = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, M)
+    pair = np.zeros(model.nv)
+    pair[motor], pair[link] = 1 / N, -1
+    rate, inertia = 2 * np.pi * 200, 1 / (pair @ np.linalg.solve(M, pair))
+    stiffness, damping = inertia * rate**2, inertia * rate
 
     def act(data: Any) -> None:
         gap, closing = (x[motor] / N - x[link] for x in (data.qpos, data.qvel))
@@ -155,24 +163,33 @@ def toothed(model: Any, width: float) -> tuple[Act, float]:
     return act, stiffness
 
 
-@pytest.fixture(scope="module")
-def loose() -> Log:
+@pytest.mark.parametrize("inertia", [1e-5, 1e-3])
+def test_a_joint_with_backlash_moves_as_it_did(tmp_path: Path, inertia: float) -> None:
+    """Behind a motor that is lighter than the link, and one that is far heavier."""
+    log, rotors = loose(inertia), rotor("roll", inertia)
+    assert np.abs(rolled_out(tmp_path, log, BACKLASH, rotors=rotors)).max() < 1e-4
+    assert np.abs(rolled_out(tmp_path, log, rotors=rotors)).max() > 4e-3
+
+
+def loose(inertia: float) -> Log:
     """The roll's motor plays in its gear."""
-    model = with_motor("roll", TOOTHED).compile()
+    model = with_motor("roll", inertia).compile()
     act, stiffness = toothed(model, WIDTH)
     sag = {"roll": lambda tau: tau / stiffness + np.sign(tau) * WIDTH / 2}
     return recorded(model, 1.05, act, motors={"roll": ("motor", N)}, steps=20, sag=sag)
 
 
-def test_a_joint_with_backlash_moves_as_it_did(tmp_path: Path, loose: Log) -> None:
-    rotors = rotor("roll", TOOTHED)
-    assert np.abs(rolled_out(tmp_path, loose, BACKLASH, rotors=rotors)).max() < 1e-4
-    assert np.abs(rolled_out(tmp_path, loose, rotors=rotors)).max() > 1e-2
+@pytest.mark.parametrize("stiffness", [1e5, 5e6])
+def test_what_is_as_good_as_stiff_moves_as_what_is_stiff(tmp_path: Path, stiffness: float) -> None:
+    log, rotors = recorded(spec_of().compile(), 1.05), rotor("lift", 1e-5)
+    stiff = rolled_out(tmp_path, log, rotors=rotors)
+    elastic = rolled_out(tmp_path, log, entry("joint_elasticity", "lift", stiffness=stiffness), rotors=rotors)
+    np.testing.assert_allclose(elastic, stiff, atol=0.03 * K / stiffness + 1e-4)
 
 
-def test_backlash_is_nothing_in_the_torque_equation(tmp_path: Path, loose: Log) -> None:
-    urdf, csv = written(tmp_path, loose)
-    tried = [experiment(urdf, csv, *some, rotors=rotor("roll", TOOTHED)) for some in ((BACKLASH,), ())]
+def test_backlash_is_nothing_in_the_torque_equation(tmp_path: Path) -> None:
+    urdf, csv = written(tmp_path, loose(1e-5))
+    tried = [experiment(urdf, csv, *some, rotors=rotor("roll", 1e-5)) for some in ((BACKLASH,), ())]
     np.testing.assert_array_equal(*map(residual, tried))
 
 
@@ -193,6 +210,7 @@ def test_a_gear_may_give_and_play(build: Build) -> None:
     for entries in ((ELASTICITY, play), (play, ELASTICITY)):
         assert gears(build, *entries) == {0: Gear(K, 0.05, 0.02)}
     assert gears(build, ELASTICITY) == {0: Gear(K, 0.05, 0.0)}
+    assert gears(build, play) == {0: Gear(np.inf, 0.5, 0.02)}
 
 
 @pytest.mark.parametrize("given", [ELASTICITY, BACKLASH], ids=lambda given: given["effect"])

@@ -122,7 +122,7 @@ def motion(tau: Array, dt: float = 1e-3) -> Motion:
 def test_saturation_is_one_to_one_odd_and_smooth(build: Build, level: float, bend: float, scale: float) -> None:
     effect = effect_of(build, "torque_saturation", level=level, bend=bend)
     tau = scale * np.linspace(-1, 1, 2001)
-    seen = effect.measured(motion(tau).tau)
+    seen = effect.measured(motion(tau).tau, motion(tau))
     np.testing.assert_array_equal(seen[1], tau)  # the other joint
     np.testing.assert_allclose(effect.true(motion(seen[0])).tau[0], tau, rtol=1e-9, atol=1e-9 * scale)
     np.testing.assert_allclose(seen[0], -seen[0, ::-1], rtol=1e-12)
@@ -131,7 +131,8 @@ def test_saturation_is_one_to_one_odd_and_smooth(build: Build, level: float, ben
     slope = np.diff(seen[0]) / np.diff(tau)
     assert (slope > 0).all()
     assert (np.diff(slope[1000:]) * np.sign(bend) < 1e-6).all()  # falls, or rises, from 1 on
-    at_level = np.diff(effect.measured(motion(level * np.array([1, 1 + 1e-6])).tau)[0])
+    near = motion(level * np.array([1, 1 + 1e-6]))
+    at_level = np.diff(effect.measured(near.tau, near)[0])
     assert at_level == pytest.approx(1e-6 * level, rel=1e-3)
 
 
@@ -163,9 +164,9 @@ def test_a_delay_leaves_the_size_of_what_is_in_the_band(build: Build, rate: int,
     true = effect.true(seen)
     np.testing.assert_allclose(true.tau[0, inner], np.sin(turn * (t + delay))[inner], atol=5e-3)
     np.testing.assert_array_equal(true.tau[1], seen.tau[1])
-    np.testing.assert_allclose(effect.measured(true.tau)[0, inner], seen.tau[0, inner], atol=1e-2)
+    np.testing.assert_allclose(effect.measured(true.tau, seen)[0, inner], seen.tau[0, inner], atol=1e-2)
     models = np.stack([true.tau, 2 * true.tau])
-    np.testing.assert_allclose(effect.measured(models)[1], 2 * effect.measured(true.tau), rtol=1e-12)
+    np.testing.assert_allclose(effect.measured(models, seen)[1], 2 * effect.measured(true.tau, seen), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("delay", "lost"), [(0.0025, slice(-3, None)), (-0.0025, slice(3))])

@@ -64,7 +64,7 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
             raise ConfigError(place(entry), f"is there twice{f' for {shown(on)}' if on else ''}; keep one entry")
         entries.add(effect.key)
         found[effect.key] = effect
-    return (RigidBodies(model), *found.values())
+    return (RigidBodies(model), *sorted(found.values(), key=lambda effect: effect.rank))
 
 
 def named_effect(entry: EffectEntry, model: Model) -> NamedEffect:

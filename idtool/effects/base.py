@@ -68,12 +68,16 @@ class Effect(ABC):
 
     Attributes
     ----------
+    rank
+        Effects come in this order, from the log to the truth: sensors before what follows from true torque and all of
+        the inertia.
     coefficients
         Its m unknowns.
     active
         Per joint, which of them appear in that joint's equation, ascending; nv arrays of indices.
     """
 
+    rank: int = 0
     coefficients: tuple[Coefficient, ...]
     active: tuple[NDArray[np.intp], ...]
 
@@ -113,8 +117,8 @@ class Effect(ABC):
         """The motion as it was, from the motion as the sensors gave it."""
         return motion
 
-    def measured(self, tau: Array) -> Array:
-        """Torque as the sensors give it, from the true one, shape (..., nv, N)."""
+    def measured(self, tau: Array, motion: Motion) -> Array:
+        """Torque of samples as the sensors give it, from the true one, shape (..., nv, N)."""
         return tau
 
     def known(self, motion: Motion) -> Array | None:

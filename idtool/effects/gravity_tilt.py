@@ -53,5 +53,4 @@ class GravityTilt(HeldEffect):
         return replace(model, gravity=self.gravity)
 
     def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        mechanism.gravity = self.gravity
+        """See `Effect.join`; gravity comes with the bodies."""

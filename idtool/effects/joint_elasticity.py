@@ -38,6 +38,7 @@ class JointElasticity(HeldJointEffect):
     """
 
     id = "joint_elasticity"
+    rank = 1
     held = (Held("stiffness", positive=True),)
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:

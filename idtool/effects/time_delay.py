@@ -42,7 +42,6 @@ class TimeDelay(HeldEffect):
         self.delay = delay
         self.joints = np.arange(len(model.joints)) if joint is None else np.array([joint])
         self._owner = "all joints" if joint is None else model.names[joint]
-        self._dt = 0.0
 
     @classmethod
     def of(cls, entry: EffectEntry, model: Model) -> Self:
@@ -63,12 +62,11 @@ class TimeDelay(HeldEffect):
 
     def true(self, motion: Motion) -> Motion:
         """See `Effect.true`; at the ends of the samples, torque that lies beyond them is as there."""
-        self._dt = motion.dt  # `measured` is not told; it is called on samples that have been here
         return replace(motion, tau=self._late(motion.tau, -self.delay / motion.dt))
 
-    def measured(self, tau: Array) -> Array:
+    def measured(self, tau: Array, motion: Motion) -> Array:
         """See `Effect.measured`."""
-        return self._late(tau, self.delay / self._dt)
+        return self._late(tau, self.delay / motion.dt)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the torque lies beyond the samples."""

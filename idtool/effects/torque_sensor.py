@@ -36,7 +36,7 @@ class Sensor(HeldJointEffect):
         tau[self.joint] = self.meant(tau[self.joint])
         return replace(motion, tau=tau)
 
-    def measured(self, tau: Array) -> Array:
+    def measured(self, tau: Array, motion: Motion) -> Array:
         """See `Effect.measured`."""
         tau = tau.copy()
         tau[..., self.joint, :] = self.given(tau[..., self.joint, :])
