@@ -24,6 +24,7 @@ _AROUND = 10  # samples to either side that tell the speed at which a sample was
 _AGREES = 0.8  # share of a measured velocity's power that dq/dt must explain
 _GAIN = 0.1  # by which a measured velocity may be larger or smaller than dq/dt
 _AT_REST = 0.01  # rad or m of travel below which noise may hide the motion
+_BIASED = 2e-3  # rad/s or m/s: mean error of a measured velocity that is more than rounding
 _NO_LAG = 0.01  # samples of lag that are none
 _SURE = 0.2  # samples, or share of the lag, that the lag's standard error may be
 
@@ -37,6 +38,9 @@ class Channels:
         Root mean square of the stamps' steps about the sample time, in samples.
     lag
         Per joint, how late the measured velocity is [s]; 0 where it cannot be told. It is undone.
+    bias
+        Per joint, by how much the measured velocity is off on average [rad/s or m/s]; 0 where it cannot be told. It is
+        undone.
     trusted
         Per joint, whether there is a measured velocity that follows the position; shape (nv,).
 
@@ -58,6 +62,7 @@ class Channels:
         self.trusted = self.measured.copy()
         if self.measured.any():
             self.lag, self.trusted = self._judge_velocity()
+        self.bias = self._velocity_bias()
 
     def parts(self) -> list[slice]:
         """Stretches with all signals and no gap; a sample keeps the index of the logged one nearest to it."""
@@ -73,8 +78,8 @@ class Channels:
         return self._read(name, part, np.zeros(len(self._columns)))
 
     def velocity(self, part: slice) -> Array:
-        """The measured velocity of the joints, its lag undone, shape (nv, N)."""
-        return self._read("v", part, self.lag)
+        """The measured velocity of the joints, its lag and bias undone, shape (nv, N)."""
+        return self._read("v", part, self.lag) - self.bias[:, None]
 
     def _read(self, name: str, part: slice, late: Array) -> Array:
         """A signal as it stands in the log ``late`` [s] after the samples, shape (nv, N)."""
@@ -134,6 +139,16 @@ class Channels:
                 for k, time in enumerate((np.diff(t[_AROUND:-_AROUND]), np.full(len(step), self.log.dt))):
                     error[k] += np.square(step - speed[:-1] * time[:, None]).sum()
         return bool(error[0] < error[1])
+
+    def _velocity_bias(self) -> Array:
+        """What the measured velocity adds to the way that the joint has gone, a time; shape (nv,)."""
+        if not self.trusted.any():
+            return np.zeros(len(self._columns))
+        part = self.longest(self.parts())
+        q, v = self.signal("q", part), self._read("v", part, self.lag)
+        way = (q[:, -1] - q[:, 0]) / (self.log.dt * (q.shape[1] - 1))
+        bias = (v[:, 1:] + v[:, :-1]).mean(axis=1) / 2 - way
+        return np.where(self.trusted & (np.abs(bias) > _BIASED), bias, 0.0)
 
     def _judge_velocity(self) -> tuple[Array, NDArray[np.bool_]]:
         """Lag of each measured velocity [s], and whether it follows the position; shape (nv,) each.

@@ -64,7 +64,8 @@ class Command:
         q = channels.signal("q", slice(part.start - r, part.stop + r))
         v = differentiate(q, channels.log.dt)
         if channels.measured.any():  # as logged: the controller did not know how late it is
-            v = np.where(channels.measured[:, None], channels.signal("v", part), v)
+            logged = channels.signal("v", part) - channels.bias[:, None]  # or kd × bias would pass for gravity
+            v = np.where(channels.measured[:, None], logged, v)
         command = [self._late(channels, name, part) for name in ("qcmd", "vcmd")]
         return np.asarray(self.kp * (command[0] - q[:, r:-r]) + self.kd * (command[1] - v))
 

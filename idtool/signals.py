@@ -141,7 +141,7 @@ class Signals:
         self.lag = self.channels.lag
         self.differentiated = self._choose_velocity(config)
         self.ranges = self._ranges()
-        self._say_lag()
+        self._say_velocity()
         self.still = self._stillness()
 
     def _choose_velocity(self, config: Config) -> NDArray[np.bool_]:
@@ -168,10 +168,13 @@ class Signals:
             names = ", ".join(name for name, chosen in zip(self.joints, which, strict=True) if chosen)
             self.warnings.append(f"{what}: {names}")
 
-    def _say_lag(self) -> None:
+    def _say_velocity(self) -> None:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
         if late > _LAGS * self.log.dt:
             self.warnings.append(f"the measured velocity is up to {late * 1e3:.1f} ms late, which is undone")
+        if self.channels.bias.any():
+            off = float(np.abs(self.channels.bias).max())
+            self._say(f"the measured velocity is off by up to {off:.2g} on average, undone", self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""

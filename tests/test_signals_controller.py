@@ -85,6 +85,21 @@ def test_the_controller_acts_on_the_velocity_as_it_was_logged() -> None:
     np.testing.assert_allclose(joined(signals, lambda m: m.v), swing(joined(signals, lambda m: m.t), 1).T, atol=1e-3)
 
 
+def test_a_velocity_that_is_off_on_average_moves_neither_the_motion_nor_the_torque() -> None:
+    """kd times what it is off by would else be a torque that nothing in the robot gives."""
+    t = clock(4)
+    right, off = swing(t, 1), np.array([0.03, -0.02])
+    true, biased = (
+        signals_of(swinging(t, tau=None, v=v, qcmd=command(t)), controller={"kp": KP, "kd": KD}, velocity="measured")
+        for v in (right, right + off)
+    )
+    np.testing.assert_allclose(biased.channels.bias, off, atol=1e-4)
+    for of in (lambda m: m.logged, lambda m: m.v):
+        np.testing.assert_allclose(joined(biased, of), joined(true, of), rtol=0, atol=2e-4)
+    assert any("off by up to 0.03 on average, undone: hip, knee" in warning for warning in biased.warnings)
+    assert not any("on average" in warning for warning in true.warnings)
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.0034])
 def test_a_measured_torque_goes_before_the_controllers(delay: float) -> None:
     t = clock(3)
