@@ -1,0 +1,300 @@
+"""Go2's closed loop over a run that was not fitted: idtool against mujoco.sysid, error and time in one run.
+
+Run ``python benchmarks/peer_mujoco_sysid.py FOLDER``, where FOLDER holds go2.urdf and chirp_4.csv to chirp_7.csv (not
+part of this repository); it needs ``pip install 'mujoco[sysid]'`` and takes half an hour. Chirps 4 to 6 are fitted. All
+of chirp 7 is simulated without a restart under the joint controller of configs/go2.yaml, whose command is interpolated
+between samples: idtool's model by idtool, mujoco.sysid's by MuJoCo in steps of a millisecond. The error is that of the
+joint positions. idtool's time is the whole command's, two simulations of chirp 7 included; mujoco.sysid's the fit's.
+
+mujoco.sysid minimizes the error of such rollouts, differentiated by finite differences. By default the whole robot is
+simulated, and the residual is that of position sensors, normalized joint by joint. Tuned, each leg is fitted by itself,
+which the held trunk allows; the residual is the simulated state's, as the sensors tell it a step late; parameters have
+scales; and a step that gains less than 0.2 % is the last. Inertia is freed after the rest, first mass and centre, then
+the ten pseudo-inertia parameters, drawn gently to where they start, since most of them cannot be told apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from idtool.config import Controller, read_config
+
+try:
+    import mujoco
+    from mujoco import sysid
+    from mujoco.rollout import rollout
+    from mujoco.sysid import InertiaType, Parameter, ParameterDict, TimeSeries
+except ImportError:
+    print("error: mujoco.sysid: is not installed; pip install 'mujoco[sysid]'", file=sys.stderr)
+    raise SystemExit(2) from None
+
+Array = NDArray[np.float64]
+Residual = Callable[..., tuple[list[Array], list[TimeSeries], list[TimeSeries]]]
+Stage = Callable[[mujoco.MjSpec], list[tuple[Parameter, Array]]]
+
+CONFIG = Path(__file__).parents[1] / "configs" / "go2.yaml"
+FITTED, HELD_OUT = (4, 5, 6), 7
+LEGS = ("FL", "FR", "RL", "RR")
+PERIOD = 0.005  # s, of the logs
+STEPS = 5  # of the simulator, a sample
+LIMIT = 900.0  # s, of a setting
+JOINT = {  # start, least, most, scale; kg·m², N·m·s/rad, N·m
+    "armature": (0.01, 1e-4, 0.5, 0.01),
+    "damping": (0.1, 1e-4, 2.0, 0.1),
+    "frictionloss": (0.1, 1e-4, 3.0, 0.1),
+}
+LINK = {  # scales: mass and centre; size, stretch, shear and centre
+    InertiaType.MassIpos: np.repeat([0.2, 0.03], [1, 3]),
+    InertiaType.Pseudo: np.repeat([0.25, 0.05], [7, 3]),
+}
+PULL = 0.1  # mrad a scale
+
+
+@dataclass(frozen=True)
+class Task:
+    """The robot, what drives it, its joints in the logs' order, and of each log q, v and qcmd, (3, N, joints)."""
+
+    urdf: Path
+    controller: Controller
+    joints: list[str]
+    runs: dict[int, Array]
+
+    def command(self, qcmd: Array) -> Array:
+        """The command that acts at every step of the simulator, shape (steps + 1, joints)."""
+        samples = np.arange(len(qcmd))
+        late = np.arange(samples[-1] * STEPS + 1) / STEPS - self.controller.delay / PERIOD
+        return np.column_stack([np.interp(late, samples, column) for column in qcmd.T])
+
+    def spec(self, legs: Sequence[str] = LEGS) -> mujoco.MjSpec:
+        """The trunk held, some of the legs, and their controller."""
+        robot = etree.parse(self.urdf).getroot()
+        others = tuple(f"{leg}_" for leg in LEGS if leg not in legs)
+        for element in list(robot.iter("visual", "collision", "link", "joint")):
+            if element.tag in ("visual", "collision") or element.get("name", "").startswith(others):
+                element.getparent().remove(element)
+        spec = mujoco.MjSpec.from_string(etree.tostring(robot).decode())
+        spec.compile()
+        spec = mujoco.MjSpec.from_string(spec.to_xml())  # links on fixed joints become part of what carries them
+        spec.option.timestep, spec.option.integrator = PERIOD / STEPS, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        for joint in spec.joints:
+            name, joint.limited, joint.actfrclimited = joint.name, False, False
+            actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator.set_to_position(kp=self.controller.kp[name], kv=self.controller.kd[name])
+            kinds = {"type": mujoco.mjtSensor.mjSENS_JOINTPOS, "objtype": mujoco.mjtObj.mjOBJ_JOINT}
+            spec.add_sensor(name=f"{name}_position", objname=name, **kinds)
+        return spec
+
+    def error(self, params: ParameterDict) -> Array:
+        """Simulated less measured positions of the run that was not fitted, shape (N, joints) [rad]."""
+        (q, v, qcmd), model = self.runs[HELD_OUT], sysid.apply_param_modifiers(params, self.spec())
+        start = sysid.create_initial_state(model, q[0], v[0])
+        states, _ = rollout(model, mujoco.MjData(model), start, self.command(qcmd)[:-1])
+        return np.concatenate([q[:1], states[0, STEPS - 1 :: STEPS, 1 : 1 + model.nq]]) - q
+
+
+def read_task(folder: Path) -> Task:
+    """The robot, its controller and its logs."""
+    controller, runs = read_config(CONFIG).controller, {}
+    for number in (*FITTED, HELD_OUT):
+        path = folder / f"chirp_{number}.csv"
+        names = path.read_text().split("\n", 1)[0].split(",")
+        table = dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+        assert np.allclose(np.diff(table["t"]), PERIOD)
+        joints = [name.removeprefix("q_") for name in names if name.startswith("q_")]
+        runs[number] = np.stack([np.column_stack([table[f"{s}_{j}"] for j in joints]) for s in ("q", "v", "qcmd")])
+    return Task(folder / "go2.urdf", controller, joints, runs)
+
+
+@dataclass
+class Watch:
+    """Stops an optimizer that has run out of time or gains too little, and keeps what it had."""
+
+    until: float
+    gain: float
+    best: Array | None = None
+
+    def __call__(self, trace: Sequence[Any]) -> None:
+        """After an iteration."""
+        self.best = trace[-1].candidate.ravel()
+        if time.perf_counter() > self.until or trace[-1].reduction < self.gain * trace[-1].objective:
+            raise StopIteration
+
+
+def optimize(params: ParameterDict, residual: Residual, until: float, gain: float = 0.0, **options: Any) -> bool:
+    """Fit parameters in place; whether time sufficed."""
+    watch = Watch(until, gain)
+    try:
+        options = {"verbose": False, "output": io.StringIO(), "iter_callback": watch, **options}
+        fitted, _ = sysid.optimize(params, residual, **options)
+        params.update_from_vector(fitted.as_vector())
+    except StopIteration:
+        params.update_from_vector(watch.best)
+    return time.perf_counter() < until
+
+
+def sequences(task: Task, spec: mujoco.MjSpec, joints: slice, on_state: bool) -> sysid.ModelSequences:
+    """The fitted runs as mujoco.sysid takes them, compared with its position sensors or with its state."""
+    model, states, commands, positions = spec.compile(), [], [], []
+    names = [(f"{joint.name}_qpos", sysid.SignalType.MjStateQPos) for joint in spec.joints] if on_state else None
+    for q, v, qcmd in (task.runs[number][..., joints] for number in FITTED):
+        command = task.command(qcmd)
+        states.append(sysid.create_initial_state(model, q[0], v[0]))
+        commands.append(TimeSeries(np.arange(len(command)) * model.opt.timestep, command))
+        positions.append(TimeSeries.from_names(np.arange(len(q)) * PERIOD, q, model, names))
+    return sysid.ModelSequences("go2", spec, [f"chirp_{n}" for n in FITTED], states, commands, positions)
+
+
+def joint_parameter(joint: str, what: str) -> Parameter:
+    """Armature, damping or dry friction of a joint."""
+
+    def apply(spec: mujoco.MjSpec, param: Parameter) -> None:
+        setattr(spec.joint(joint), what, [param.value[0], 0, 0] if what == "damping" else param.value[0])
+
+    return Parameter(f"{joint} {what}", *JOINT[what][:3], modifier=apply)
+
+
+def link_parameter(spec: mujoco.MjSpec, link: str, kind: InertiaType) -> Parameter:
+    """Mass and centre of a link, or its ten pseudo-inertia parameters."""
+
+    def apply(spec: mujoco.MjSpec, param: Parameter) -> None:
+        sysid.apply_body_inertia(spec, link, param)
+        if kind == InertiaType.Pseudo:
+            spec.body(link).iquat[:] = [1, 0, 0, 0]  # mujoco 4.0 leaves it undefined, and does not compile then
+
+    return sysid.body_inertia_param(spec.copy(), spec.compile(), link, kind, modifier=apply)
+
+
+def joint_parameters(spec: mujoco.MjSpec) -> list[tuple[Parameter, Array]]:
+    """Parameters of every joint, with their scales."""
+    return [(joint_parameter(joint.name, what), np.array(JOINT[what][3:])) for joint in spec.joints for what in JOINT]
+
+
+def link_parameters(kind: InertiaType, spec: mujoco.MjSpec) -> list[tuple[Parameter, Array]]:
+    """Parameters of every link, with their scales."""
+    return [(link_parameter(spec, body.name, kind), LINK[kind]) for body in spec.bodies[1:]]
+
+
+def state_error(
+    params: ParameterDict, _: TimeSeries, measured: TimeSeries, model: mujoco.MjModel, everything: bool, state: Array
+) -> tuple[Array, TimeSeries, TimeSeries]:
+    """The simulated state less the measured position after the first sample [mrad], so that squares sum to a mean."""
+    q = state[STEPS - 1 :: STEPS, 1 : 1 + model.nq]
+    q_measured, times, mapping = measured.data[1:], measured.times[1:], measured.signal_mapping
+    error = 1e3 * (q - q_measured) / np.sqrt(len(FITTED) * q.size)
+    return error, TimeSeries(times, q, mapping), TimeSeries(times, q_measured, mapping)
+
+
+def pulled(residual: Residual, start: Array, scale: Array) -> Residual:
+    """A residual with what draws parameters to where they start."""
+
+    def with_pull(x: Array, params: ParameterDict) -> tuple[list[Array], list[TimeSeries], list[TimeSeries]]:
+        errors, predicted, measured = residual(x, params)
+        return [*errors, PULL * ((x.T - start) / scale).T], predicted, measured
+
+    return with_pull
+
+
+def fit_robot(task: Task) -> tuple[ParameterDict, bool]:
+    """The whole robot with the defaults; whether time sufficed."""
+    spec = task.spec()
+    params = ParameterDict({param.name: param for param, _ in joint_parameters(spec)})
+    residual = sysid.build_residual_fn(models_sequences=[sequences(task, spec, slice(None), on_state=False)])
+    return params, optimize(params, residual, time.perf_counter() + LIMIT)
+
+
+def fit_leg(stages: Sequence[Stage], task: Task, leg: str) -> tuple[ParameterDict, bool]:
+    """A leg by itself, with more free from stage to stage; whether time sufficed."""
+    until, spec, in_time = time.perf_counter() + LIMIT / len(LEGS), task.spec([leg]), True
+    columns = [i for i, name in enumerate(task.joints) if name.startswith(leg)]
+    data = sequences(task, spec, slice(columns[0], columns[-1] + 1), on_state=True)
+    residual = sysid.build_residual_fn(models_sequences=[data], modify_residual=state_error)
+    params, scales = ParameterDict(), {}
+    for stage in stages:
+        for param, scale in stage(spec):
+            params.add(param)  # in place of one of the same name
+            scales[param.name] = scale
+        scale = np.concatenate([scales[name] for name in params.keys()])  # noqa: SIM118 - no mapping
+        cost = residual if stage is stages[0] else pulled(residual, params.as_vector(), scale)
+        in_time = optimize(params, cost, until, 2e-3, x_scale=scale, eps=1e-5)
+        sysid.apply_param_modifiers(params, spec)
+    return params, in_time
+
+
+def fit_legs(stages: Sequence[Stage], task: Task) -> tuple[ParameterDict, bool]:
+    """Leg after leg; whether time sufficed."""
+    legs = [fit_leg(stages, task, leg) for leg in LEGS]
+    params = ParameterDict({name: param for fitted, _ in legs for name, param in fitted.items()})
+    return params, all(in_time for _, in_time in legs)
+
+
+CENTRES, INERTIAS = (partial(link_parameters, kind) for kind in LINK)
+SETTINGS: dict[str, tuple[int, Callable[[Task], tuple[ParameterDict, bool]]]] = {  # with parameters a leg
+    "defaults; joints": (9, fit_robot),
+    "tuned; joints": (9, partial(fit_legs, [joint_parameters])),
+    "tuned; joints, masses, centres": (21, partial(fit_legs, [joint_parameters, CENTRES])),
+    "tuned; joints, inertias": (39, partial(fit_legs, [joint_parameters, CENTRES, INERTIAS])),
+}
+
+
+def run_idtool(task: Task) -> tuple[float, dict[str, Any]]:
+    """Wall time of `idtool fit` [s] and its report."""
+    *logs, last = (task.urdf.with_name(f"chirp_{n}.csv") for n in task.runs)
+    arguments = [task.urdf, *logs, "--validate", last, "--config", CONFIG, "--quiet"]
+    with tempfile.TemporaryDirectory() as out:
+        command = [sys.executable, "-c", "from idtool.cli import main; main()", "fit", *arguments, "--out", out]
+        started = time.perf_counter()
+        subprocess.run(command, check=True)
+        return time.perf_counter() - started, json.loads(Path(out, "report.json").read_text())
+
+
+def show(name: str, free: int, seconds: float, errors: Sequence[float], mean: str, remark: str) -> None:
+    """A row: the errors of all joints, of hips, thighs and calves, and the constant part, in mrad."""
+    all_, *kinds = (1e3 * np.sqrt(np.mean(np.square(of))) for of in (errors, errors[::3], errors[1::3], errors[2::3]))
+    parts = "".join(f"{kind:7.2f}" for kind in kinds)
+    print(f"{name:45s}{free:4d}{seconds:8.1f}{all_:8.3f}{parts}{mean:>7s}  {remark}", flush=True)
+
+
+def main() -> None:
+    """Fit by turns and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    task = read_task(parser.parse_args().folder)
+    q, _, qcmd = task.runs[HELD_OUT]
+    print(f"q = qcmd would be {1e3 * np.sqrt(np.mean((q - qcmd) ** 2)):.1f} mrad off")
+    print(f"{'':45s}free fit [s]  [mrad]   hips thighs calves   mean")
+    ours, theirs = [run_idtool(task)], {}
+    for name, (free, fit) in SETTINGS.items():
+        started = time.perf_counter()
+        params, in_time = fit(task)
+        theirs[name] = time.perf_counter() - started
+        error = task.error(params)
+        remark = "" if in_time else f"stopped after {LIMIT:.0f} s"
+        rms, mean = np.sqrt(np.mean(error**2, axis=0)), f"{1e3 * np.sqrt(np.mean(error.mean(axis=0) ** 2)):.2f}"
+        show(f"mujoco.sysid {mujoco.__version__}, {name}", free * len(LEGS), theirs[name], rms, mean, remark)
+        ours.append(run_idtool(task))
+    seconds, report = statistics.median(s for s, _ in ours), ours[0][1]
+    simulation, free = report["simulation"], 10 * len(report["bodies"]) + 2 * len(report["friction"])
+    assert (simulation["kind"], simulation["windows"]) == ("closed_loop", {"simulated": 1, "of": 1})
+    remark = "of it " + ", ".join(f"{step} {s:.1f}" for step, s in report["seconds"].items())
+    show("idtool fit", free, seconds, [simulation["position"][name] for name in task.joints], "", remark)
+    print("times of idtool's: " + ", ".join(f"{s / seconds:.1f} {name}" for name, s in theirs.items()))
+
+
+if __name__ == "__main__":
+    main()
