@@ -245,11 +245,11 @@ def fit_legs(stages: Sequence[Stage], task: Task) -> tuple[ParameterDict, bool]:
 
 
 CENTRES, INERTIAS = (partial(link_parameters, kind) for kind in LINK)
-SETTINGS: dict[str, tuple[int, Callable[[Task], tuple[ParameterDict, bool]]]] = {  # with parameters a leg
-    "defaults; joints": (9, fit_robot),
-    "tuned; joints": (9, partial(fit_legs, [joint_parameters])),
-    "tuned; joints, masses, centres": (21, partial(fit_legs, [joint_parameters, CENTRES])),
-    "tuned; joints, inertias": (39, partial(fit_legs, [joint_parameters, CENTRES, INERTIAS])),
+SETTINGS: dict[str, tuple[int, Callable[[Task], tuple[ParameterDict, bool]]]] = {  # with free parameters
+    "defaults; joints": (36, fit_robot),
+    "tuned; joints": (36, partial(fit_legs, [joint_parameters])),
+    "tuned; joints, masses, centres": (84, partial(fit_legs, [joint_parameters, CENTRES])),
+    "tuned; joints, inertias": (156, partial(fit_legs, [joint_parameters, CENTRES, INERTIAS])),
 }
 
 
@@ -286,14 +286,7 @@ def main() -> None:
         theirs[name] = time.perf_counter() - started
         error = task.error(params)
         rms, mean = np.sqrt(np.mean(error**2, axis=0)), f"{1e3 * np.sqrt(np.mean(error.mean(axis=0) ** 2)):.2f}"
-        show(
-            f"mujoco.sysid {mujoco.__version__}, {name}",
-            free * len(LEGS),
-            theirs[name],
-            rms,
-            mean,
-            "" if in_time else "stopped",
-        )
+        show(f"mujoco.sysid {mujoco.__version__}, {name}", free, theirs[name], rms, mean, "" if in_time else "stopped")
         ours.append(run_idtool(task))
     seconds, report = statistics.median(s for s, _ in ours), ours[0][1]
     simulation, free = report["simulation"], 10 * len(report["bodies"]) + 2 * len(report["friction"])
