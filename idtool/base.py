@@ -6,7 +6,7 @@ set of independent ones; every other column is a combination of these, so that
     Y theta = Y_own beta,  beta = B theta,
 
 with r base parameters beta (Gautier 1991). As in the literature, a combination is called after the coefficient nearest
-to the base of the robot, and masses are the first to be absorbed by others.
+to the base of the robot.
 
 Letters: p coefficients theta; r base parameters beta; B (r, p).
 """
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.inertia import POWERS, SIZE
+from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
 from idtool.model import Model
 from idtool.regressor import LinearModel
@@ -53,7 +53,7 @@ class BaseParameters:
         return len(self.own)
 
 
-def base_parameters(Y: Array, order: NDArray[np.intp], units: Array) -> BaseParameters:
+def base_parameters(Y: Array, order: NDArray[np.intp]) -> BaseParameters:
     """The base parameters of a regressor.
 
     Parameters
@@ -62,11 +62,9 @@ def base_parameters(Y: Array, order: NDArray[np.intp], units: Array) -> BasePara
         Any matrix with the regressor's rows or their triangular factor, shape (rows, p).
     order
         All columns, those first after which combinations are to be called, shape (p,).
-    units
-        Typical sizes of the coefficients, by which it is judged what is rounding; 0: any effect counts; shape (p,).
     """
     size = np.linalg.norm(Y, axis=0)
-    seen = np.flatnonzero((size > 0) & ((units == 0) | (size * units > _RANK * np.max(size * units, initial=0.0))))
+    seen = np.flatnonzero(size > 0)
     R = np.asarray(np.linalg.qr(Y[:, seen] / size[seen], mode="r")) if len(seen) else np.zeros((0, 0))
     place = {int(k): i for i, k in enumerate(seen)}
     Q: Array = np.zeros((len(R), 0))
@@ -107,18 +105,20 @@ def structural_base(model: Model, equation: LinearModel, known: Knowledge | None
     Y = np.zeros((nv, len(motion.t), p))
     for rows, columns, block in zip(Y, equation.active(), equation.columns(motion), strict=True):
         rows[:, columns] = block[:-1].T
-    units = np.array([c.scale or 0.0 for c in equation.coefficients])[known.free]
-    base = base_parameters(Y.reshape(-1, p) @ known.K, conventional_order(len(model.bodies), known.free), units)
+    order = np.argsort(known.free < SIZE * len(model.bodies), kind="stable")  # friction bears its own name
+    base = base_parameters(_felt(Y.reshape(-1, p), equation) @ known.K, order)
     B = np.zeros((len(base), p))
     B[:, known.free] = base.B
     return BaseParameters(known.free[base.own], B)
 
 
-def conventional_order(bodies: int, free: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Places in ``free`` of what is no inertia parameter, then of moments, parents first, masses last; shape (p',)."""
-    inertial = free < SIZE * bodies
-    mass = inertial & (POWERS[free % SIZE] == 0)
-    return np.argsort(np.where(mass, 2, np.where(inertial, 1, 0)), kind="stable")
+def _felt(Y: Array, equation: LinearModel) -> Array:
+    """The same without what is rounding beside the rest of a body, its parameters being as large as they are."""
+    size = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
+    bodies = size[: len(size) // SIZE * SIZE].reshape(-1, SIZE)
+    small = np.zeros(len(size), dtype=bool)
+    small[: bodies.size] = ((bodies > 0) & (bodies < _RANK * bodies.max(axis=1, keepdims=True))).ravel()
+    return np.where(small, 0.0, Y)
 
 
 def random_motion(model: Model, seed: int = 0) -> Motion:
@@ -131,6 +131,7 @@ def random_motion(model: Model, seed: int = 0) -> Motion:
     amplitude = size[:, None, None] * np.sqrt(2 / _TONES) * rng.uniform(0.5, 1.5, (nv, _TONES, 1))
     phase = w * t + rng.uniform(0, 2 * np.pi, (nv, _TONES, 1))
     q = (amplitude * np.sin(phase)).sum(axis=1) + rng.uniform(-1, 1, (nv, 1)) * size[:, None]
-    v, a = (amplitude * w * np.cos(phase)).sum(axis=1), -(amplitude * w**2 * np.sin(phase)).sum(axis=1)
+    v = (amplitude * w * np.cos(phase)).sum(axis=1)
+    a: Array = -(amplitude * np.square(w) * np.sin(phase)).sum(axis=1)
     tau = rng.normal(size=q.shape)
     return Motion(t, q, v, a, tau, tau, np.full(nv, 1e-3), _DT)
