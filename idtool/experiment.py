@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.blocks import Blocks, block_rows, cut, most_blocks, together
 from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.exceptions import ConfigError, LogError, ModelError
@@ -16,7 +17,7 @@ from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
 from idtool.names import some
-from idtool.reduction import Reduction, empty, reduce_blocks
+from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
 from idtool.signals import Batch, Signals, default_cutoff
@@ -95,16 +96,36 @@ class Experiment:
             for part in (run.held_out if held_out else run.train)
         )
 
+    def blocks(self, progress: Progress) -> tuple[Blocks, ...]:
+        """The training data as R-factors of consecutive blocks, log by log.
+
+        Raises
+        ------
+        LogError
+            If a joint has no sample that counts.
+        """
+        found, length = [], self._block_rows()
+        for run in (run for run in self.runs if run.train):
+            name, low_pass = run.signals.log.path.name, run.signals.low_pass
+            batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {name}")
+            parts = tuple(cut(map(self.equation.rows, batches), length, low_pass.redundancy))
+            if parts:
+                found.append(Blocks(name, parts, length * low_pass.stride * run.signals.log.dt))
+        if not found:
+            self.checked(empty(self.equation.active()))
+        self.checked(together([block.total for block in found]))
+        return tuple(found)
+
+    def _block_rows(self) -> int:
+        """How many rows a block has, the same for all logs."""
+        rows = [(part.stop - part.start) // run.signals.low_pass.stride for run in self.runs for part in run.train]
+        signals = self.runs[0].signals
+        seconds = signals.low_pass.stride * signals.log.dt
+        return block_rows(sum(rows), seconds, signals.band_hz, most_blocks(self.equation.active()))
+
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
-        total = empty(self.equation.active())
-        for run in self.runs:
-            batches = tracked(
-                run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}"
-            )
-            blocks = map(self.equation.block, batches)
-            total = reduce_blocks(blocks, total, run.signals.low_pass.redundancy)
-        return self.checked(total)
+        return together([blocks.total for blocks in self.blocks(progress)])
 
     def checked(self, data: Reduction) -> Reduction:
         """The training data, with something to fit every joint to.

@@ -7,7 +7,7 @@ number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -37,8 +37,13 @@ class Factor:
 
     def __add__(self, other: Factor) -> Factor:
         """The factor of both factors' rows together; associative and, up to signs, commutative."""
-        R = _triangle(np.concatenate([self.R, other.R]))
-        return Factor(R, self.rows + other.rows, self.independent + other.independent)
+        return Factor.joined((self, other))
+
+    @classmethod
+    def joined(cls, factors: Sequence[Factor]) -> Factor:
+        """The factor of all factors' rows together."""
+        R = _triangle(np.concatenate([factor.R for factor in factors]))
+        return cls(R, sum(factor.rows for factor in factors), sum(factor.independent for factor in factors))
 
     @classmethod
     def of(cls, block: Array, redundancy: float = 1.0) -> Factor:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from idtool.envelope import Envelope, Trace
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.signals import Batch
+from idtool.spectrum import Correlations
 
 Array = NDArray[np.float64]
 
@@ -56,11 +57,14 @@ class Evaluation:
         Standard deviation of the measured torque in the band, by joint; what the normalized rms is measured in.
     traces
         One a log.
+    independent
+        How many independent samples the first model's residual holds, by joint.
     """
 
     errors: Mapping[str, Errors]
     spread: Mapping[str, float]
     traces: tuple[Trace, ...]
+    independent: Mapping[str, float]
 
 
 def evaluate(
@@ -84,13 +88,13 @@ def evaluate(
     joints = experiment.equation.joints
     errors = {name: Errors(0, np.zeros(len(joints)), np.zeros(len(joints))) for name in models}
     moments = np.zeros((2, len(joints)))
-    samples = 0
-    traces = []
+    samples, stride = 0, 1
+    traces, correlations = [], Correlations()
     for run in experiment.runs:
         parts = run.held_out if held_out else run.train
         if not parts:
             continue
-        log = run.signals.log
+        log, stride = run.signals.log, run.signals.low_pass.stride
         envelope = Envelope(parts, log.t)
         batches = run.signals.batches(parts, every_sample=True)
         for batch in tracked(batches, parts, progress, f"predicting {log.path.name}"):
@@ -103,13 +107,20 @@ def evaluate(
             moments += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
             residual = measured - next(iter(predicted.values()))
+            correlations.add(residual, measured, stride, log.dt)
             curves = {"measured": measured, "residual": residual, **predicted}
             t = batch.motion.t[inner] + log.t[0]
             envelope.add(t, {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
         traces.append(envelope.trace(log.path.name))
     mean, square = moments / max(samples, 1)
     spread = np.sqrt(np.maximum(square - mean**2, 0))
-    return Evaluation(errors, dict(zip(joints, spread.tolist(), strict=True)), tuple(traces))
+    independent = correlations.independent(stride)
+    return Evaluation(
+        errors,
+        dict(zip(joints, spread.tolist(), strict=True)),
+        tuple(traces),
+        dict(zip(joints, independent.tolist(), strict=False)),
+    )
 
 
 def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
