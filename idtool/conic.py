@@ -89,6 +89,83 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     SolverError
         If the problem is infeasible or the solver gives up.
     """
+    rows, q, places = _stated(problem, start)
+    m, p = problem.variables, len(problem.b)
+    P = sparse.diags(np.repeat([0.0, 2.0, 0.0], [m, p, rows.width - m - p]), format="csc")
+    answer = _run(P, q, rows, settings)
+    if "Infeasible" in str(answer.status):
+        what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
+        raise SolverError("solver", f"found no parameters that fulfil the constraints{what}; loosen one of them")
+    z = np.split(np.asarray(answer.z), np.cumsum([len(b) for b in rows.b])[:-1])
+    matrices = zip(problem.inequalities, places, strict=False)
+    duals = [
+        z[place] if inequality.G.ndim == 2 else smat(z[place], inequality.G.shape[-1]) for inequality, place in matrices
+    ]
+    multipliers = z[places[-1]] if len(problem.bounded) else np.zeros(0)
+    status = "optimal" if answer.status == clarabel.SolverStatus.Solved else str(answer.status)
+    x = start + np.asarray(answer.x)[:m]
+    if not np.isfinite(problem.cost(problem.S @ x)):
+        raise SolverError("solver", f"found nothing that has a cost ({status}); check units and magnitudes")
+    return Solution(x, duals, multipliers, status, int(answer.iterations))
+
+
+def extreme_conic(
+    problem: Problem, start: Array, row: Array, level: float, settings: Mapping[str, Any]
+) -> Array | None:
+    """Where row · z is least among all that the constraints allow and whose cost is at most a level.
+
+    Parameters
+    ----------
+    problem
+        From `problem.build_problem`.
+    start
+        An x whose cost is below the level, shape (m,).
+    row
+        Shape (p',).
+    level
+        Of the cost f.
+    settings
+        Of Clarabel.
+
+    Returns
+    -------
+    x, shape (m,); None where there is no least.
+
+    Raises
+    ------
+    SolverError
+        If the solver gives up.
+    """
+    rows, q, _ = _stated(problem, start)
+    _add_level(rows, q, problem, start, level - problem.constant)
+    downhill = np.zeros(rows.width)
+    downhill[: problem.variables] = row @ problem.S
+    answer = _run(sparse.csc_matrix((rows.width,) * 2), downhill, rows, settings)
+    if "DualInfeasible" in str(answer.status):
+        return None
+    if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
+        raise SolverError("solver", f"found no end of what the data allow ({answer.status})")
+    return np.asarray(start + np.asarray(answer.x)[: problem.variables])
+
+
+def _add_level(rows: _Rows, q: Array, problem: Problem, start: Array, room: float) -> None:
+    """The cone of a cost, its constant taken off, that is no higher than a level."""
+    m, p = problem.variables, len(problem.b)
+    r = np.zeros((p, rows.width))
+    r[:, m : m + p] = np.eye(p)
+    if not problem.log_dets:
+        cone = np.vstack([np.zeros(rows.width), -r])
+        rows.add(slice(None), cone, np.append(np.sqrt(max(room, 0.0)), np.zeros(p)), clarabel.SecondOrderConeT(p + 1))
+        return
+    z = problem.S @ start
+    room -= sum(term.offset + float(term.slope @ z[term.own]) for term in problem.log_dets)
+    # ‖r‖² ≤ h = room − q v is ‖(1 − h, 2 r)‖ ≤ 1 + h.
+    cone = np.vstack([q, -q, -2 * r])
+    rows.add(slice(None), cone, np.array([1 + room, 1 - room, *np.zeros(p)]), clarabel.SecondOrderConeT(p + 2))
+
+
+def _stated(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]]:
+    """Constraints, linear cost of the log-dets, and the places of the inequalities and, last, of the lower bounds."""
     m, p = problem.variables, len(problem.b)
     places_of_terms = np.cumsum([m + p, *(_extra(term) for term in problem.log_dets)])
     rows = _Rows(int(places_of_terms[-1]))
@@ -103,25 +180,10 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     bounded = problem.bounded
     if len(bounded):
         cone = clarabel.NonnegativeConeT(len(bounded))
-        last = rows.add(step, -np.eye(m)[bounded], start[bounded] - problem.bounds, cone)
+        places.append(rows.add(step, -np.eye(m)[bounded], start[bounded] - problem.bounds, cone))
     for term, first in zip(problem.log_dets, places_of_terms, strict=False):
         _add_log_det(rows, q, term, problem, start, int(first))
-    P = sparse.diags(np.repeat([0.0, 2.0, 0.0], [m, p, rows.width - m - p]), format="csc")
-    answer = _run(P, q, rows, settings)
-    if "Infeasible" in str(answer.status):
-        what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
-        raise SolverError("solver", f"found no parameters that fulfil the constraints{what}; loosen one of them")
-    z = np.split(np.asarray(answer.z), np.cumsum([len(b) for b in rows.b])[:-1])
-    matrices = zip(problem.inequalities, places, strict=True)
-    duals = [
-        z[place] if inequality.G.ndim == 2 else smat(z[place], inequality.G.shape[-1]) for inequality, place in matrices
-    ]
-    multipliers = z[last] if len(bounded) else np.zeros(0)
-    status = "optimal" if answer.status == clarabel.SolverStatus.Solved else str(answer.status)
-    x = start + np.asarray(answer.x)[:m]
-    if not np.isfinite(problem.cost(problem.S @ x)):
-        raise SolverError("solver", f"found nothing that has a cost ({status}); check units and magnitudes")
-    return Solution(x, duals, multipliers, status, int(answer.iterations))
+    return rows, q, places
 
 
 def _add_inequality(rows: _Rows, inequality: Matrix, start: Array) -> int:
@@ -147,7 +209,7 @@ def _add_log_det(rows: _Rows, q: Array, term: LogDet, problem: Problem, start: A
     lower = np.tril_indices(n)
     k = len(lower[0])
     S = problem.S[term.own]
-    q[: problem.variables] += term.weight * np.trace(term.G, axis1=1, axis2=2) @ S
+    q[: problem.variables] += term.slope @ S
     q[first + k : first + k + n] = -term.weight
     G = np.zeros((rows.width, 2 * n, 2 * n))
     G[: problem.variables, n:, n:] = np.tensordot(S.T, term.G, axes=1)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.blocks import together
 from idtool.body import Body
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify, stuck_note
@@ -17,7 +19,8 @@ from idtool.prior import moved_priors
 from idtool.replay import Replay, replay
 from idtool.sets import ConstraintSet, choose_set
 from idtool.simulation_report import simulation_notes
-from idtool.uncertainty import Uncertainty, uncertainty
+from idtool.trust import Trust, trust
+from idtool.uncertainty import Uncertainty
 from idtool.validate import Evaluation, evaluate
 
 
@@ -33,8 +36,8 @@ class Fit:
         The constraint set of each body.
     estimate
         The coefficients with their certificate.
-    uncertainty
-        Standard errors.
+    trust
+        Standard errors, and what they rest on.
     train, validation
         Errors of the ``identified`` and the ``prior`` model; ``validation`` has no samples where nothing was held out.
     simulation
@@ -48,19 +51,24 @@ class Fit:
     experiment: Experiment
     sets: tuple[ConstraintSet, ...]
     estimate: Estimate
-    uncertainty: Uncertainty
+    trust: Trust
     train: Evaluation
     validation: Evaluation
     simulation: Replay | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
 
+    @property
+    def uncertainty(self) -> Uncertainty:
+        """Standard errors."""
+        return self.trust.uncertainty
+
     def parameters(self, index: int) -> NDArray[np.float64]:
         """The identified parameters of the model's body of that index, shape (10,)."""
         return self.estimate.theta[SIZE * index : SIZE * (index + 1)]
 
 
-def fit(experiment: Experiment, progress: Progress, simulated: bool = False) -> Fit:
+def fit(experiment: Experiment, progress: Progress, simulated: bool = False, questioned: bool = False) -> Fit:
     """Identify.
 
     Parameters
@@ -71,6 +79,8 @@ def fit(experiment: Experiment, progress: Progress, simulated: bool = False) -> 
         Told the stage and how far it has come.
     simulated
         Whether to run the identified model and the prior forwards too.
+    questioned
+        Whether to ask what each number rests on, and several logs whether they agree.
 
     Raises
     ------
@@ -79,35 +89,55 @@ def fit(experiment: Experiment, progress: Progress, simulated: bool = False) -> 
     SolverError
         If the problem could not be solved.
     """
-    clock = [time.perf_counter()]
-    equation, model = experiment.equation, experiment.model
-    reduction = experiment.reduce(progress)
-    clock.append(time.perf_counter())
+    clock = _Clock()
+    equation, model, known = experiment.equation, experiment.model, experiment.known
+    data = experiment.blocks(progress)
+    reduction = together([log.total for log in data])
+    clock.done("reduce")
     warnings = list(experiment.warnings)
     config = experiment.config
     wanted = config.constraints or ("full" if config.solver.name in LOCAL else None)  # all that a local solver knows
     sets, remarks = choose_sets(model.bodies, wanted)
     warnings += remarks
     progress("solving", 0.0)
-    known = experiment.known
-    estimate = identify(
-        equation, model.bodies, reduction, sets, config.regularization, known, solver=config.solver.name
+    solved = partial(
+        identify,
+        equation,
+        model.bodies,
+        sets=sets,
+        regularization=config.regularization,
+        known=known,
+        solver=config.solver.name,
     )
+    estimate = solved(reduction)
     warnings += _doubts(experiment, estimate)
-    clock.append(time.perf_counter())
-    errors = uncertainty(equation, reduction, estimate.noise, known)
+    clock.done("identify")
     models = {"identified": estimate.theta, "prior": equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)
     validation = evaluate(experiment, models, held_out=True, progress=progress)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")
-    clock.append(time.perf_counter())
+    clock.done("evaluate")
+    believed = trust(experiment, data, reduction, estimate, train.independent, solved, progress, questioned)
+    warnings += believed.warnings
+    clock.done("uncertainty")
     simulation = replay(experiment, models, held_out, progress) if simulated else None
     warnings += simulation_notes(simulation, "identified")
-    clock.append(time.perf_counter())
-    seconds = dict(zip(("reduce", "identify", "evaluate", "simulate"), np.diff(clock).tolist(), strict=True))
-    return Fit(experiment, sets, estimate, errors, train, validation, simulation, tuple(warnings), seconds)
+    clock.done("simulate")
+    return Fit(experiment, sets, estimate, believed, train, validation, simulation, tuple(warnings), clock.seconds)
+
+
+class _Clock:
+    """Wall time of stages, one after the other."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def done(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage], self._last = now - self._last, now
 
 
 def _doubts(experiment: Experiment, estimate: Estimate) -> list[str]:

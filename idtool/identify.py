@@ -50,12 +50,16 @@ class Estimate:
         Per joint, rms of the residual torque in the band with the degrees of freedom taken off [N·m or N].
     certificate
         The check of the solution.
+    problem, x
+        What was solved, and its optimum, shape (m,).
     """
 
     theta: Array
     parts: tuple[Array, ...]
     noise: Array
     certificate: Certificate
+    problem: Problem
+    x: Array
 
     def is_feasible(self, tolerance: float = 0.0) -> bool:
         """Whether every body lies in its set."""
@@ -74,6 +78,7 @@ def identify(
     regularization: Regularization,
     known: Knowledge | None = None,
     solver: str = "clarabel",
+    noise: Array | None = None,
 ) -> Estimate:
     """The identification with the joints weighted by their residual noise.
 
@@ -93,6 +98,8 @@ def identify(
         What is known otherwise; default: nothing.
     solver
         ``clarabel``, or a local one of `local`.
+    noise
+        The joints' residual noise, shape (nv,) [N·m or N]; default: what a fit without constraints leaves.
 
     Raises
     ------
@@ -100,7 +107,7 @@ def identify(
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
     known = known or Knowledge.none(len(model.coefficients))
-    noise = free_noise(model, reduction, known)
+    noise = free_noise(model, reduction, known) if noise is None else noise
     problem = build_problem(model, bodies, reduction, sets, regularization, noise, known)
     if solver == "clarabel":
         x, certificate = solve(problem)
@@ -120,7 +127,7 @@ def estimate(
     noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in pairs])
     pieces = problem.pieces(x)
     parts = tuple(np.array([pi for body, pi in pieces if body == i]) for i in range(len(problem.labels)))
-    return Estimate(theta, parts, noise, certificate)
+    return Estimate(theta, parts, noise, certificate, problem, x)
 
 
 def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate]:

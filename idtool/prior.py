@@ -51,6 +51,16 @@ class LogDet:
         """The ten among z."""
         return slice(self.first, self.first + SIZE)
 
+    @property
+    def slope(self) -> Array:
+        """Its linear part, weight · Tr G, shape (10,)."""
+        return np.asarray(self.weight * np.trace(self.G, axis1=1, axis2=2))
+
+    @property
+    def offset(self) -> float:
+        """Its constant part, −weight · n."""
+        return -self.weight * self.G.shape[-1]
+
     def value(self, z: Array) -> float:
         """The term; infinite where X is not positive definite."""
         X = np.tensordot(z[self.own], self.G, axes=1)

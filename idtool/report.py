@@ -17,6 +17,7 @@ from idtool.ellipsoid import Ellipsoid
 from idtool.fit import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.simulation_report import simulation_report
+from idtool.trust_report import intervals, reflected_inertia, rests_on, trust_report
 from idtool.urdf import JointDynamics
 from idtool.validate import Evaluation
 from idtool.verdict import Verdict, judge
@@ -47,6 +48,8 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "noise": dict(zip(joints, estimate.noise.tolist(), strict=True)),
         "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         "friction": {joint: friction_report(fit, joint) for joint in joints},
+        "rotors": reflected_inertia(fit),
+        **trust_report(fit),
         "regularization": experiment.config.regularization.model_dump(mode="json"),
         "known": [
             {
@@ -106,6 +109,8 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
         "inertia_com": six(inertia).tolist(),
         "pi": pi.tolist(),
         "standard_error": [error if np.isfinite(error) else None for error in errors.tolist()],
+        "interval": intervals(fit)[part],
+        "rests_on": rests_on(fit, index),
         "min_eig_pseudo_inertia": least,
         "ellipsoid_margin": ellipsoid_margin(body, pi, verdict.pieces),
         "realizable": least > 0 and not verdict.violations,

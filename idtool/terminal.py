@@ -21,6 +21,7 @@ from idtool.inspection import Inspection
 from idtool.regression import Outcome
 
 _PLAIN_WIDTH = 200  # characters
+_WORST = 8  # parameters that are listed
 _PATIENCE = 2.0  # s before a progress bar appears
 _STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -141,26 +142,48 @@ def show_fit(terminal: Terminal, fit: Fit, report: dict[str, Any], folder: Path)
         table.add_row(escape(name), _figure(held_out[0]), _figure(rms["train"][name]), _figure(held_out[1]))
     terminal.show(table)
     _show_simulation(terminal, report["simulation"])
-    table = _table("Bodies", "body", "prior kg", "mass kg", "± se", "determined", "realizable")
-    for name, body in report["bodies"].items():
-        table.add_row(
-            escape(name),
-            _figure(body["prior"][0]),
-            _figure(body["mass"]),
-            _figure(body["standard_error"][0]),
-            f"{sum(body['identifiable'])}/10",
-            "yes" if body["realizable"] else "NO",
-        )
-    terminal.show(table)
-    table = _table("Friction", "joint", "viscous", "± se", "Coulomb", "± se", "offset", "± se")
+    _show_bodies(terminal, report)
+    table = _table("Friction, with standard errors", "joint", "viscous", "± se", "Coulomb", "± se", "offset", "± se")
     for name, friction in report["friction"].items():
         pairs = [(friction[key], friction["standard_error"][key]) for key in ("viscous", "coulomb", "offset")]
         table.add_row(escape(name), *(_figure(x) for pair in pairs for x in pair))
     terminal.show(table)
+    _show_trust(terminal, report)
     solver = report["solver"]
     terminal.say(f"optimum certified to a relative duality gap of {abs(solver['duality_gap']):.1e}")
     terminal.warn(fit.warnings)
     terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html")
+
+
+def _show_bodies(terminal: Terminal, report: dict[str, Any]) -> None:
+    """Masses, and how many of a body's ten parameters rest on what."""
+    asked = report["base_parameters"] is not None
+    grounds = ("data", "combination", "constraints", "prior") if asked else ("determined",)
+    table = _table("Bodies", "body", "prior kg", "mass kg", "± se", *grounds, "realizable")
+    for name, body in report["bodies"].items():
+        on = [basis["on"] for basis in body["rests_on"]] if asked else []
+        counts = [str(on.count(ground)) for ground in grounds] if asked else [f"{sum(body['identifiable'])}/10"]
+        mass = (body["prior"][0], body["mass"], body["standard_error"][0])
+        table.add_row(escape(name), *map(_figure, mass), *counts, "yes" if body["realizable"] else "NO")
+    terminal.show(table)
+
+
+def _show_trust(terminal: Terminal, report: dict[str, Any]) -> None:
+    """What the numbers rest on, and whether several logs agree."""
+    if base := report["base_parameters"]:
+        terminal.say(
+            f"the log determines {base['determined']} of the {base['structural']} combinations of the {base['of']} "
+            "parameters that any motion of this robot can tell; the columns above say what each body's ten rest on"
+        )
+    if logs := report["repeatability"]:
+        worst = sorted(logs["parameters"], key=lambda p: (p["agrees"], -(p["ratio"] or 0)))
+        columns = ("times expected", "beyond chance")
+        table = _table("Least repeatable between the logs", "parameter", *map(escape, logs["logs"]), *columns)
+        for p in worst[:_WORST]:
+            table.add_row(
+                escape(p["name"]), *map(_figure, p["value"]), _figure(p["ratio"]), "" if p["agrees"] else "yes"
+            )
+        terminal.show(table)
 
 
 def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:

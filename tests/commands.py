@@ -71,7 +71,7 @@ def installed(*arguments: object, folder: Path) -> Result:
 
 def fitted(folder: Path, *arguments: object, simulated: bool = False) -> dict[str, Any]:
     """The report of a fit that writes to a folder and succeeds."""
-    leave_out = [] if simulated else ["--no-simulation"]
+    leave_out = [] if simulated else ["--quick"]
     done = idtool("fit", *arguments, "--out", folder, "--quiet", "--json", *leave_out)
     assert done.code == 0, done.err
     return done.json

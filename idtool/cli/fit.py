@@ -13,6 +13,7 @@ from idtool.cli.options import (
     MaxRmsOption,
     NoSimulationOption,
     OutOption,
+    QuickOption,
     QuietOption,
     UrdfArgument,
     ValidateOption,
@@ -33,6 +34,7 @@ def fit_command(
     validate: ValidateOption = None,
     max_rms: MaxRmsOption = None,
     no_simulation: NoSimulationOption = False,
+    quick: QuickOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -53,7 +55,7 @@ def fit_command(
         progress("reading", 0.0)
         experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
         bounds = bounds_of(max_rms or [], experiment)
-        result = fit(experiment, progress, simulated=not no_simulation)
+        result = fit(experiment, progress, simulated=not (no_simulation or quick), questioned=not quick)
         progress("writing", 0.0)
         report = fit_report(result)
         bodies = {body.name: (body, result.parameters(i)) for i, body in enumerate(experiment.model.bodies)}

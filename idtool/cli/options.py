@@ -32,6 +32,10 @@ ValidateOption = Annotated[
 NoSimulationOption = Annotated[
     bool, typer.Option("--no-simulation", help="Leave out running the model forwards; quicker.")
 ]
+QuickOption = Annotated[
+    bool,
+    typer.Option("--quick", help="Only the fit: nothing run forwards, and not asked what each number rests on."),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 MaxRmsOption = Annotated[
     list[str] | None,

@@ -1,0 +1,168 @@
+"""How far to trust a fit: standard errors, what each number rests on, whether logs agree, and the predicted torque."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.base import structural_base
+from idtool.blocks import Blocks
+from idtool.experiment import Experiment, Progress
+from idtool.identifiability import Identifiability, identifiability
+from idtool.identify import Estimate
+from idtool.names import some
+from idtool.prediction import Prediction, prediction
+from idtool.reduction import Reduction
+from idtool.repeatability import Repeatability, repeatability
+from idtool.scatter import FEWEST, Scatter, scatter
+from idtool.uncertainty import Uncertainty
+
+Array = NDArray[np.float64]
+
+_APART = 1.5  # ratio of two standard errors of the same, above which they do not agree
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How far to trust a fit.
+
+    Attributes
+    ----------
+    theta
+        The fit's coefficients, shape (p,).
+    uncertainty
+        Of the coefficients.
+    scatter
+        What it was found from.
+    independent
+        How many independent samples the residual holds, by joint.
+    prediction
+        Of the torque, on what was held out, else on the training data.
+    identifiability
+        What each number rests on; None: not asked for.
+    repeatability
+        The logs against each other; None for a single one, or where it was not asked for.
+    warnings
+        What a user should know, a plain sentence each.
+    """
+
+    theta: Array
+    uncertainty: Uncertainty
+    scatter: Scatter
+    independent: Mapping[str, float]
+    prediction: Prediction
+    identifiability: Identifiability | None
+    repeatability: Repeatability | None
+    warnings: tuple[str, ...]
+
+    def interval(self, rows: Array) -> Array:
+        """95 % intervals of combinations of the coefficients, shape (k, p) to (k, 2); infinite where not determined.
+
+        Those of the data alone, without prior and inequalities, and the fit's value with them: where prior or
+        constraints hold it away from what the data say, the interval reaches from the one to the other.
+        """
+        half = self.uncertainty.of(rows) * self.uncertainty.reach(rows)
+        free, fitted = rows @ self.scatter.theta, rows @ self.theta
+        return np.column_stack([np.minimum(free - half, fitted), np.maximum(free + half, fitted)])
+
+    def pull(self, rows: Array) -> Array:
+        """How far prior and constraints hold combinations away from what the data say, in standard errors, shape (k,).
+
+        Zero where the data do not determine them.
+        """
+        errors = self.uncertainty.of(rows)
+        apart = np.abs(rows @ (self.scatter.theta - self.theta))
+        return np.where(np.isfinite(errors) & (errors > 0), apart / np.maximum(errors, np.finfo(float).tiny), 0.0)
+
+
+def trust(
+    experiment: Experiment,
+    data: Sequence[Blocks],
+    reduction: Reduction,
+    estimate: Estimate,
+    independent: Mapping[str, float],
+    solved: Callable[[Reduction], Estimate],
+    progress: Progress,
+    questioned: bool,
+) -> Trust:
+    """Question a fit.
+
+    Parameters
+    ----------
+    experiment, data, reduction, estimate
+        Model and data, and what came of them.
+    independent
+        How many independent samples the residual holds, by joint.
+    solved
+        The identification from some of the data.
+    progress
+        Told the stage and how far it has come.
+    questioned
+        Whether to ask what each number rests on, and logs whether they agree.
+    """
+    equation, model, known = experiment.equation, experiment.model, experiment.known
+    rng = np.random.default_rng(experiment.config.seed)
+    found = scatter(equation, data, estimate.noise, estimate.theta, known, rng)
+    errors = found.uncertainty
+    if found.bootstrap is None or found.correlated:
+        errors = _counted(errors, independent)
+    held_out = any(run.held_out for run in experiment.runs)
+    ahead = prediction(experiment, errors, held_out, progress)
+    asked = compared = None
+    if questioned:
+        asking = partial(progress, "asking what each number rests on")
+        asked = identifiability(model, equation, known, reduction, estimate, errors, asking)
+    if questioned and len(data) > 1:
+        progress("comparing logs", 0.0)
+        base = structural_base(model, equation, known)
+        compared = repeatability(
+            equation, data, estimate.noise, estimate.theta, known, base, lambda some: solved(some).theta, rng
+        )
+    warnings = (*_of_blocks(found, data), *_of_logs(compared), *_of_prediction(ahead, equation.joints))
+    return Trust(estimate.theta, errors, found, independent, ahead, asked, compared, warnings)
+
+
+def _counted(errors: Uncertainty, independent: Mapping[str, float]) -> Uncertainty:
+    """No smaller standard errors than the number of independent samples gives, where blocks are few or short."""
+    count, seen = float(np.mean(list(independent.values()))), errors.directions
+    wanted = max(seen.independent / count, 1.0) if count else 1.0
+    had = float(np.trace(errors.spread)) * seen.worth / max(len(errors.spread), 1)
+    return replace(errors, spread=errors.spread * max(wanted / had, 1.0)) if had else errors
+
+
+def _of_blocks(found: Scatter, data: Sequence[Blocks]) -> list[str]:
+    if found.bootstrap is None:
+        seconds = sum(len(log) * log.seconds for log in data)
+        few = f"{seconds:.2g} s are less than the {FEWEST} blocks it takes to see how the residual scatters"
+        return [f"{few}: standard errors follow from its spectrum alone; log for longer"]
+    said = []
+    if found.correlated:
+        long = f"the residual is correlated for longer than the {found.seconds:.2g} s that a block can last here"
+        said.append(f"{long}: standard errors may be too small; log for longer, or model what is missing")
+    pair = [np.sqrt(np.diag(u.spread)) for u in (found.bootstrap, found.uncertainty)]
+    apart = float(np.median(pair[0] / np.maximum(pair[1], np.finfo(float).tiny))) if len(pair[0]) else 1.0
+    if not 1 / _APART < apart < _APART:
+        said.append(
+            f"resampled standard errors are {apart:.2g} times the analytic ones: trust neither to a factor of two"
+        )
+    return said
+
+
+def _of_logs(compared: Repeatability | None) -> list[str]:
+    if compared is None or compared.agrees.all():
+        return []
+    count = int(np.count_nonzero(~compared.agrees))
+    said = f"{count} of {len(compared.agrees)} base parameters differ between logs by more than their intervals"
+    if compared.odd is not None:
+        return [f"{said}; the odd one out is {compared.logs[compared.odd]}"]
+    return [f"{said}: intervals from these logs together are too short for them"]
+
+
+def _of_prediction(ahead: Prediction, joints: Sequence[str]) -> list[str]:
+    blind = [name for name, share in zip(joints, ahead.unknown, strict=True) if share > 0.01]
+    what = "moves as the fitted logs did not, in directions that their data do not determine"
+    return [f"held-out motion of {some(blind)} {what}"] if blind else []

@@ -1,0 +1,208 @@
+"""How far to trust a fit, as plain data and in words: what report.json has of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.effects.base import Coefficient
+from idtool.fit import Fit
+from idtool.identifiability import Basis, Identifiability, combination
+from idtool.inertia import NAMES, SIZE
+from idtool.repeatability import Repeatability
+
+Array = NDArray[np.float64]
+
+_WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in NAMES[1:4]}}
+_NAMED = 4  # terms of a combination that its name holds
+_PULLED = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
+
+
+def quantity(coefficient: Coefficient) -> str:
+    """What a coefficient is called: its owner and what it is of it."""
+    return f"{coefficient.owner} {_WORDS.get(coefficient.name, coefficient.name)}"
+
+
+def combination_name(row: Array, coefficients: Sequence[Coefficient]) -> str:
+    """A combination in words: ``thigh I_xx − thigh I_zz + 0.117 shank mass``."""
+    terms = combination(row, coefficients)
+    name = ""
+    for k, share in terms[:_NAMED]:
+        factor = "" if np.isclose(abs(share), 1) else f"{abs(share):.3g} "
+        sign = ("−" if share < 0 else "") if not name else (" − " if share < 0 else " + ")
+        name += f"{sign}{factor}{quantity(coefficients[k])}"
+    return name + (" + …" if len(terms) > _NAMED else "")
+
+
+def trust_report(fit: Fit) -> dict[str, Any]:
+    """The entries ``uncertainty``, ``base_parameters`` and ``repeatability`` of report.json."""
+    trust, joints = fit.trust, fit.experiment.equation.joints
+    found = trust.scatter
+    ahead = trust.prediction
+    return {
+        "uncertainty": {
+            "confidence": 0.95,
+            "blocks": found.blocks if found.bootstrap else 0,
+            "block_seconds": found.seconds,
+            "correlated_beyond_blocks": found.correlated,
+            "bootstrap_ratio": _bootstrap_ratio(fit),
+            "independent_samples": {name: trust.independent[name] for name in joints},
+            "torque_standard_error": _by_joint(joints, ahead.rms),
+            "torque_standard_error_largest": _by_joint(joints, ahead.largest),
+            "torque_undetermined": _by_joint(joints, ahead.unknown),
+        },
+        "base_parameters": base_report(fit, trust.identifiability) if trust.identifiability else None,
+        "repeatability": repeatability_report(fit, trust.identifiability, trust.repeatability),
+    }
+
+
+def _bootstrap_ratio(fit: Fit) -> float | None:
+    """Resampled standard errors over analytic ones, the median."""
+    found = fit.trust.scatter
+    if found.bootstrap is None or not len(found.bootstrap.spread):
+        return None
+    squares = [np.diag(u.spread) for u in (found.bootstrap, found.uncertainty)]
+    return float(np.median(np.sqrt(squares[0] / np.maximum(squares[1], np.finfo(float).tiny))))
+
+
+def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float]:
+    return dict(zip(joints, values.tolist(), strict=True))
+
+
+def intervals(fit: Fit) -> list[list[float] | None]:
+    """The 95 % interval of every coefficient; None where the data do not determine it."""
+    p = len(fit.estimate.theta)
+    found = fit.trust.interval(np.eye(p))
+    pairs = zip(found.tolist(), fit.uncertainty.identifiable, strict=True)
+    return [pair if sees and np.isfinite(pair).all() else None for pair, sees in pairs]
+
+
+def base_report(fit: Fit, asked: Identifiability) -> dict[str, Any]:
+    """The entry ``base_parameters``."""
+    coefficients = fit.experiment.equation.coefficients
+    limits, pulls = fit.trust.interval(asked.base.B), fit.trust.pull(asked.base.B)
+    entries = []
+    for i, row in enumerate(asked.base.B):
+        sees = bool(asked.seen[i])
+        terms = combination(row, coefficients)
+        entries.append(
+            {
+                "name": combination_name(row, coefficients),
+                "terms": [{"of": coefficients[k].owner, "what": coefficients[k].name, "share": s} for k, s in terms],
+                "unit": coefficients[asked.base.own[i]].unit,
+                "value": float(asked.value[i]),
+                "standard_error": float(asked.standard_error[i]) if sees else None,
+                "interval": limits[i].tolist() if sees else None,
+                "pull": float(pulls[i]) if sees else None,
+            }
+        )
+    return {
+        "of": len(coefficients),
+        "structural": len(asked.base),
+        "determined": int(np.count_nonzero(asked.seen)),
+        "held_away": int(np.count_nonzero(pulls > _PULLED)),
+        "parameters": entries,
+    }
+
+
+def rests_on(fit: Fit, index: int) -> list[dict[str, Any]] | None:
+    """What the ten parameters of a body rest on; None where it was not asked for."""
+    asked = fit.trust.identifiability
+    if asked is None:
+        return None
+    return [_basis(fit, asked, SIZE * index + k) for k in range(SIZE)]
+
+
+def _basis(fit: Fit, asked: Identifiability, k: int) -> dict[str, Any]:
+    coefficients, basis = fit.experiment.equation.coefficients, asked.bases[k]
+    return {
+        "on": basis.on,
+        "data": basis.data,
+        "constraints": basis.constraints,
+        "prior": basis.prior,
+        "range": list(basis.range),
+        "moves_with": [
+            {"of": coefficients[i].owner, "what": coefficients[i].name, "correlation": tied}
+            for i, tied in basis.moves_with
+        ],
+        "combinations": list(basis.combinations),
+        "text": basis_text(fit, asked, k),
+    }
+
+
+def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
+    """What a parameter rests on, in words."""
+    coefficients, basis = fit.experiment.equation.coefficients, asked.bases[k]
+    names = [quantity(coefficients[i]) for i, _ in basis.moves_with[:2]]
+    moves = f"; moves with {' and '.join(names)}" if names else ""
+    return f"{quantity(coefficients[k])}: {_ground_text(basis, asked, coefficients)}{moves}"
+
+
+def _ground_text(basis: Basis, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
+    if basis.on == "data":
+        return "determined by the data"
+    if basis.on == "constraints":
+        low, high = basis.range
+        ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
+        return f"held by the constraints{ends} ({basis.constraints:.0%})"
+    if basis.on == "combination":
+        name = combination_name(asked.base.B[basis.combinations[0]], coefficients) if basis.combinations else ""
+        return f"by the data only in a combination: {name}"
+    return "prior only" if basis.prior > 0.9 else f"mostly prior ({basis.prior:.0%})"
+
+
+def repeatability_report(
+    fit: Fit, asked: Identifiability | None, compared: Repeatability | None
+) -> dict[str, Any] | None:
+    """The entry ``repeatability``."""
+    if asked is None or compared is None:
+        return None
+    coefficients = fit.experiment.equation.coefficients
+    finite = np.isfinite(compared.standard_error)
+    return {
+        "logs": list(compared.logs),
+        "agree": bool(compared.agrees.all()),
+        "odd_one_out": None if compared.odd is None else compared.logs[compared.odd],
+        "cross_rms": compared.cross.tolist(),
+        "parameters": [
+            {
+                "name": combination_name(row, coefficients),
+                "unit": coefficients[asked.base.own[i]].unit,
+                "value": [v if sees else None for v, sees in zip(compared.value[i].tolist(), finite[i], strict=True)],
+                "standard_error": [
+                    v if sees else None for v, sees in zip(compared.standard_error[i].tolist(), finite[i], strict=True)
+                ],
+                "ratio": float(compared.ratio[i]) if np.isfinite(compared.ratio[i]) else None,
+                "agrees": bool(compared.agrees[i]),
+            }
+            for i, row in enumerate(asked.base.B)
+        ],
+    }
+
+
+def reflected_inertia(fit: Fit) -> dict[str, Any]:
+    """The entry ``rotors``: what each rotor's inertia about its axis is at the joints that it turns with [kg·m²]."""
+    model, p = fit.experiment.model, len(fit.estimate.theta)
+    found = {}
+    for i, body in enumerate(model.bodies):
+        if body.kind != "rotor":
+            continue
+        x, y, z = body.axis
+        about = np.array([x * x, 2 * x * y, y * y, 2 * x * z, 2 * y * z, z * z])
+        joints = {}
+        for joint, ratio in zip(model.names, body.ratios, strict=True):
+            if ratio:
+                row = np.zeros((1, p))
+                row[0, SIZE * i + 4 : SIZE * (i + 1)] = ratio**2 * about
+                error = float(fit.uncertainty.of(row)[0])
+                sees = np.isfinite(error)
+                joints[joint] = {
+                    "reflected_inertia": float(row[0] @ fit.estimate.theta),
+                    "standard_error": error if sees else None,
+                    "interval": fit.trust.interval(row)[0].tolist() if sees else None,
+                }
+        found[body.name] = joints
+    return found
