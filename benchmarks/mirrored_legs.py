@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from idtool.config import Config, Mirror, read_config
 from idtool.experiment import Experiment, prepare
-from idtool.fit import choose_sets
+from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.learning import held_out, rms
 from idtool.robot import Robot, read_robot

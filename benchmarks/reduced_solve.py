@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.experiment import Experiment
-from idtool.fit import choose_sets
+from idtool.identified import choose_sets
 from idtool.identify import _SETTINGS, solve
 from idtool.prior import prior_rows
 from idtool.problem import _LEAST_WEIGHT, Problem, build_problem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +43,10 @@ class Blocks:
     def total(self) -> Reduction:
         """All of the log."""
         return together(self.parts)
+
+    def of(self, change: Callable[[Reduction], Reduction]) -> Blocks:
+        """The same with every block's reduction changed."""
+        return replace(self, parts=tuple(map(change, self.parts)))
 
     def joined(self, count: int) -> Blocks:
         """The same with so many blocks in one; a rest shorter than half of that joins the last."""

@@ -23,6 +23,7 @@ from idtool.robot import Robot
 from idtool.signals import Batch, Signals, default_cutoff
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
+Rows = Iterable[tuple[list[NDArray[np.float64]], list[NDArray[np.bool_]]]]
 
 _MOST = 1e12  # of a signal in SI: powers of what is larger are not finite
 
@@ -96,8 +97,18 @@ class Experiment:
             for part in (run.held_out if held_out else run.train)
         )
 
-    def blocks(self, progress: Progress) -> tuple[Blocks, ...]:
+    def rows(self, run: Run, progress: Progress) -> Rows:
+        """The torque equation's rows along the training part of a log, batch after batch."""
+        stage = f"reading {run.signals.log.path.name}"
+        return map(self.equation.rows, tracked(run.signals.batches(run.train), run.train, progress, stage))
+
+    def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
         """The training data as R-factors of consecutive blocks, log by log.
+
+        Parameters
+        ----------
+        rows
+            Those of a log: per joint columns and torque, shape (columns + 1, n), and which of the n samples count.
 
         Raises
         ------
@@ -106,11 +117,10 @@ class Experiment:
         """
         found, length = [], self._block_rows()
         for run in (run for run in self.runs if run.train):
-            name, low_pass = run.signals.log.path.name, run.signals.low_pass
-            batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {name}")
-            parts = tuple(cut(map(self.equation.rows, batches), length, low_pass.redundancy))
+            low_pass = run.signals.low_pass
+            parts = tuple(cut(rows(run), length, low_pass.redundancy))
             if parts:
-                found.append(Blocks(name, parts, length * low_pass.stride * run.signals.log.dt))
+                found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
         if not found:
             self.checked(empty(self.equation.active()))
         self.checked(together([block.total for block in found]))
@@ -125,7 +135,7 @@ class Experiment:
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
-        return together([blocks.total for blocks in self.blocks(progress)])
+        return together([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
 
     def checked(self, data: Reduction) -> Reduction:
         """The training data, with something to fit every joint to.

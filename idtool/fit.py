@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.blocks import together
-from idtool.body import Body
 from idtool.experiment import Experiment, Progress
-from idtool.identify import Estimate, identify, stuck_note
+from idtool.identified import Method, identified
+from idtool.identify import Estimate, stuck_note
 from idtool.inertia import SIZE, pseudo_inertia
-from idtool.local import LOCAL
 from idtool.prior import moved_priors
 from idtool.replay import Replay, replay
-from idtool.sets import ConstraintSet, choose_set
+from idtool.sets import ConstraintSet
 from idtool.simulation_report import simulation_notes
 from idtool.trust import Trust, trust
 from idtool.uncertainty import Uncertainty
@@ -32,6 +29,8 @@ class Fit:
     ----------
     experiment
         What it was fitted to.
+    method
+        By least squares, or instrumental variables.
     sets
         The constraint set of each body.
     estimate
@@ -49,6 +48,7 @@ class Fit:
     """
 
     experiment: Experiment
+    method: Method
     sets: tuple[ConstraintSet, ...]
     estimate: Estimate
     trust: Trust
@@ -68,7 +68,13 @@ class Fit:
         return self.estimate.theta[SIZE * index : SIZE * (index + 1)]
 
 
-def fit(experiment: Experiment, progress: Progress, simulated: bool = False, questioned: bool = False) -> Fit:
+def fit(
+    experiment: Experiment,
+    progress: Progress,
+    simulated: bool = False,
+    questioned: bool = False,
+    method: Method = "ls",
+) -> Fit:
     """Identify.
 
     Parameters
@@ -80,52 +86,49 @@ def fit(experiment: Experiment, progress: Progress, simulated: bool = False, que
     simulated
         Whether to run the identified model and the prior forwards too.
     questioned
-        Whether to ask what each number rests on, and several logs whether they agree.
+        Whether to ask what each number rests on, several logs whether they agree, and whether noise has biased it.
+    method
+        Least squares, or instrumental variables.
 
     Raises
     ------
     LogError
         If there are fewer samples than it takes, or a joint does not move.
+    ModelError
+        If there are no instruments, as the model cannot be simulated.
     SolverError
         If the problem could not be solved.
     """
     clock = _Clock()
-    equation, model, known = experiment.equation, experiment.model, experiment.known
-    data = experiment.blocks(progress)
-    reduction = together([log.total for log in data])
-    clock.done("reduce")
-    warnings = list(experiment.warnings)
-    config = experiment.config
-    wanted = config.constraints or ("full" if config.solver.name in LOCAL else None)  # all that a local solver knows
-    sets, remarks = choose_sets(model.bodies, wanted)
-    warnings += remarks
-    progress("solving", 0.0)
-    solved = partial(
-        identify,
-        equation,
-        model.bodies,
-        sets=sets,
-        regularization=config.regularization,
-        known=known,
-        solver=config.solver.name,
-    )
-    estimate = solved(reduction)
-    warnings += _doubts(experiment, estimate)
+    found = identified(experiment, method, progress)
+    estimate = found.estimate
+    warnings = [*experiment.warnings, *found.warnings, *_doubts(experiment, estimate)]
     clock.done("identify")
-    models = {"identified": estimate.theta, "prior": equation.prior}
+    models = {"identified": estimate.theta, "prior": experiment.equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress)
     validation = evaluate(experiment, models, held_out=True, progress=progress)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")
     clock.done("evaluate")
-    believed = trust(experiment, data, reduction, estimate, train.independent, solved, progress, questioned)
+    believed = trust(experiment, found, train.independent, progress, questioned)
     warnings += believed.warnings
     clock.done("uncertainty")
     simulation = replay(experiment, models, held_out, progress) if simulated else None
     warnings += simulation_notes(simulation, "identified")
     clock.done("simulate")
-    return Fit(experiment, sets, estimate, believed, train, validation, simulation, tuple(warnings), clock.seconds)
+    return Fit(
+        experiment,
+        method,
+        found.sets,
+        estimate,
+        believed,
+        train,
+        validation,
+        simulation,
+        tuple(warnings),
+        clock.seconds,
+    )
 
 
 class _Clock:
@@ -155,20 +158,3 @@ def _doubts(experiment: Experiment, estimate: Estimate) -> list[str]:
 
 def _can_be(pi: NDArray[np.float64]) -> bool:
     return bool(np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0)
-
-
-def choose_sets(bodies: tuple[Body, ...], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[str]]:
-    """The constraint set of each body: the one asked for or the tightest, without an ellipsoid the tightest without.
-
-    Returns
-    -------
-    One set a body, and a remark on bodies that lack their ellipsoid.
-    """
-    sets = tuple(choose_set(body, name) for body in bodies)
-    lacking = [
-        body.name
-        for body, chosen in zip(bodies, sets, strict=True)
-        if (chosen.name != name if name else not body.bounds)
-    ]
-    lack = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
-    return sets, [f"no {lack}, only full consistency is demanded: {', '.join(lacking)}"] if lacking else []

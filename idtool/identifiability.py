@@ -52,7 +52,7 @@ class Basis:
     moves_with
         Indices of the coefficients it moves with, the most tied first, and whether they rise or fall with it.
     combinations
-        Indices of the base parameters that it is a part of.
+        Indices of the base parameters that it is a part of, those first of which it is most.
     """
 
     on: Ground
@@ -124,6 +124,7 @@ def identifiability(
     widths = np.diff(ends, axis=1)[:, 0] / 2 / problem.scale[inertial]
     kept = np.minimum(widths, 1) / np.minimum(free, 1)
     sees = found.identifiable[known.free[inertial]]
+    units = np.array([c.scale or 1.0 for c in equation.coefficients])
     bases = []
     for i, k in enumerate(inertial):
         prior = float(spread[i] * min(kept[i], 1.0))
@@ -131,7 +132,9 @@ def identifiability(
         on = _ground(bool(sees[i]), data, held, prior)
         low, high = (float(v) if np.isfinite(v) else None for v in limits[i])
         partners = _partners(tied[i], i, known.free[inertial])
-        bases.append(Basis(on, data, held, prior, (low, high), partners, _combinations(base, int(known.free[k]))))
+        bases.append(
+            Basis(on, data, held, prior, (low, high), partners, _combinations(base, int(known.free[k]), units))
+        )
     every = _for_all(bases, known, SIZE * len(model.bodies))
     return Identifiability(base, base.B @ estimate.theta, found.of(base.B), found.reach(base.B), every)
 
@@ -179,8 +182,11 @@ def _partners(correlation: Array, own: int, names: NDArray[np.intp]) -> tuple[tu
     return tuple((int(names[i]), float(correlation[i])) for i in tied)
 
 
-def _combinations(base: BaseParameters, k: int) -> tuple[int, ...]:
-    return tuple(np.flatnonzero(base.B[:, k]).tolist())
+def _combinations(base: BaseParameters, k: int, units: Array) -> tuple[int, ...]:
+    """The base parameters that a coefficient is a part of, those first of which it is most."""
+    parts = np.abs(base.B) * units
+    share = parts[:, k] / parts.sum(axis=1)
+    return tuple(int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0)
 
 
 def _for_all(bases: Sequence[Basis], known: Knowledge, count: int) -> tuple[Basis, ...]:
@@ -198,13 +204,13 @@ def _for_all(bases: Sequence[Basis], known: Knowledge, count: int) -> tuple[Basi
     return tuple(found)
 
 
-def combination(row: Array, coefficients: Sequence[Coefficient]) -> tuple[tuple[int, float], ...]:
-    """A combination's terms, those first that weigh most in units of the coefficients' typical sizes.
+def combination(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> tuple[tuple[int, float], ...]:
+    """A base parameter's terms: the one it is called after, then what weighs most by the coefficients' typical sizes.
 
     Parameters
     ----------
-    row
-        Shares, shape (p,).
+    base, i
+        The base parameters, and which one.
     coefficients
         The p coefficients.
 
@@ -212,5 +218,7 @@ def combination(row: Array, coefficients: Sequence[Coefficient]) -> tuple[tuple[
     -------
     Index and share of each.
     """
+    row = base.B[i]
     size = np.abs(row) * [c.scale or 1.0 for c in coefficients]
+    size[base.own[i]] = np.inf
     return tuple((int(k), float(row[k])) for k in np.argsort(-size, kind="stable") if row[k])

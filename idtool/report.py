@@ -41,6 +41,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "units": experiment.model.units,
         "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
         "band_hz": experiment.band_hz,
+        "method": fit.method,
         "rms": _rms(fit, joints, raw=False),
         "rms_raw": _rms(fit, joints, raw=True),
         "nrms": nrms(fit.validation if validated else fit.train, "identified", joints),

@@ -12,8 +12,9 @@ Letters as in `uncertainty`; of B blocks: G (B, r, r) information on y, s (B, r)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +48,10 @@ class Scatter:
         Of the coefficients; from the number of independent rows alone where there are too few blocks.
     bootstrap
         The same from resampled blocks, None where there are too few.
-    blocks
-        How many there are.
+    influence
+        By how much each of the B blocks moved the estimate, to first order, shape (B, p).
+    joined
+        How many of the data's blocks were taken as one.
     seconds
         How long each is [s].
     correlated
@@ -58,9 +61,15 @@ class Scatter:
     theta: Array
     uncertainty: Uncertainty
     bootstrap: Uncertainty | None
-    blocks: int
+    influence: Array
+    joined: int
     seconds: float
     correlated: bool
+
+    @property
+    def blocks(self) -> int:
+        """How many there are."""
+        return len(self.influence)
 
 
 def scatter(
@@ -70,6 +79,8 @@ def scatter(
     theta: Array,
     known: Knowledge,
     rng: np.random.Generator,
+    first_stage: Sequence[Array] | None = None,
+    joined: int | None = None,
 ) -> Scatter:
     """Standard errors of weighted least squares with what is known otherwise, without prior and inequalities.
 
@@ -88,39 +99,61 @@ def scatter(
         What is known otherwise.
     rng
         Source of the bootstrap's weights.
+    first_stage
+        Where the data are of [Z_j, Y_j, tau_j], Z_j instruments: by joint what Z_j is multiplied with to come nearest
+        to Y_j, shape (m_j, m_j). The estimate is that of two-stage least squares then.
+    joined
+        How many blocks to take as one; default: as many as their correlation asks for.
     """
-    seen = directions(model, together([log.total for log in data]), noise, known)
+    split = partial(_split, first_stage=first_stage)
+    seen = directions(model, split(together([log.total for log in data]))[0], noise, known)
     whole = Uncertainty(seen, identifiable(seen, known), np.eye(len(seen.gain)) / seen.worth)
     soft = known.soft_rows() / np.sqrt(seen.worth)
     told = soft[:, :-1] @ seen.visible
-    found = [_moments(model, log.parts, noise, theta, seen.visible) for log in data]
+    found = [_moments(model, map(split, log.parts), noise, theta, seen.visible) for log in data]
     away = told.T @ (soft[:, :-1] @ theta - soft[:, -1]) + sum(s.sum(axis=0) for _, s in found)
     best = theta - seen.visible @ away
     scores = [s - G @ away for G, s in found]
+    if first_stage is not None:  # Zᵀ Y of a block is not its G, only of all together
+        scores = [_moments(model, map(split, log.parts), noise, best, seen.visible)[1] for log in data]
     most = max(sum(map(len, data)) // FEWEST, 1)
-    wanted = _block_length(scores)
+    wanted = joined or _block_length(scores)
     joined = min(wanted, most)
     G = np.concatenate([_sums(G, joined) for G, _ in found])
     s = np.concatenate([_sums(x, joined) for x in scores])
     seconds = data[0].seconds * joined
     if len(s) < FEWEST:
-        return Scatter(best, whole, None, len(s), seconds, wanted > most)
+        return Scatter(best, whole, None, s @ seen.visible.T, joined, seconds, wanted > most)
     soft_spread = told.T @ told / seen.worth
     s = _corrected(G, s)
     sandwich = Uncertainty(seen, whole.identifiable, s.T @ s + soft_spread, G)
     draws = _bootstrap(G, s, told.T @ told, rng)
     bootstrap = Uncertainty(seen, whole.identifiable, draws + soft_spread, G)
-    return Scatter(best, sandwich, bootstrap, len(s), seconds, wanted > most)
+    return Scatter(best, sandwich, bootstrap, s @ seen.visible.T, joined, seconds, wanted > most)
+
+
+def _split(part: Reduction, first_stage: Sequence[Array] | None) -> tuple[Reduction, Reduction]:
+    """Factors whose columns take the residual's score, and those of [Y, tau]: the same but for instruments."""
+    if first_stage is None:
+        return part, part
+    fitted, full = [], []
+    for factor, nearest in zip(part, first_stage, strict=True):
+        m = len(nearest)
+        fitted.append(replace(factor, R=np.column_stack([factor.R[:, :m] @ nearest, np.zeros(len(factor.R))])))
+        full.append(replace(factor, R=factor.R[:, m:]))
+    return tuple(fitted), tuple(full)
 
 
 def _moments(
-    model: LinearModel, parts: Sequence[Reduction], noise: Array, theta: Array, visible: Array
+    model: LinearModel, parts: Iterable[tuple[Reduction, Reduction]], noise: Array, theta: Array, visible: Array
 ) -> tuple[Array, Array]:
     """G and s of every block at an estimate."""
     G, s = [], []
-    for part in parts:
+    for fitted, full in parts:
         own_G, own_s = np.zeros((visible.shape[1],) * 2), np.zeros(visible.shape[1])
-        for rows, factor, columns, sigma in zip(weighed(model, part, noise), part, model.active(), noise, strict=True):
+        for rows, factor, columns, sigma in zip(
+            weighed(model, fitted, noise), full, model.active(), noise, strict=True
+        ):
             A = rows @ visible
             own_G += A.T @ A
             own_s += A.T @ (factor.R @ np.append(theta[columns], -1.0)) / sigma

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.base import structural_base
+from idtool.bias import BiasCheck, bias_check, estimates
 from idtool.blocks import Blocks
 from idtool.experiment import Experiment, Progress
 from idtool.identifiability import Identifiability, identifiability
-from idtool.identify import Estimate
+from idtool.identified import Identified
 from idtool.names import some
 from idtool.prediction import Prediction, prediction
 from idtool.reduction import Reduction
@@ -46,6 +46,8 @@ class Trust:
         What each number rests on; None: not asked for.
     repeatability
         The logs against each other; None for a single one, or where it was not asked for.
+    bias
+        Least squares beside instrumental variables; None where it was not asked for or would take long.
     warnings
         What a user should know, a plain sentence each.
     """
@@ -57,6 +59,7 @@ class Trust:
     prediction: Prediction
     identifiability: Identifiability | None
     repeatability: Repeatability | None
+    bias: BiasCheck | None
     warnings: tuple[str, ...]
 
     def interval(self, rows: Array) -> Array:
@@ -80,50 +83,57 @@ class Trust:
 
 
 def trust(
-    experiment: Experiment,
-    data: Sequence[Blocks],
-    reduction: Reduction,
-    estimate: Estimate,
-    independent: Mapping[str, float],
-    solved: Callable[[Reduction], Estimate],
-    progress: Progress,
-    questioned: bool,
+    experiment: Experiment, solution: Identified, independent: Mapping[str, float], progress: Progress, questioned: bool
 ) -> Trust:
     """Question a fit.
 
     Parameters
     ----------
-    experiment, data, reduction, estimate
+    experiment, solution
         Model and data, and what came of them.
     independent
         How many independent samples the residual holds, by joint.
-    solved
-        The identification from some of the data.
     progress
         Told the stage and how far it has come.
     questioned
-        Whether to ask what each number rests on, and logs whether they agree.
+        Whether to ask what each number rests on, logs whether they agree, and whether noise has biased it.
     """
-    equation, model, known = experiment.equation, experiment.model, experiment.known
+    equation, model, known, estimate = experiment.equation, experiment.model, experiment.known, solution.estimate
     rng = np.random.default_rng(experiment.config.seed)
-    found = scatter(equation, data, estimate.noise, estimate.theta, known, rng)
+    pair = estimates(experiment, solution, progress) if solution.two_stage or questioned else None
+    if pair is not None and solution.two_stage:
+        found = pair.iv
+    else:
+        found = scatter(equation, solution.data, estimate.noise, estimate.theta, known, rng)
     errors = found.uncertainty
     if found.bootstrap is None or found.correlated:
         errors = _counted(errors, independent)
     held_out = any(run.held_out for run in experiment.runs)
     ahead = prediction(experiment, errors, held_out, progress)
-    asked = compared = None
+    asked = compared = biased = None
     if questioned:
         asking = partial(progress, "asking what each number rests on")
-        asked = identifiability(model, equation, known, reduction, estimate, errors, asking)
-    if questioned and len(data) > 1:
+        asked = identifiability(model, equation, known, solution.reduction, estimate, errors, asking)
+        biased = bias_check(pair, asked.base) if pair is not None else None
+    if asked is not None and len(solution.data) > 1:
         progress("comparing logs", 0.0)
-        base = structural_base(model, equation, known)
-        compared = repeatability(
-            equation, data, estimate.noise, estimate.theta, known, base, lambda some: solved(some).theta, rng
-        )
-    warnings = (*_of_blocks(found, data), *_of_logs(compared), *_of_prediction(ahead, equation.joints))
-    return Trust(estimate.theta, errors, found, independent, ahead, asked, compared, warnings)
+        alone = _theta_of(solution)
+        common = (solution.data, estimate.noise, estimate.theta, known, asked.base, alone, rng)
+        compared = repeatability(equation, *common)
+    warnings = (
+        *_of_blocks(found, solution.data),
+        *_of_logs(compared),
+        *_of_bias(biased, solution.two_stage is not None),
+        *_of_prediction(ahead, equation.joints),
+    )
+    return Trust(estimate.theta, errors, found, independent, ahead, asked, compared, biased, warnings)
+
+
+def _theta_of(solution: Identified) -> Callable[[Reduction], Array]:
+    def alone(data: Reduction) -> Array:
+        return solution.again(data).theta
+
+    return alone
 
 
 def _counted(errors: Uncertainty, independent: Mapping[str, float]) -> Uncertainty:
@@ -160,6 +170,15 @@ def _of_logs(compared: Repeatability | None) -> list[str]:
     if compared.odd is not None:
         return [f"{said}; the odd one out is {compared.logs[compared.odd]}"]
     return [f"{said}: intervals from these logs together are too short for them"]
+
+
+def _of_bias(biased: BiasCheck | None, instrumental: bool) -> list[str]:
+    if biased is None or not biased.differs.any():
+        return []
+    count = int(np.count_nonzero(biased.differs))
+    said = f"{count} of {len(biased.differs)} base parameters differ between least squares and instrumental variables"
+    advice = "" if instrumental else ": noise in q and v biases them, or the model lacks something; see --method iv"
+    return [f"{said} by more than their intervals{advice}"]
 
 
 def _of_prediction(ahead: Prediction, joints: Sequence[str]) -> list[str]:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.base import BaseParameters
+from idtool.bias import BiasCheck
 from idtool.effects.base import Coefficient
 from idtool.fit import Fit
 from idtool.identifiability import Basis, Identifiability, combination
@@ -26,9 +28,9 @@ def quantity(coefficient: Coefficient) -> str:
     return f"{coefficient.owner} {_WORDS.get(coefficient.name, coefficient.name)}"
 
 
-def combination_name(row: Array, coefficients: Sequence[Coefficient]) -> str:
-    """A combination in words: ``thigh I_xx − thigh I_zz + 0.117 shank mass``."""
-    terms = combination(row, coefficients)
+def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> str:
+    """A base parameter in words: ``thigh I_xx − thigh I_zz + 0.117 shank mass``."""
+    terms = combination(base, i, coefficients)
     name = ""
     for k, share in terms[:_NAMED]:
         factor = "" if np.isclose(abs(share), 1) else f"{abs(share):.3g} "
@@ -38,7 +40,7 @@ def combination_name(row: Array, coefficients: Sequence[Coefficient]) -> str:
 
 
 def trust_report(fit: Fit) -> dict[str, Any]:
-    """The entries ``uncertainty``, ``base_parameters`` and ``repeatability`` of report.json."""
+    """The entries ``uncertainty``, ``base_parameters``, ``bias`` and ``repeatability`` of report.json."""
     trust, joints = fit.trust, fit.experiment.equation.joints
     found = trust.scatter
     ahead = trust.prediction
@@ -55,6 +57,7 @@ def trust_report(fit: Fit) -> dict[str, Any]:
             "torque_undetermined": _by_joint(joints, ahead.unknown),
         },
         "base_parameters": base_report(fit, trust.identifiability) if trust.identifiability else None,
+        "bias": bias_report(fit, trust.identifiability, trust.bias),
         "repeatability": repeatability_report(fit, trust.identifiability, trust.repeatability),
     }
 
@@ -85,12 +88,12 @@ def base_report(fit: Fit, asked: Identifiability) -> dict[str, Any]:
     coefficients = fit.experiment.equation.coefficients
     limits, pulls = fit.trust.interval(asked.base.B), fit.trust.pull(asked.base.B)
     entries = []
-    for i, row in enumerate(asked.base.B):
+    for i in range(len(asked.base)):
         sees = bool(asked.seen[i])
-        terms = combination(row, coefficients)
+        terms = combination(asked.base, i, coefficients)
         entries.append(
             {
-                "name": combination_name(row, coefficients),
+                "name": combination_name(asked.base, i, coefficients),
                 "terms": [{"of": coefficients[k].owner, "what": coefficients[k].name, "share": s} for k, s in terms],
                 "unit": coefficients[asked.base.own[i]].unit,
                 "value": float(asked.value[i]),
@@ -149,7 +152,7 @@ def _ground_text(basis: Basis, asked: Identifiability, coefficients: Sequence[Co
         ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
         return f"held by the constraints{ends} ({basis.constraints:.0%})"
     if basis.on == "combination":
-        name = combination_name(asked.base.B[basis.combinations[0]], coefficients) if basis.combinations else ""
+        name = combination_name(asked.base, basis.combinations[0], coefficients) if basis.combinations else ""
         return f"by the data only in a combination: {name}"
     return "prior only" if basis.prior > 0.9 else f"mostly prior ({basis.prior:.0%})"
 
@@ -169,7 +172,7 @@ def repeatability_report(
         "cross_rms": compared.cross.tolist(),
         "parameters": [
             {
-                "name": combination_name(row, coefficients),
+                "name": combination_name(asked.base, i, coefficients),
                 "unit": coefficients[asked.base.own[i]].unit,
                 "value": [v if sees else None for v, sees in zip(compared.value[i].tolist(), finite[i], strict=True)],
                 "standard_error": [
@@ -178,9 +181,30 @@ def repeatability_report(
                 "ratio": float(compared.ratio[i]) if np.isfinite(compared.ratio[i]) else None,
                 "agrees": bool(compared.agrees[i]),
             }
-            for i, row in enumerate(asked.base.B)
+            for i in range(len(asked.base))
         ],
     }
+
+
+def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | None) -> dict[str, Any] | None:
+    """The entry ``bias``."""
+    if asked is None or biased is None:
+        return None
+    coefficients = fit.experiment.equation.coefficients
+    entries = []
+    for i in range(len(asked.base)):
+        if np.isfinite(biased.ls[i]):
+            entries.append(
+                {
+                    "name": combination_name(asked.base, i, coefficients),
+                    "unit": coefficients[asked.base.own[i]].unit,
+                    "ls": float(biased.ls[i]),
+                    "iv": float(biased.iv[i]),
+                    "standard_error": float(biased.standard_error[i]),
+                    "differs": bool(biased.differs[i]),
+                }
+            )
+    return {"method": fit.method, "instruments": biased.kind, "iterations": biased.iterations, "parameters": entries}
 
 
 def reflected_inertia(fit: Fit) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def adapt_command(
     """Identify online, sample by sample and within the constraints, and write the parameters over time."""
     from idtool.adapt import adapt, adapt_report
     from idtool.experiment import prepare
-    from idtool.fit import choose_sets
+    from idtool.identified import choose_sets
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
     from idtool.pages import adapt_page

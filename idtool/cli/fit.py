@@ -11,6 +11,7 @@ from idtool.cli.options import (
     JsonOption,
     LogsArgument,
     MaxRmsOption,
+    MethodOption,
     NoSimulationOption,
     OutOption,
     QuickOption,
@@ -34,6 +35,7 @@ def fit_command(
     validate: ValidateOption = None,
     max_rms: MaxRmsOption = None,
     no_simulation: NoSimulationOption = False,
+    method: MethodOption = "ls",
     quick: QuickOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -55,7 +57,7 @@ def fit_command(
         progress("reading", 0.0)
         experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
         bounds = bounds_of(max_rms or [], experiment)
-        result = fit(experiment, progress, simulated=not (no_simulation or quick), questioned=not quick)
+        result = fit(experiment, progress, not (no_simulation or quick), not quick, method)
         progress("writing", 0.0)
         report = fit_report(result)
         bodies = {body.name: (body, result.parameters(i)) for i, body in enumerate(experiment.model.bodies)}

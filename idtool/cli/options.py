@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -35,6 +35,12 @@ NoSimulationOption = Annotated[
 QuickOption = Annotated[
     bool,
     typer.Option("--quick", help="Only the fit: nothing run forwards, and not asked what each number rests on."),
+]
+MethodOption = Annotated[
+    Literal["ls", "iv"],
+    typer.Option(
+        "--method", help="Least squares, or instrumental variables, which noise in q and v does not bias; slower."
+    ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 MaxRmsOption = Annotated[
