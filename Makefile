@@ -5,7 +5,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 JOBS ?= 2
 
-.PHONY: demo test test-slow benchmarks samples lock clean
+.PHONY: demo test test-slow benchmarks coverage samples lock clean
 
 demo: $(READY)  ## the main job on the sample logs
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
@@ -24,6 +24,9 @@ test-slow: $(READY)  ## what takes longer than CI allows
 benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
 	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \
 		OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/$$script.py || exit 1; done
+
+coverage: $(READY)  ## how often the 95 % intervals cover the truth, on 260 simulated logs; takes minutes
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/coverage.py --jobs $(JOBS)
 
 samples: $(READY)  ## make the sample logs anew in MuJoCo
 	$(BIN)/python sample_logs/make.py
