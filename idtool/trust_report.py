@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 _WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in NAMES[1:4]}}
 _NAMED = 4  # terms of a combination that its name holds
-_PULLED = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
+PULLED = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
 
 
 def quantity(coefficient: Coefficient) -> str:
@@ -106,7 +106,7 @@ def base_report(fit: Fit, asked: Identifiability) -> dict[str, Any]:
         "of": len(coefficients),
         "structural": len(asked.base),
         "determined": int(np.count_nonzero(asked.seen)),
-        "held_away": int(np.count_nonzero(pulls > _PULLED)),
+        "held_away": int(np.count_nonzero(pulls > PULLED)),
         "parameters": entries,
     }
 

@@ -129,7 +129,8 @@ def evaluation_of(curves: dict[str, Array], logs: int = 1, start: float = 0.0) -
         if i and name not in ("residual", "q")
     }
     spread = {f"j{j}": 2.0 for j in range(nv)}
-    return Evaluation(errors, spread, tuple(Trace(f"log {i}", t, curves) for i in range(logs)))
+    traces = tuple(Trace(f"log {i}", t, curves) for i in range(logs))
+    return Evaluation(errors, spread, traces, dict.fromkeys(spread, 5.0))
 
 
 def _rms(joints: Sequence[str], value: float) -> dict[str, float]:
@@ -242,55 +243,56 @@ def with_shapes(report: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def adapt_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
-    """The content of adapt.json: masses settle exponentially, friction steps to its value after 2 s."""
-    t = np.linspace(0, 20, 5001)
-    inertial = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
-    units = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
-    coefficients = [
-        {"effect": "rigid_body", "owner": body, "name": name, "unit": unit}
-        for body in bodies
-        for name, unit in zip(inertial, units, strict=True)
-    ] + [
-        {"effect": f"{name}_friction", "owner": joint, "name": name, "unit": unit}
-        for joint in joints
-        for name, unit in (("viscous", "N·m·s/rad"), ("coulomb", "N·m"))
-    ]
-    theta = np.zeros((len(t), len(coefficients)))
-    for i in range(len(bodies)):
-        mass = 0.5 * (i + 1) * (1 - np.exp(-t / (i + 1)))
-        theta[:, 10 * i] = mass
-        theta[:, 10 * i + 3] = -0.1 * (i + 1) * mass
-    theta[:, 10 * len(bodies) :] = 0.3 * (t > 2)[:, None]
-    found = body_of()
+def basis_of(on: str = "prior", data: float = 0.0, constraints: float = 0.0, **extra: Any) -> dict[str, Any]:
+    """What report.json holds of what a parameter rests on."""
+    shares = {"data": data, "constraints": constraints, "prior": 1 - data - constraints}
+    return {"on": on, **shares, "range": [0.0, 1.0], "moves_with": [], "combinations": [], "text": "", **extra}
+
+
+def trust_of(bodies: Sequence[str], joints: Sequence[str]) -> dict[str, Any]:
+    """What report.json holds of trust: masses known, first moments in combinations, the rest from the prior."""
+    words = ("mass", *("m·c_x", "m·c_y", "m·c_z"), *("I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"))
+    texts = ["determined by the data", *["by the data only in a combination: x + y"] * 3, *["prior only"] * 6]
+    grounds = [basis_of("data", 0.9, 0.04), *[basis_of("combination", 0.6, 0.1)] * 3, *[basis_of()] * 6]
+    parameter = {"terms": [], "unit": "N·m", "value": 1.234, "standard_error": 0.1, "interval": [1.0, 1.4], "pull": 0.0}
     return {
-        "idtool": "0.0",
-        "schema": 1,
-        "joints": list(joints),
         "units": dict.fromkeys(joints, "N·m"),
-        "bodies": list(bodies),
-        "coefficients": coefficients,
-        "constraints": dict.fromkeys(bodies, "ellipsoid"),
-        "forgetting": 2.0,
-        "t": t.tolist(),
-        "theta": theta.tolist(),
-        "prediction_rms": _rms(joints, 0.7),
-        "final": {
-            "bodies": {
-                body: {
-                    "mass": float(theta[-1, 10 * i]),
-                    "com": [0.0, 0.0, -0.1 * (i + 1)],
-                    "inertia_com": [4e-3, 0, 4e-3, 0, 0, 4e-4],
-                    "pi": found["pi"],
-                    "realizable": True,
-                }
-                for i, body in enumerate(bodies)
-            },
-            "friction": {joint: {"viscous": 0.3, "coulomb": 0.3, "offset": None} for joint in joints},
+        "joints": list(joints),
+        "bodies": {
+            body: body_of(
+                standard_error=[0.02, *[None] * 9],
+                interval=[[0.55, 0.65], *[None] * 9],
+                identifiable=[True, *[False] * 9],
+                rests_on=[
+                    {**basis, "text": f"{body} {word}: {text}"}
+                    for basis, word, text in zip(grounds, words, texts, strict=True)
+                ],
+            )
+            for body in bodies
         },
-        "samples": 20000,
-        "seconds": 3.1,
-        "warnings": [],
-        "urdf": "/robots/leg.urdf",
-        "logs": ["/logs/leg.mcap"],
+        "friction": {
+            joint: {"viscous": 0.1, "coulomb": 0.2, "offset": None}
+            | {"standard_error": {"viscous": 0.01, "coulomb": 0.01, "offset": None}}
+            for joint in joints
+        },
+        "rotors": {},
+        "uncertainty": {
+            "confidence": 0.95,
+            "blocks": 32,
+            "block_seconds": 0.25,
+            "correlated_beyond_blocks": False,
+            "bootstrap_ratio": 1.07,
+            "independent_samples": dict.fromkeys(joints, 512.4),
+            "torque_standard_error": dict.fromkeys(joints, 0.0123),
+            "torque_standard_error_largest": dict.fromkeys(joints, 0.0456),
+            "torque_undetermined": dict.fromkeys(joints, 0.125),
+        },
+        "base_parameters": {
+            "of": 12 * len(bodies),
+            "structural": 2 * len(joints),
+            "determined": 2 * len(joints),
+            "held_away": 0,
+            "parameters": [{**parameter, "name": f"{joint} {k}"} for joint in joints for k in ("viscous", "coulomb")],
+        },
+        "repeatability": None,
     }

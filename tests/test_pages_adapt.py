@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
-from pages import BODY, SCRIPT, SLIDE, Page, adapt_of, complete
+from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete
 
 from idtool.pages import adapt_page
 from idtool.pages.adapt import settling_time
@@ -14,6 +15,60 @@ from idtool.pages.charts import significant, thinned
 
 JOINTS = (SCRIPT, SLIDE)
 BODIES = (BODY, "thigh", "shank")
+
+
+def adapt_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
+    """The content of adapt.json: masses settle exponentially, friction steps to its value after 2 s."""
+    t = np.linspace(0, 20, 5001)
+    inertial = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+    units = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
+    coefficients = [
+        {"effect": "rigid_body", "owner": body, "name": name, "unit": unit}
+        for body in bodies
+        for name, unit in zip(inertial, units, strict=True)
+    ] + [
+        {"effect": f"{name}_friction", "owner": joint, "name": name, "unit": unit}
+        for joint in joints
+        for name, unit in (("viscous", "N·m·s/rad"), ("coulomb", "N·m"))
+    ]
+    theta = np.zeros((len(t), len(coefficients)))
+    for i in range(len(bodies)):
+        mass = 0.5 * (i + 1) * (1 - np.exp(-t / (i + 1)))
+        theta[:, 10 * i] = mass
+        theta[:, 10 * i + 3] = -0.1 * (i + 1) * mass
+    theta[:, 10 * len(bodies) :] = 0.3 * (t > 2)[:, None]
+    found = body_of()
+    return {
+        "idtool": "0.0",
+        "schema": 1,
+        "joints": list(joints),
+        "units": dict.fromkeys(joints, "N·m"),
+        "bodies": list(bodies),
+        "coefficients": coefficients,
+        "constraints": dict.fromkeys(bodies, "ellipsoid"),
+        "forgetting": 2.0,
+        "t": t.tolist(),
+        "theta": theta.tolist(),
+        "prediction_rms": {**{joint: 0.7 * (1 + 0.1 * i) for i, joint in enumerate(joints)}, "overall": 0.7},
+        "final": {
+            "bodies": {
+                body: {
+                    "mass": float(theta[-1, 10 * i]),
+                    "com": [0.0, 0.0, -0.1 * (i + 1)],
+                    "inertia_com": [4e-3, 0, 4e-3, 0, 0, 4e-4],
+                    "pi": found["pi"],
+                    "realizable": True,
+                }
+                for i, body in enumerate(bodies)
+            },
+            "friction": {joint: {"viscous": 0.3, "coulomb": 0.3, "offset": None} for joint in joints},
+        },
+        "samples": 20000,
+        "seconds": 3.1,
+        "warnings": [],
+        "urdf": "/robots/leg.urdf",
+        "logs": ["/logs/leg.mcap"],
+    }
 
 
 @pytest.fixture

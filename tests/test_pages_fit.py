@@ -44,7 +44,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Fit:
         parse_config({"friction": {SLIDE: {"coulomb": False}}}, "c.yaml"),
         [path.with_suffix(".csv")],
     )
-    return fit(experiment, lambda stage, share: None, simulated=True)
+    return fit(experiment, lambda stage, share: None, simulated=True, questioned=True)
 
 
 @pytest.fixture
@@ -159,7 +159,8 @@ def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any])
     known = fitted.uncertainty.identifiable
     text = Page(fit_page(fitted, report, "idtool fit")).text
     assert f"determine {known.sum()} of {len(known)} parameters" in text
-    certain = replace(fitted, uncertainty=replace(fitted.uncertainty, identifiable=np.ones_like(known)))
+    uncertainty = replace(fitted.uncertainty, identifiable=np.ones_like(known))
+    certain = replace(fitted, trust=replace(fitted.trust, uncertainty=uncertainty))
     assert f"determine all {len(known)} parameters" in Page(fit_page(certain, report, "idtool fit")).text
 
 
@@ -183,3 +184,32 @@ def test_what_is_known_otherwise_is_beside_what_was_identified(fitted: Fit, repo
 def test_the_regularization_is_named(fitted: Fit, report: dict[str, Any]) -> None:
     report["regularization"] = {"kind": "entropic", "weight": 1e-6, "units": "relative"}
     assert "entropic, weight 1.0e-06, relative units" in Page(fit_page(fitted, report, "idtool fit")).text
+
+
+def test_the_page_tells_what_its_numbers_rest_on(fitted: Fit, report: dict[str, Any]) -> None:
+    page = Page(fit_page(fitted, report, "idtool fit"))
+    base = report["base_parameters"]
+    assert f"determine {base['determined']} of the {base['structural']}." in page.plain
+    words = ("mass", "m·c_x", "I_yy")
+    rows = [row for row in page.rows if len(row) == 5 and row[0] in words]
+    texts = [basis["text"] for body in report["bodies"].values() for basis in body["rests_on"]]
+    assert len(rows) >= 2
+    assert all(any(text.endswith(f" {row[0]}: {row[4]}") for text in texts) for row in rows)
+    assert any(row[0].startswith("Prior only, with 1 % range: m·c_x ") for row in page.rows)
+
+
+def test_a_quick_fit_has_no_such_sections(fitted: Fit, report: dict[str, Any]) -> None:
+    asked = "Base parameters", "What each number rests on"
+    assert all(heading in Page(fit_page(fitted, report, "idtool fit")).text for heading in asked)
+    report["base_parameters"] = None
+    for body in report["bodies"].values():
+        body["rests_on"] = None
+    page = Page(fit_page(fitted, report, "idtool fit --quick"))
+    complete(page)
+    assert not any(heading in page.text for heading in asked)
+
+
+def test_a_mass_that_is_determined_has_its_interval(fitted: Fit, report: dict[str, Any]) -> None:
+    report["bodies"]["l2"]["standard_error"][0], report["bodies"]["l2"]["interval"][0] = 0.021, [0.456, 0.544]
+    bodies = Page(fit_page(fitted, report, "idtool fit")).table("prior mass [kg]")
+    assert bodies["l2"]["±"] == "0.0210.456 to 0.544"  # one below the other

@@ -14,7 +14,7 @@ from idtool.validate import Evaluation
 
 Array = NDArray[np.float64]
 
-_MOST_VALUES = 100_000  # that all curves of torque hold together: some 750 kB of text
+_MOST_VALUES = 80_000  # that all curves of torque hold together: some 600 kB of text
 _MOST_LOGS = 6  # that are drawn
 _DIGITS = 5  # of a curve's largest value
 _MOST_DECIMALS = 12

@@ -11,6 +11,7 @@ from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
+from idtool.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
 
 _SECTIONS = (
     ("What was found", "fit_findings.html"),
@@ -19,6 +20,10 @@ _SECTIONS = (
     SIMULATION,
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
+    RESTS,
+    BASE,
+    LOGS,
+    BIAS,
     ("Bodies in 3D", "bodies_3d.html"),
     ("Solver", "solver.html"),
     ("How this was made", "origin.html"),
@@ -42,8 +47,8 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
     held_out = own is not None
     return render(
         f"{Path(report['urdf']).stem}: identified dynamics",
-        with_simulation(_SECTIONS, report),
-        ["torques.js", "lines.js", "positions.js", "bodies.js"],
+        with_trust(with_simulation(_SECTIONS, report), report),
+        ["torques.js", "lines.js", "positions.js", "bodies.js", "trust.js"],
         {
             **curves(fit.validation if held_out else fit.train, "identified", units),
             **simulation_view(fit.simulation, report, "identified"),
@@ -52,6 +57,7 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
         report=report,
         groups=by_unit(units),
         **simulation_text(report),
+        **trust_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
         worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
         determined=fit.uncertainty.identifiable,
