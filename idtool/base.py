@@ -106,18 +106,28 @@ def structural_base(model: Model, equation: LinearModel, known: Knowledge | None
     for rows, columns, block in zip(Y, equation.active(), equation.columns(motion), strict=True):
         rows[:, columns] = block[:-1].T
     order = np.argsort(known.free < SIZE * len(model.bodies), kind="stable")  # friction bears its own name
-    base = base_parameters(_felt(Y.reshape(-1, p), equation) @ known.K, order)
+    base = base_parameters(felt(Y.reshape(-1, p), equation, _RANK) @ known.K, order)
     B = np.zeros((len(base), p))
     B[:, known.free] = base.B
     return BaseParameters(known.free[base.own], B)
 
 
-def _felt(Y: Array, equation: LinearModel) -> Array:
-    """The same without what is rounding beside the rest of a body, its parameters being as large as they are."""
+def felt(Y: Array, equation: LinearModel, rounding: float) -> Array:
+    """Rows, shape (rows, p), without what is rounding beside the rest of a body.
+
+    Parameters
+    ----------
+    Y
+        The regressor's rows or their triangular factor.
+    equation
+        The torque equation.
+    rounding
+        Effect of a parameter of typical size, relative to the body's largest, below which it is none.
+    """
     size = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
     bodies = size[: len(size) // SIZE * SIZE].reshape(-1, SIZE)
     small = np.zeros(len(size), dtype=bool)
-    small[: bodies.size] = ((bodies > 0) & (bodies < _RANK * bodies.max(axis=1, keepdims=True))).ravel()
+    small[: bodies.size] = ((bodies > 0) & (bodies < rounding * bodies.max(axis=1, keepdims=True))).ravel()
     return np.where(small, 0.0, Y)
 
 

@@ -49,7 +49,7 @@ class Blocks:
         return replace(self, parts=tuple(map(change, self.parts)))
 
     def joined(self, count: int) -> Blocks:
-        """The same with so many blocks in one; a rest shorter than half of that joins the last."""
+        """The same with so many blocks in one; a rest of up to half of that joins the last."""
         starts = list(range(0, max(len(self) - count // 2, 1), count))
         parts = [self.parts[i:j] for i, j in zip(starts, [*starts[1:], len(self)], strict=True)]
         return replace(self, parts=tuple(map(together, parts)), seconds=self.seconds * count)

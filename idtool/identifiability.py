@@ -153,9 +153,9 @@ def _posterior(
     The data's information is that of their independent rows, less where the residual's scatter says so.
     """
     inflated = float(np.trace(found.spread)) / max(len(found.spread), 1)
-    soft = known.soft_rows()[:, : len(equation.coefficients)] / np.sqrt(found.directions.worth)
-    W = np.concatenate([soft, *weighed(equation, reduction, noise)]) @ known.K * problem.scale
-    W = W / np.sqrt(inflated) if inflated else W
+    data = np.concatenate(weighed(equation, reduction, noise)) / np.sqrt(inflated or 1.0)
+    told = known.soft_rows()[:, : len(equation.coefficients)]
+    W = np.concatenate([told, data]) @ known.K * problem.scale
     prior = np.zeros((len(inertial), W.shape[1]))
     prior[np.arange(len(inertial)), inertial] = 1
     least = 1e-9 * np.eye(W.shape[1])  # of a coefficient without prior that the data do not see

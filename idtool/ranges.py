@@ -86,7 +86,7 @@ def _least(problem: Problem, start: Array, row: Array, level: float) -> float:
         except SolverError:
             continue
         least = -np.inf if x is None else float(row @ (problem.S @ x))
-        return least if abs(least) < _FAR else -np.inf
+        return least if least > -_FAR else -np.inf
     return np.nan
 
 

@@ -96,7 +96,7 @@ def repeatability(
         standard_error=error,
         ratio=_ratio(value, error),
         agrees=~differs,
-        odd=_odd(value, error) if differs.any() else None,
+        odd=_odd(value[differs], error[differs]),
         cross=_cross(equation, data, noise, [alone(log.total) for log in data]),
     )
 
@@ -141,9 +141,12 @@ def _ratio(value: Array, error: Array) -> Array:
 
 
 def _odd(value: Array, error: Array) -> int | None:
-    """The log without which the others disagree less than half as much, if there are three or more."""
+    """The log without which the others disagree less than half as much, if there are three or more.
+
+    Only what differs is asked: of many parameters that agree, one log more or less says nothing.
+    """
     logs = value.shape[1]
-    if logs < 3:
+    if logs < 3 or not len(value):
         return None
 
     def disagreement(kept: list[int]) -> float:

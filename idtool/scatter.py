@@ -33,6 +33,7 @@ _DRAWS = 400
 _LONGER = 2.0  # than what makes the variance most accurate: intervals that are too short are worse than rough ones
 _ALIKE = 10  # directions, at most, that are as good as so many independent series
 _LEAST = 0.1  # of the variance, that correlation may leave of what scores add up to
+_BEYOND = 1  # more parts than there may be in a block, by which it is too short
 _GONE = 5  # lags in a row without correlation, at which it counts as gone
 
 
@@ -123,13 +124,13 @@ def scatter(
     s = np.concatenate([_sums(x, joined) for x in scores])
     seconds = data[0].seconds * joined
     if len(s) < FEWEST:
-        return Scatter(best, whole, None, s @ seen.visible.T, joined, seconds, wanted > most)
+        return Scatter(best, whole, None, -s @ seen.visible.T, joined, seconds, wanted > most + _BEYOND)
     soft_spread = told.T @ told / seen.worth
     s = _corrected(G, s)
     sandwich = Uncertainty(seen, whole.identifiable, s.T @ s + soft_spread, G)
     draws = _bootstrap(G, s, told.T @ told, rng)
     bootstrap = Uncertainty(seen, whole.identifiable, draws + soft_spread, G)
-    return Scatter(best, sandwich, bootstrap, s @ seen.visible.T, joined, seconds, wanted > most)
+    return Scatter(best, sandwich, bootstrap, -s @ seen.visible.T, joined, seconds, wanted > most + _BEYOND)
 
 
 def _split(part: Reduction, first_stage: Sequence[Array] | None) -> tuple[Reduction, Reduction]:
@@ -163,7 +164,7 @@ def _moments(
 
 
 def _sums(x: Array, count: int) -> Array:
-    """Sums over so many consecutive entries; a rest shorter than half of that joins the last."""
+    """Sums over so many consecutive entries; a rest of up to half of that joins the last."""
     starts = np.arange(0, max(len(x) - count // 2, 1), count)
     return np.asarray(np.add.reduceat(x, starts, axis=0))
 
@@ -175,7 +176,7 @@ def _block_length(scores: Sequence[Array]) -> int:
     better known for it, but no better than of a few, as they are not independent.
     """
     n, most = sum(map(len, scores)), max(map(len, scores)) // 2
-    R = np.array([sum(float((s[k:] * s[: len(s) - k]).sum()) for s in scores) for k in range(most + 1)])
+    R = np.array([sum(float((s[k:] * s[: max(len(s) - k, 0)]).sum()) for s in scores) for k in range(most + 1)])
     noise = 2 * np.sqrt(np.log10(max(n, 2)) / n / np.clip(scores[0].shape[1], 1, _ALIKE))
     small = np.abs(R) <= noise * R[0]
     gone = next((m for m in range(most + 1) if small[m + 1 : m + 1 + _GONE].all()), most)

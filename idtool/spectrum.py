@@ -25,7 +25,7 @@ class Correlations:
     Attributes
     ----------
     samples
-        At the logged rate, shape (nv,) the same for all.
+        At the logged rate.
     residual, torque
         Sums of products, by lag in rows, shape (nv, lags).
     """

@@ -140,7 +140,7 @@ def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
     """What a parameter rests on, in words."""
     coefficients, basis = fit.experiment.equation.coefficients, asked.bases[k]
     names = [quantity(coefficients[i]) for i, _ in basis.moves_with[:2]]
-    moves = f"; moves with {' and '.join(names)}" if names else ""
+    moves = f"; moves with {' and '.join(names)}" if names and basis.on != "data" else ""
     return f"{quantity(coefficients[k])}: {_ground_text(basis, asked, coefficients)}{moves}"
 
 

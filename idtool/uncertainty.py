@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import null_space
 
+from idtool.base import felt
 from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
@@ -147,7 +148,8 @@ def directions(model: LinearModel, reduction: Reduction, noise: Array, known: Kn
     independent = sum(factor.independent for factor in reduction) / len(reduction)
     worth = independent / rows if independent else 1.0
     soft = known.soft_rows()[:, :p] / np.sqrt(worth)  # of which each is one
-    W = np.concatenate([soft, *weighed(model, reduction, noise)]) @ known.K
+    measured = felt(np.concatenate(weighed(model, reduction, noise)), model, _RANK)
+    W = np.concatenate([soft, measured]) @ known.K
     size = np.linalg.norm(W, axis=0)
     size[size == 0] = 1.0
     exact = np.array([fact.row @ known.K / size for fact in known.hard]).reshape(-1, len(size))

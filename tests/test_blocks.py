@@ -1,0 +1,142 @@
+"""Blocks of a stream of rows against the whole array: sums of products are what an R-factor keeps of its rows."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from idtool.blocks import Blocks, block_rows, cut, most_blocks, together
+from idtool.reduction import Factor, Reduction
+
+Array = NDArray[np.float64]
+Batches = list[tuple[list[Array], list[NDArray[np.bool_]]]]
+
+WIDTHS = (3, 4)  # columns of two joints, the torque among them
+
+
+class Stream:
+    """Two joints' rows, and which of them count."""
+
+    def __init__(self, rows: int, seed: int, kept: float = 0.8) -> None:
+        rng = np.random.default_rng(seed)
+        self.rows = rows
+        self.columns = [rng.normal(size=(width, rows)) for width in WIDTHS]
+        self.kept = [rng.random(rows) < kept for _ in WIDTHS]
+
+    def batches(self, ends: list[int]) -> Batches:
+        """The same in pieces that end there and at the end."""
+        edges = [0, *sorted(end % (self.rows + 1) for end in ends), self.rows]
+        pieces = [slice(i, j) for i, j in itertools.pairwise(edges)]
+        return [([x[:, piece] for x in self.columns], [keep[piece] for keep in self.kept]) for piece in pieces]
+
+    def products(self, first: int, last: int) -> list[Array]:
+        """Sums of products of the rows that count."""
+        parts = [x[:, first:last][:, keep[first:last]] for x, keep in zip(self.columns, self.kept, strict=True)]
+        return [part @ part.T for part in parts]
+
+    def counts(self, first: int, last: int) -> list[int]:
+        return [int(keep[first:last].sum()) for keep in self.kept]
+
+
+def assert_same(reduction: Reduction, stream: Stream, first: int, last: int, redundancy: float) -> None:
+    """A reduction is that of some of a stream's rows."""
+    for factor, product, count in zip(reduction, stream.products(first, last), stream.counts(first, last), strict=True):
+        np.testing.assert_allclose(factor.R.T @ factor.R, product, rtol=0, atol=1e-10)
+        assert factor.rows == count
+        assert factor.independent == pytest.approx(count / redundancy)
+        assert len(factor.R) <= factor.R.shape[1]
+
+
+streams = st.builds(Stream, st.integers(1, 90), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0]))
+
+
+@given(streams, st.integers(1, 40), st.lists(st.integers(0, 100), max_size=6))
+def test_a_block_holds_its_rows_wherever_batches_end(stream: Stream, length: int, ends: list[int]) -> None:
+    """Empty batches, batches of many blocks and blocks of many batches; the last block is shorter."""
+    blocks = list(cut(stream.batches(ends), length, 2.5))
+    assert len(blocks) == -(-stream.rows // length)
+    for i, block in enumerate(blocks):
+        assert_same(block, stream, i * length, min((i + 1) * length, stream.rows), 2.5)
+    assert_same(together(blocks), stream, 0, stream.rows, 2.5)
+    assert_same(Blocks("log", tuple(blocks), 1.0).total, stream, 0, stream.rows, 2.5)
+
+
+def test_nothing_gives_no_block() -> None:
+    assert not list(cut([], 10, 1.0))
+    assert not list(cut(Stream(0, 1).batches([]), 10, 1.0))
+
+
+def test_blocks_come_before_the_log_is_at_its_end() -> None:
+    """So that no more of a log is in memory than a batch."""
+    stream, read = Stream(100, 3), []
+
+    def batches() -> Iterator[tuple[list[Array], list[NDArray[np.bool_]]]]:
+        for i, batch in enumerate(stream.batches([20, 40, 60, 80])):
+            read.append(i)
+            yield batch
+
+    blocks = cut(batches(), 10, 1.0)
+    next(blocks)
+    next(blocks)
+    assert read == [0]
+    next(blocks)
+    assert read == [0, 1]
+
+
+def numbered(count: int) -> Blocks:
+    """Blocks of one row each that holds the block's number."""
+    factors = [Factor(np.array([[1.0 + i]]), 1, 1.0) for i in range(count)]
+    return Blocks("log", tuple((factor,) for factor in factors), 0.25)
+
+
+@given(st.integers(1, 60), st.integers(1, 12))
+def test_joined_blocks_are_consecutive_and_about_as_long(count: int, each: int) -> None:
+    """A rest of more than half of a block is one of its own, a shorter one lengthens the last."""
+    joined = numbered(count).joined(each)
+    sizes = [part[0].rows for part in joined.parts]
+    assert sum(sizes) == count
+    assert set(sizes[:-1]) <= {each}
+    if count >= each:
+        assert each / 2 < sizes[-1] <= each * 1.5
+    numbers = np.arange(1.0, count + 1)
+    edges = np.cumsum([0, *sizes])
+    for part, (i, j) in zip(joined.parts, itertools.pairwise(edges), strict=True):
+        assert float(np.square(part[0].R).sum()) == pytest.approx(np.square(numbers[i:j]).sum())
+    assert joined.seconds == pytest.approx(0.25 * each)
+    assert joined.name == "log"
+    assert len(joined) == len(sizes)
+
+
+@given(st.integers(1, 10**7), st.floats(1e-4, 0.1), st.floats(0.5, 100), st.integers(1, 256))
+def test_a_block_is_the_shortest_that_is_long_enough(rows: int, seconds: float, band: float, most: int) -> None:
+    """Four periods of the band's upper end or more, and no more blocks than are wanted."""
+    length = block_rows(rows, seconds, band, most)
+
+    def enough(n: int) -> bool:
+        return n * seconds * band >= 4 * (1 - 1e-12) and -(-rows // max(n, 1)) <= most
+
+    assert enough(length)
+    assert length == 1 or not enough(length - 1) or (length - 1) * seconds * band < 4 * (1 + 1e-12)
+
+
+@given(st.lists(st.integers(0, 4000), min_size=1, max_size=8))
+def test_blocks_in_memory_are_bounded(sizes: list[int]) -> None:
+    """256 at most, 24 at least, in between 256 MiB; of triangles that are stored as squares."""
+    count = most_blocks([np.arange(size) for size in sizes])
+    assert 24 <= count <= 256
+    each = 8 * sum((size + 1) ** 2 for size in sizes)
+    assert count == 24 or count * each <= 256 << 20
+    assert count == 256 or (count + 1) * each > 256 << 20
+
+
+def test_a_block_takes_no_more_memory_than_it_is_counted_for() -> None:
+    stream = Stream(4000, 5, kept=1.0)
+    blocks = list(cut(stream.batches([7, 1900]), 500, 1.0))
+    bytes_held = [sum(factor.R.nbytes for factor in block) for block in blocks]
+    assert max(bytes_held) <= 8 * sum(width**2 for width in WIDTHS)
