@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
-from idtool.bias import BiasCheck
 from idtool.effects.base import Coefficient
 from idtool.fit import Fit
-from idtool.identifiability import Basis, Identifiability, combination
 from idtool.inertia import NAMES, SIZE
-from idtool.repeatability import Repeatability
+from idtool.trust.bias import BiasCheck
+from idtool.trust.identifiability import Basis, Identifiability, combination
+from idtool.trust.repeatability import Repeatability
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from idtool.config import parse_config
 from idtool.experiment import Experiment, prepare
 from idtool.knowledge import Knowledge
 from idtool.logs import make_log, write_log
-from idtool.prediction import Prediction, prediction
 from idtool.reduction import Factor
 from idtool.robot import Robot
+from idtool.trust.prediction import Prediction, prediction
 from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
@@ -34,7 +34,10 @@ class Rows:
 
     def __init__(self, train: Array, held_out: Array) -> None:
         self.equation = SimpleNamespace(
-            joints=("one", "two"), coefficients=(SimpleNamespace(scale=None),) * P, active=lambda: ACTIVE, block=self._block
+            joints=("one", "two"),
+            coefficients=(SimpleNamespace(scale=None),) * P,
+            active=lambda: ACTIVE,
+            block=self._block,
         )
         self._of = {"train": train, "held out": held_out}
         parts = {"train": (slice(0, train.shape[1]),), "held_out": (slice(0, held_out.shape[1]),)}

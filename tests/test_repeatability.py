@@ -16,8 +16,8 @@ from idtool.base import BaseParameters, structural_base
 from idtool.blocks import Blocks, together
 from idtool.inertia import SIZE
 from idtool.reduction import Factor, Reduction
-from idtool.repeatability import Repeatability, repeatability
 from idtool.robot import Robot
+from idtool.trust.repeatability import Repeatability, repeatability
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from idtool.blocks import Blocks
 from idtool.knowledge import Fact, Knowledge
 from idtool.reduction import Factor
-from idtool.scatter import Scatter, scatter
+from idtool.trust.scatter import Scatter, scatter
 from idtool.uncertainty import uncertainty
 
 Array = NDArray[np.float64]

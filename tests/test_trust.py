@@ -23,8 +23,8 @@ from idtool.identified import identified
 from idtool.logs import Log, make_log, read_log, write_log
 from idtool.reduction import Factor
 from idtool.robot import read_robot
-from idtool.scatter import Scatter, scatter
 from idtool.trust import Trust, trust
+from idtool.trust.scatter import Scatter, scatter
 from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
@@ -195,7 +195,7 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
         return replace(found, uncertainty=wider, correlated=True)
 
     plain = questioned(1.0).uncertainty
-    monkeypatch.setattr("idtool.trust.scatter", correlated)
+    monkeypatch.setattr("idtool.trust.inquiry.scatter", correlated)
     many, few = questioned(4.0), questioned(1 / 400)
     np.testing.assert_allclose(many.uncertainty.of(base()), plain.of(base()), rtol=0.4)
     assert (many.uncertainty.of(base()) >= plain.of(base())).all()

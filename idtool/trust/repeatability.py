@@ -19,7 +19,7 @@ from idtool.blocks import Blocks
 from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
-from idtool.scatter import scatter
+from idtool.trust.scatter import scatter
 
 Array = NDArray[np.float64]
 

@@ -9,16 +9,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.bias import BiasCheck, bias_check, estimates
 from idtool.blocks import Blocks
 from idtool.experiment import Experiment, Progress
-from idtool.identifiability import Identifiability, identifiability
 from idtool.identified import Identified
 from idtool.names import some
-from idtool.prediction import Prediction, prediction
 from idtool.reduction import Reduction
-from idtool.repeatability import Repeatability, repeatability
-from idtool.scatter import FEWEST, Scatter, scatter
+from idtool.trust.bias import BiasCheck, bias_check, estimates
+from idtool.trust.identifiability import Identifiability, identifiability
+from idtool.trust.prediction import Prediction, prediction
+from idtool.trust.repeatability import Repeatability, repeatability
+from idtool.trust.scatter import FEWEST, Scatter, scatter
 from idtool.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]

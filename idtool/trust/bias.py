@@ -23,7 +23,7 @@ from idtool.experiment import Experiment, Progress
 from idtool.identified import Identified
 from idtool.instruments import Instruments, Kind, instrumented_rows, instruments
 from idtool.reduction import Reduction
-from idtool.scatter import Scatter, scatter
+from idtool.trust.scatter import Scatter, scatter
 from idtool.two_stage import unprojected
 
 Array = NDArray[np.float64]
