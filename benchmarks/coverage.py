@@ -64,6 +64,7 @@ from idtool.base import BaseParameters, structural_base
 from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
 from idtool.fit import Fit, fit
+from idtool.identified import Method
 from idtool.logs import write_log
 from idtool.robot import read_robot
 
@@ -166,19 +167,20 @@ def log_of(case: Case, folder: Path) -> Path:
     return path
 
 
-def fitted(path: Path) -> Fit:
+def fitted(path: Path, method: Method = "ls") -> Fit:
     """As `idtool fit` does it, nothing held out."""
     config = read_config(SAMPLES / "leg.yaml")
-    return fit(prepare(read_robot(URDF), config, [path], holdout=0.0), silent)
+    return fit(prepare(read_robot(URDF), config, [path], holdout=0.0), silent, method=method)
 
 
-def judged(case: Case, folder: Path) -> tuple[Array, Array]:
-    """Errors of the base parameters, (r,), and half of each kind's intervals, (kinds, r)."""
-    found = fitted(log_of(case, folder))
+def judged(case: Case, folder: Path, method: Method) -> tuple[Array, Array, Array]:
+    """Errors of the base parameters, (r,), and of each kind's intervals half the width and whether they cover."""
+    found = fitted(log_of(case, folder), method)
     base = structural_base(found.experiment.model, found.experiment.equation)
-    three = (intervals(found, base.B), *(ordinary(found, base.B, every) for every in (False, True)))
-    error = base.B @ (found.estimate.theta - true_theta(found.experiment, case.truth()))
-    return error, np.array([(x[:, 1] - x[:, 0]) / 2 for x in three])
+    three = np.array([intervals(found, base.B), *(ordinary(found, base.B, every) for every in (False, True))])
+    truth = base.B @ true_theta(found.experiment, case.truth())
+    error = base.B @ found.estimate.theta - truth
+    return error, (three[..., 1] - three[..., 0]) / 2, (three[..., 0] <= truth) & (truth <= three[..., 1])
 
 
 @dataclass(frozen=True)
@@ -213,15 +215,15 @@ class Coverage:
     systematic: Array
 
     @staticmethod
-    def of(errors: Array, halves: Array, condition: NDArray[np.int64], size: Array) -> Coverage:
-        """Of N logs: errors (N, r), halves (N, kinds, r)."""
+    def of(errors: Array, halves: Array, covered: Array, condition: NDArray[np.int64], size: Array) -> Coverage:
+        """Of N logs: errors (N, r), halves and covered (N, kinds, r)."""
         groups = [errors[condition == c] for c in np.unique(condition)]
         freedom = len(errors) - len(groups)
         within = np.sqrt(sum(np.square(g - g.mean(axis=0)).sum(axis=0) for g in groups) / max(freedom, 1))
         means = np.array([g.mean(axis=0) for g in groups])
         chance = np.square(within) * np.mean([1 / len(g) for g in groups])
         return Coverage(
-            covered=(np.abs(errors)[:, None] <= halves).mean(axis=0),
+            covered=covered.mean(axis=0),
             width=halves[:, 0].mean(axis=0) / size,
             ratio=np.sqrt(np.square(halves[:, 0]).mean(axis=0)) / NORMAL / within,
             bias=errors.mean(axis=0) / within,
@@ -257,17 +259,17 @@ class Coverage:
         ]
 
 
-def run(kind: str, logs: int, folder: Path, jobs: int) -> list[dict[str, Any]]:
+def run(kind: str, logs: int, folder: Path, jobs: int, method: Method) -> list[dict[str, Any]]:
     """Judge a set of logs and print the table."""
     cases = [Case(kind, number) for number in range(logs)]
     with Pool(jobs) as pool:
-        results = pool.map(partial(judged, folder=folder), cases, chunksize=1)
+        results = pool.map(partial(judged, folder=folder, method=method), cases, chunksize=1)
     experiment = fitted(log_of(cases[0], folder)).experiment
     names = Names.of(experiment, structural_base(experiment.model, experiment.equation))
     kept = names.inertial | (kind != "stribeck")
     condition = np.array([case.condition for case in cases])
-    errors, halves = (np.array(x) for x in zip(*results, strict=True))
-    coverage = Coverage.of(errors, halves, condition, names.size)
+    errors, halves, covered = (np.array(x) for x in zip(*results, strict=True))
+    coverage = Coverage.of(errors, halves, covered, condition, names.size)
     print(f"\n{kind}: {logs} logs in {len(set(condition))} conditions, {np.count_nonzero(kept)} base parameters")
     coverage.print(names, kept)
     return coverage.data(names, kept)
@@ -281,12 +283,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cache", type=Path, help="folder in which logs are kept for another time")
     parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--method", choices=("ls", "iv"), default="ls", help="of the fit; the other intervals stay")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.cache or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         kinds = options.set or ["white", "coloured"]
-        results = {kind: run(kind, options.logs or SETS[kind], folder, options.jobs) for kind in kinds}
+        results = {kind: run(kind, options.logs or SETS[kind], folder, options.jobs, options.method) for kind in kinds}
     if options.json:
         options.json.write_text(json.dumps(results, indent=1))
 

@@ -65,12 +65,12 @@ class Trust:
     def interval(self, rows: Array) -> Array:
         """95 % intervals of combinations of the coefficients, shape (k, p) to (k, 2); infinite where not determined.
 
-        Those of the data alone, without prior and inequalities, and the fit's value with them: where prior or
-        constraints hold it away from what the data say, the interval reaches from the one to the other.
+        Around the fit's value and around what the data say without prior and inequalities, which these may hold it away
+        from: truth may be as far from either.
         """
         half = self.uncertainty.of(rows) * self.uncertainty.reach(rows)
         free, fitted = rows @ self.scatter.theta, rows @ self.theta
-        return np.column_stack([np.minimum(free - half, fitted), np.maximum(free + half, fitted)])
+        return np.column_stack([np.minimum(free, fitted) - half, np.maximum(free, fitted) + half])
 
     def pull(self, rows: Array) -> Array:
         """How far prior and constraints hold combinations away from what the data say, in standard errors, shape (k,).
