@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from idtool.cli import adapt, ellipsoids, export, fit, inspect, simulate, study, validate  # noqa: F401  # each adds its command
+from idtool.cli import adapt, ellipsoids, excite, export, fit, inspect, simulate, study, validate  # noqa: F401  # each adds its command
 from idtool.cli.app import app
 from idtool.exceptions import IdtoolError
 

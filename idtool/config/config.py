@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 from idtool.config.base import Finite, Record, Vector, checked
 from idtool.config.bounds import Bounding, BoundingShape
 from idtool.config.estimation import Constraints, Known, Mirror, Regularization, Solver
+from idtool.config.limits import JointLimits
 from idtool.config.rotors import Rotor
 from idtool.config.signals import Controller, Filter, LogOptions, Simulation
 from idtool.config.terms import EffectEntry, Friction, friction_form
@@ -50,6 +51,7 @@ class Config(Record):
     solver: Solver = Solver()
     controller: Controller | None = None
     simulation: Simulation = Simulation()
+    limits: dict[str, JointLimits] = Field(default_factory=dict)
     seed: int = 0
 
     def without_friction_values(self) -> Config:

@@ -1,0 +1,245 @@
+"""`idtool excite`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from idtool.cli.app import app
+from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, config_of, finish
+from idtool.exceptions import ConfigError, LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from idtool.config import Config
+    from idtool.design import Logged
+    from idtool.task import Task
+    from idtool.terminal import Terminal
+
+_CRITERIA = ("d", "a", "e", "condition")
+_ALL = ""  # an option's value for all joints
+
+
+@app.command("excite", epilog="Example: idtool excite leg.urdf --duration 30 --noise 0.1 --favour shank_link")
+def excite_command(
+    urdf: UrdfArgument,
+    config: ConfigOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Log to write, MCAP or CSV by its ending; default: <urdf stem>_idtool/excitation.mcap."),
+    ] = None,
+    log: Annotated[
+        list[Path] | None, typer.Option(help="A log that there is already: designs what to do next; repeatable.")
+    ] = None,
+    pattern: Annotated[str, typer.Option(help="fourier, bspline, or shell, the paper's motion.")] = "fourier",
+    criterion: Annotated[
+        str, typer.Option(help="d: all parameters; a: the mean error; e: the worst combination; or condition.")
+    ] = "d",
+    favour: Annotated[
+        list[str] | None,
+        typer.Option(help="What the criterion is for: a body, a joint's friction, or a parameter (hip.coulomb)."),
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Of the trajectory, s.")] = 20.0,
+    slow: Annotated[float, typer.Option(help="Share of it for slow sweeps and standstill, for friction.")] = 0.2,
+    rate: Annotated[float, typer.Option(help="Samples a second, Hz.")] = 1000.0,
+    highest: Annotated[
+        float | None, typer.Option("--max-frequency", help="Highest frequency, Hz; default: by the limits.")
+    ] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(help="Torque noise in the filter's band, N·m rms: 0.1, or hip=0.1. Default: from --log, or 1 %."),
+    ] = None,
+    margin: Annotated[float, typer.Option(help="Share of each limit left unused; of the effort, twice that.")] = 0.1,
+    clearance: Annotated[float, typer.Option(help="How near links may come to each other, m.")] = 0.01,
+    start: Annotated[list[str] | None, typer.Option(help="Pose at start and end: hip=0.5; repeatable.")] = None,
+    tip: Annotated[str | None, typer.Option(help="Link that follows the shell; default: every limb's last.")] = None,
+    iterations: Annotated[int, typer.Option(min=1, help="Of the search.")] = 200,
+    seed: Annotated[int | None, typer.Option(help="Of what is drawn; default: the configuration's.")] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Design a trajectory that makes the parameters visible, and print the standard errors to expect."""
+    from idtool.design import Wishes, design
+    from idtool.excite_report import excite_report
+    from idtool.report import HEADER
+    from idtool.terminal import Terminal
+
+    terminal = Terminal(quiet, as_json)
+    file, settings = out or Path(f"{urdf.stem}_idtool", "excitation.mcap"), config_of(urdf, config)
+    _check(file, log or [], criterion, duration, rate, margin, clearance, highest)
+    wishes = Wishes(
+        pattern=pattern,
+        seconds=duration,
+        slow=slow,
+        highest=highest,
+        iterations=iterations,
+        seed=settings.seed if seed is None else seed,
+        start=_numbers("--start", start or [], for_all=False),
+        tip=tip,
+    )
+    noises = _numbers("--noise", noise or [], for_all=True)
+    asked = {"rate": rate, "margin": margin, "clearance": clearance, "criterion": criterion, "favour": favour or []}
+    with terminal.progress() as progress:
+        progress("reading", 0.0)
+        task, settings, logged, said = _task(urdf, settings, log or [], noises, asked, progress)
+        found = design(task, settings, wishes, logged, progress)
+        progress("writing", 0.0)
+        report = {
+            **HEADER,
+            "file": str(file),
+            "urdf": str(urdf),
+            "logs": [str(path) for path in log or []],
+            "seed": wishes.seed,
+            "samples": math.floor(found.trajectory.seconds * rate + 1e-9) + 1,
+            **excite_report(found),
+        }
+        report["warnings"] = list(dict.fromkeys([*said, *report["warnings"]]))
+        _write(file, found.log(file), report)
+    _show(terminal, report)
+    finish(terminal, report, {})
+
+
+def _check(
+    file: Path,
+    logs: Sequence[Path],
+    criterion: str,
+    duration: float,
+    rate: float,
+    margin: float,
+    clearance: float,
+    highest: float | None,
+) -> None:
+    """Before anything is read: whether the options can be meant."""
+    from idtool.names import nearest
+
+    if file.suffix.lower() not in (".mcap", ".csv"):
+        raise LogError(file, "has an ending that no log is written under; use .mcap or .csv")
+    if any(file.resolve() == path.resolve() for path in logs):
+        raise LogError(file, "is a log that is read; give another --out")
+    if criterion not in _CRITERIA:
+        raise ConfigError("--criterion", f"{criterion} is none; {nearest(criterion, _CRITERIA)}")
+    for option, value, least, most in (
+        ("--duration", duration, 3.0, 3600.0),
+        ("--rate", rate, 20.0, 20_000.0),
+        ("--margin", margin, 0.0, 0.45),
+        ("--clearance", clearance, 0.0, 1.0),
+        ("--max-frequency", 1.0 if highest is None else highest, 0.01, 1000.0),
+    ):
+        if not least <= value <= most:
+            raise ConfigError(option, f"{value:g} is not from {least:g} to {most:g}")
+
+
+def _numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, float]:
+    """JOINT=NUMBER by joint; a number without a joint is for all."""
+    found = {}
+    for text in given:
+        name, separator, number = text.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value) or not (separator or for_all) or (for_all and value <= 0):
+            form = "NUMBER or JOINT=NUMBER, above 0" if for_all else "JOINT=NUMBER"
+            raise ConfigError(option, f"{text or 'nothing'} is not {form}")
+        found[name if separator else _ALL] = value
+    return found
+
+
+def _task(
+    urdf: Path,
+    settings: Config,
+    logs: Sequence[Path],
+    noises: Mapping[str, float],
+    asked: Mapping[str, Any],
+    progress: Callable[[str, float], None],
+) -> tuple[Task, Config, Logged | None, Sequence[str]]:
+    """The robot and what is to be told; of the joints that are logged already, where some are."""
+    from idtool.design import Logged
+    from idtool.effects import build_effects
+    from idtool.experiment import prepare
+    from idtool.knowledge import knowledge
+    from idtool.model import build_model
+    from idtool.regressor import LinearModel
+    from idtool.robot import read_robot
+    from idtool.task import make_task
+    from idtool.weights import free_noise
+
+    robot, logged, measured = read_robot(urdf), None, dict[str, float]()
+    said: Sequence[str] = ()
+    if logs:
+        experiment = prepare(robot, settings, logs, holdout=0.0)
+        model, equation, known = experiment.model, experiment.equation, experiment.known
+        settings, said = experiment.config, experiment.warnings
+        reduction = experiment.reduce(progress)
+        logged = Logged(reduction, free_noise(equation, reduction, known))
+        measured = dict(zip(model.names, logged.noise.tolist(), strict=True))
+    else:
+        model = build_model(
+            robot, settings, [j.name for j in robot.joints.values() if j.kind != "fixed" and not j.mimic]
+        )
+        equation = LinearModel(model.names, build_effects(model, settings))
+        known = knowledge(settings, model, equation)
+    alike = dict.fromkeys(model.names, noises[_ALL]) if _ALL in noises else {}
+    noise = {**measured, **alike, **{name: x for name, x in noises.items() if name != _ALL}}
+    return make_task(model, equation, known, settings, noise=noise, **asked), settings, logged, said
+
+
+def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
+    from idtool.logs import write_log
+    from idtool.outputs import write_all
+    from idtool.pages.excite import excite_page
+
+    write_all(file.parent, {f"{file.stem}.html": excite_page(report, command())})
+    write_log(file, log)
+
+
+def _figure(x: float | None) -> str:
+    return "-" if x is None else f"{x:.4g}"
+
+
+def _show(terminal: Terminal, report: dict[str, Any]) -> None:
+    """The errors to expect, the limits, and where the files are."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    def table(title: str, *columns: str) -> Table:
+        made = Table(title=title, box=None, pad_edge=False, header_style="dim")
+        for i, column in enumerate(columns):
+            made.add_column(column, justify="right" if i else "left")
+        return made
+
+    logged = "logged" in report["criteria"]
+    errors = table(
+        "Standard errors to expect",
+        "base parameter",
+        "prior",
+        "± se",
+        "of it",
+        "unit",
+        *(["so far ±"] if logged else []),
+    )
+    for p in report["base_parameters"]:
+        share = "-" if p["relative"] is None else f"{p['relative']:.2%}"
+        before = [_figure(p["logged_standard_error"])] if logged else []
+        name = escape(p["name"]) + (" *" if p["favoured"] else "")
+        errors.add_row(name, _figure(p["prior"]), _figure(p["standard_error"]), share, p["unit"], *before)
+    terminal.show(errors)
+    limits = table("Largest share of each limit", "joint", "position", "velocity", "acceleration", "effort")
+    for joint, use in report["use"].items():
+        limits.add_row(escape(joint), *(f"{share:.0%}" for share in use.values()))
+    terminal.show(limits)
+    terms = list(report["criteria"]["design"])
+    criteria = table("Criteria", "of", "D", "A", "E", "condition")
+    for name, values in report["criteria"].items():
+        criteria.add_row(name, *(_figure(values[kind]) for kind in terms))
+    terminal.show(criteria)
+    near = report["clearance"]
+    if near:
+        links = " and ".join(near["links"])
+        terminal.say(f"nearest links: {links}, {1000 * near['distance']:.3g} mm after {near['t']:.4g} s")
+    terminal.warn(report["warnings"])
+    terminal.say(f"written: {report['file']} and {Path(report['file']).with_suffix('.html').name}")

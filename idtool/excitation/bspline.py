@@ -1,0 +1,39 @@
+"""B-splines of degree 5, whose first and last three control points are the home pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline as Spline
+
+from idtool.excitation.base import Samples
+from idtool.excitation.series import Series
+
+Array = NDArray[np.float64]
+
+_DEGREE = 5  # the acceleration is three times differentiable
+_FIXED = 3  # control points at each end: position, velocity and acceleration there
+_SPANS = 2.5  # knots in a period of the highest frequency
+_MOST = 160  # control points of a joint
+
+
+class BSpline(Series):
+    """Control points at even spaces in time."""
+
+    name = "bspline"
+
+    def frequencies(self) -> Array:
+        """See `Series.frequencies`: a control point by itself moves the joint there and back in about four spans."""
+        count = self._spans() + _DEGREE - 2 * _FIXED
+        return np.full(count, 2 * np.pi * self._spans() / (4 * self.seconds))
+
+    def functions(self, t: Array) -> Samples:
+        """See `Series.functions`."""
+        spans = self._spans()
+        knots = np.pad(np.linspace(0, self.seconds, spans + 1), _DEGREE, mode="edge")
+        every = Spline(knots, np.eye(spans + _DEGREE)[:, _FIXED:-_FIXED], _DEGREE)
+        f, df, ddf = (every.derivative(k)(t) if k else every(t) for k in range(3))
+        return Samples(*(np.ascontiguousarray(x.T) for x in (f, df, ddf)))
+
+    def _spans(self) -> int:
+        return int(np.clip(np.ceil(_SPANS * self.highest * self.seconds), 2 * _FIXED, _MOST))

@@ -1,0 +1,51 @@
+"""Fourier series within a smooth window (Swevers et al. 1997, whose series start in motion)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.excitation.base import Samples, step
+from idtool.excitation.series import Series
+
+Array = NDArray[np.float64]
+
+_HARMONICS = 60  # at most; where there is room for more, they are spread
+_RAMP = 0.1  # of the whole, but no more than
+_LONGEST_RAMP = 1.5  # s
+
+
+class Fourier(Series):
+    """Window times a constant, sines and cosines; the window takes the motion from rest and back to it."""
+
+    name = "fourier"
+
+    def frequencies(self) -> Array:
+        """See `Series.frequencies`."""
+        w = 2 * np.pi * self._harmonics() / self.seconds
+        return np.concatenate([np.zeros(1), w, w])
+
+    def functions(self, t: Array) -> Samples:
+        """See `Series.functions`."""
+        w = (2 * np.pi * self._harmonics() / self.seconds)[:, None]
+        sin, cos, one = np.sin(w * t), np.cos(w * t), np.ones((1, len(t)))
+        f = np.concatenate([one, sin, cos])
+        df = np.concatenate([0 * one, w * cos, -w * sin])
+        ddf = np.concatenate([0 * one, -(w**2) * sin, -(w**2) * cos])
+        window, dwindow, ddwindow = self._window(t)
+        return Samples(window * f, dwindow * f + window * df, ddwindow * f + 2 * dwindow * df + window * ddf)
+
+    def _harmonics(self) -> Array:
+        """Multiples of one turn in all."""
+        most = max(int(self.highest * self.seconds), 1)
+        if most <= _HARMONICS:
+            return np.arange(1.0, most + 1)
+        return np.asarray(np.unique(np.round(np.geomspace(1, most, _HARMONICS))))
+
+    def _window(self, t: Array) -> Samples:
+        ramp = min(_RAMP * self.seconds, _LONGEST_RAMP)
+        up, down = step(t / ramp), step((self.seconds - t) / ramp)
+        value = up.q * down.q
+        first = (up.v * down.q - up.q * down.v) / ramp
+        second = (up.a * down.q - 2 * up.v * down.v + up.q * down.a) / ramp**2
+        return Samples(value, first, second)

@@ -1,0 +1,70 @@
+"""`Series`: motions that are linear in their numbers: home plus a sum of functions of time."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.excitation.base import Pattern, Samples, Setting
+
+Array = NDArray[np.float64]
+
+_DRAWN = 0.9  # of the limits that a random motion takes
+_LOOKED_AT = 500  # samples
+_KEPT = 2  # sets of times: those of the samples, and those at which the clearance is looked at
+
+
+class Series(Pattern):
+    """q = home + Σ over k of x_k unit_k f_k(t), with functions that vanish with two derivatives at both ends."""
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        self.highest = setting.highest
+        self._last: list[tuple[Array, Samples]] = []
+
+    @abstractmethod
+    def functions(self, t: Array) -> Samples:
+        """The K functions and their two derivatives, shape (K, N) each."""
+
+    @abstractmethod
+    def frequencies(self) -> Array:
+        """About how fast each function changes, shape (K,) [rad/s]."""
+
+    def units(self) -> Array:
+        """By how much each function may move each joint by itself, shape (nv, K) [rad or m]."""
+        w = self.frequencies()
+        velocity, acceleration = self.limits.velocity[:, None], self.limits.acceleration[:, None]
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.minimum(self.limits.half[:, None], np.minimum(velocity / w, acceleration / w**2)))
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """See `Pattern.draw`."""
+        x = rng.normal(size=self.units().size)
+        q, v, a = self.motion(x, np.linspace(0, self.seconds, _LOOKED_AT))
+        ways = ((q - self.home[:, None], self.room), (v, self.limits.velocity), (a, self.limits.acceleration))
+        return self.scaled(x, np.min([_DRAWN * limit / np.abs(way).max(axis=1) for way, limit in ways], axis=0))
+
+    def motion(self, x: Array, t: Array) -> Samples:
+        """See `Pattern.motion`."""
+        C = x.reshape(len(self.home), -1) * self.units()
+        q, v, a = (C @ f for f in self._at(t))
+        return Samples(self.home[:, None] + q, v, a)
+
+    def gradient(self, x: Array, t: Array, by: Samples) -> Array:
+        """See `Pattern.gradient`."""
+        total = np.sum([d @ f.T for d, f in zip(by, self._at(t), strict=True)], axis=0)
+        return np.asarray(total * self.units()).ravel()
+
+    def scaled(self, x: Array, share: Array) -> Array:
+        """See `Pattern.scaled`."""
+        return (x.reshape(len(self.home), -1) * share[:, None]).ravel()
+
+    def _at(self, t: Array) -> Samples:
+        """The functions; those of the last few times are kept."""
+        for times, functions in self._last:
+            if times is t:
+                return functions
+        self._last = [(t, self.functions(t)), *self._last[: _KEPT - 1]]
+        return self._last[0][1]

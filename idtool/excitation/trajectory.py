@@ -1,0 +1,64 @@
+"""`Trajectory`: parts one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.excitation.base import Pattern, Samples
+
+Array = NDArray[np.float64]
+
+_BLOCK = 8192  # samples
+
+
+@dataclass(frozen=True)
+class Part:
+    """A motion of a pattern's family."""
+
+    pattern: Pattern
+    x: Array
+
+    def at(self, t: Array) -> Samples:
+        """At times since its start, shape (N,) [s]."""
+        return self.pattern.motion(self.x, np.clip(t, 0.0, self.pattern.seconds))
+
+    def blocks(self, dt: float) -> Iterator[tuple[Array, Samples]]:
+        """Times no more than dt [s] apart, both ends among them, and the motion then, block by block."""
+        t = np.linspace(0, self.pattern.seconds, max(int(np.ceil(self.pattern.seconds / dt)) + 1, 2))
+        for start in range(0, len(t), _BLOCK):
+            some = t[start : start + _BLOCK]
+            yield some, self.at(some)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Parts that all begin and end at rest at the home pose."""
+
+    parts: tuple[Part, ...]
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes [s]."""
+        return sum(part.pattern.seconds for part in self.parts)
+
+    @property
+    def starts(self) -> Array:
+        """When each part begins [s], and the end."""
+        return np.cumsum([0.0, *(part.pattern.seconds for part in self.parts)])
+
+    def at(self, t: Array) -> Samples:
+        """At times since its start, shape (N,) [s], ascending."""
+        starts = self.starts
+        index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(self.parts) - 1)
+        pieces = [part.at(t[index == i] - starts[i]) for i, part in enumerate(self.parts)]
+        return Samples(*(np.concatenate(signal, axis=1) for signal in zip(*pieces, strict=True)))
+
+    def sampled(self, rate: float) -> tuple[Array, Samples]:
+        """At an even rate [Hz]: times (N,) [s] and the motion."""
+        t = np.arange(int(np.floor(self.seconds * rate + 1e-9)) + 1) / rate
+        blocks = [self.at(t[start : start + _BLOCK]) for start in range(0, len(t), _BLOCK)]
+        return t, Samples(*(np.concatenate(signal, axis=1) for signal in zip(*blocks, strict=True)))

@@ -1,0 +1,172 @@
+"""`Limits`: what the joints of a model may be asked to do: the URDF's limits, tightened by the configuration.
+
+Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import Config
+from idtool.config.limits import JointLimits
+from idtool.exceptions import ConfigError
+from idtool.model import Model
+from idtool.names import nearest, some
+from idtool.robot import Joint
+
+Array = NDArray[np.float64]
+
+TURN = math.pi  # rad to either side of zero, of a joint that has no position limits
+SPEED = {False: 3.0, True: 0.3}  # rad/s, m/s of a joint that has no velocity limit; True: prismatic
+RISE = 0.2  # s in which a joint without an acceleration limit may reach its velocity limit from rest
+QUANTITIES = ("position", "velocity", "acceleration", "effort")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a model's joints.
+
+    Attributes
+    ----------
+    joints
+        Their names.
+    lower, upper
+        Of the position, shape (nv,) [rad or m].
+    velocity, acceleration, effort
+        Of the absolute values, shape (nv,) [rad/s, rad/s², N·m or m/s, m/s², N]; an effort may be infinite.
+    notes
+        What was assumed where neither URDF nor configuration has a limit, a plain sentence each.
+    """
+
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    notes: tuple[str, ...] = ()
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the position's range, shape (nv,)."""
+        return (self.lower + self.upper) / 2
+
+    @property
+    def half(self) -> Array:
+        """Half the position's range, shape (nv,)."""
+        return (self.upper - self.lower) / 2
+
+    def within(self, margin: float) -> Limits:
+        """The limits that a design keeps to.
+
+        Parameters
+        ----------
+        margin
+            Share of every limit that is left unused, for the error of tracking; twice that of the effort, since the
+            model that predicts the torque is the one to be improved.
+        """
+        spare = margin * self.half
+        return replace(
+            self,
+            lower=self.lower + spare,
+            upper=self.upper - spare,
+            velocity=(1 - margin) * self.velocity,
+            acceleration=(1 - margin) * self.acceleration,
+            effort=(1 - 2 * margin) * self.effort,
+        )
+
+    def use(self, q: Array, v: Array, a: Array, tau: Array | None = None) -> Array:
+        """The largest share of each limit that a motion takes, 1 at the limit.
+
+        Parameters
+        ----------
+        q, v, a, tau
+            Shape (nv, N); without tau, the effort's share is 0.
+
+        Returns
+        -------
+        Shape (4, nv), in the order of `QUANTITIES`.
+        """
+        shares = [
+            np.abs(q - self.middle[:, None]) / self.half[:, None],
+            np.abs(v) / self.velocity[:, None],
+            np.abs(a) / self.acceleration[:, None],
+            np.zeros_like(q) if tau is None else np.abs(tau) / self.effort[:, None],
+        ]
+        return np.array([share.max(axis=1) for share in shares])
+
+
+def limits_of(model: Model, config: Config) -> Limits:
+    """The limits of a model's joints.
+
+    Parameters
+    ----------
+    model
+        Whose URDF has limits. Those of joints that mimic a moving one count for that one.
+    config
+        Its `limits` tighten them.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration names a joint that is not there, or no range is left to move in.
+    """
+    actuated = [j.name for j in model.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
+    for name in config.limits:
+        if name not in actuated:
+            raise ConfigError(f"limits: {name}", f"is no actuated joint of the URDF; {nearest(name, actuated)}")
+    assumed: dict[str, list[str]] = {}
+    rows = [_joint(joint, config.limits.get(joint.name, JointLimits()), assumed) for joint in model.joints]
+    found = np.array(rows).T
+    _follow(model, found)
+    for joint, (lower, upper, *_) in zip(model.joints, found.T, strict=True):
+        if not lower < upper:
+            what = f"leaves no room to move: from {lower:g} to {upper:g}; widen it, or leave the joint out of joints"
+            raise ConfigError(f"limits: {joint.name}", what)
+    notes = tuple(f"{what}: {some(names)}" for what, names in assumed.items())
+    lower, upper, velocity, acceleration, effort = found
+    return Limits(model.names, lower, upper, velocity, acceleration, effort, notes)
+
+
+def _joint(joint: Joint, own: JointLimits, assumed: dict[str, list[str]]) -> tuple[float, float, float, float, float]:
+    """Lower, upper, velocity, acceleration, effort; what is assumed is put down."""
+    prismatic = joint.kind == "prismatic"
+    per_second = "m/s" if prismatic else "rad/s"
+    lower, upper = own.position or (-math.inf, math.inf)
+    lower, upper = max(lower, joint.lower), min(upper, joint.upper)
+    if not (math.isfinite(lower) and math.isfinite(upper)):
+        if prismatic:
+            raise ConfigError(f"limits: {joint.name}", "has no position limits in the URDF; give `position: [a, b]`")
+        lower, upper = max(lower, -TURN), min(upper, TURN)
+        assumed.setdefault("no position limit, half a turn to either side of zero is taken", []).append(joint.name)
+    velocity = min(own.velocity or math.inf, joint.velocity if joint.velocity > 0 else math.inf)
+    if not math.isfinite(velocity):
+        velocity = SPEED[prismatic]
+        assumed.setdefault(f"no velocity limit, {velocity:g} {per_second} is taken", []).append(joint.name)
+    acceleration = own.acceleration or velocity / RISE
+    if own.acceleration is None:
+        told = f"no acceleration limit, that which reaches the velocity limit in {RISE:g} s is taken"
+        assumed.setdefault(told, []).append(f"{joint.name} {acceleration:g} {per_second}²")
+    effort = min(own.effort or math.inf, joint.effort if joint.effort > 0 else math.inf)
+    if not math.isfinite(effort):
+        assumed.setdefault("no effort limit, torque is not limited", []).append(joint.name)
+    return lower, upper, velocity, acceleration, effort
+
+
+def _follow(model: Model, found: Array) -> None:
+    """Tighten limits, shape (5, nv), by those of the joints that mimic; one that follows a locked joint has none."""
+    bodies: Mapping[str, Array] = {body.name: np.append(body.ratios, body.offset) for body in model.bodies}
+    for joint in model.robot.joints.values():
+        if joint.mimic is None or joint.child not in bodies:
+            continue
+        *ratios, offset = bodies[joint.child]
+        j = int(np.argmax(np.abs(ratios)))
+        ends = sorted((end - offset) / ratios[j] for end in (joint.lower, joint.upper))
+        found[0, j], found[1, j] = max(found[0, j], ends[0]), min(found[1, j], ends[1])
+        if joint.velocity > 0:
+            found[2, j] = min(found[2, j], joint.velocity / abs(ratios[j]))

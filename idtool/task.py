@@ -1,0 +1,199 @@
+"""`Task`: what a trajectory is to tell, of which robot, within which limits.
+
+Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.base import BaseParameters, structural_base
+from idtool.collision import SelfCollision
+from idtool.config import Config
+from idtool.criteria import Aim, BaseColumns, Criterion, favoured, sizes
+from idtool.exceptions import ConfigError, ModelError
+from idtool.excitation import Fourier, Samples, Setting
+from idtool.filters import LowPass
+from idtool.knowledge import Knowledge
+from idtool.limits import Limits, limits_of
+from idtool.model import Model
+from idtool.names import nearest
+from idtool.regressor import LinearModel
+from idtool.signals import Motion, default_cutoff
+
+Array = NDArray[np.float64]
+
+STILL = 3e-3  # rad/s or m/s: least velocity whose sign a fit believes
+_REST = 3.0  # times that: where a joint rests and its row is left out
+_NOISE = 0.01  # of the effort limit, or of the largest torque of a random motion
+_TYPICAL = 10.0  # times the noise: the torque of a coefficient whose size nothing tells
+_SECONDS = 10.0  # of a random motion
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be told, of which robot, within which limits.
+
+    Attributes
+    ----------
+    model, equation, known
+        The robot, its torque equation, and what is known of its coefficients.
+    theta
+        Coefficients that predict the torque, shape (p,).
+    full, limits
+        The joints' limits, and what a design keeps to.
+    collision, clearance
+        The robot's geometry, None without any, and how near links may come to each other [m].
+    base, columns, size
+        The base parameters, their columns, and their units, shape (r,).
+    noise, noise_assumed
+        Of each joint's torque in the band [N·m or N], shape (nv,), and that of the joints for which it was not given.
+    rate, independent
+        Samples and independent samples in the band a second [Hz].
+    aim
+        The criterion.
+    """
+
+    model: Model
+    equation: LinearModel
+    known: Knowledge
+    theta: Array
+    full: Limits
+    limits: Limits
+    collision: SelfCollision | None
+    clearance: float
+    base: BaseParameters
+    columns: BaseColumns
+    size: Array
+    noise: Array
+    noise_assumed: tuple[str, ...]
+    rate: float
+    independent: float
+    aim: Aim
+
+    def blocks(self, samples: Samples, t: Array, still: Array) -> list[Array]:
+        """Columns of each joint's equation, less what takes no coefficient in the last, (m_j + 1, N)."""
+        zero = np.zeros_like(samples.q)
+        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
+        return self.equation.columns(Motion(t, *samples, zero, zero, still, dt))
+
+    def torque(self, samples: Samples, t: Array) -> Array:
+        """Predicted torque, shape (nv, N)."""
+        zero, still = np.zeros_like(samples.q), np.full(len(samples.q), STILL)
+        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
+        return self.equation.torque(Motion(t, *samples, zero, zero, still, dt), self.theta)
+
+    def information(self, samples: Samples, t: Array) -> Array:
+        """Of even samples of a motion about the base parameters in units of their sizes, shape (r, r).
+
+        Where a joint rests, its row tells nothing.
+        """
+        still = np.full(len(samples.q), STILL)
+        M = np.zeros((len(self.size), len(self.size)))
+        worth = self.independent * float(t[1] - t[0])
+        for j, block in enumerate(self.blocks(samples, t, still)):
+            own = self.columns.own[j]
+            moving = np.abs(samples.v[j]) > _REST * STILL
+            Y = self.columns.of(j, block[:-1, moving]) * (self.size[own, None] / self.noise[j])
+            M[np.ix_(own, own)] += worth * Y @ Y.T
+        return M
+
+
+def make_task(
+    model: Model,
+    equation: LinearModel,
+    known: Knowledge,
+    config: Config,
+    *,
+    rate: float,
+    margin: float,
+    clearance: float,
+    criterion: Criterion,
+    favour: Sequence[str],
+    noise: Mapping[str, float],
+) -> Task:
+    """What is to be told of a model.
+
+    Parameters
+    ----------
+    model, equation, known, config
+        The robot, its torque equation, what is known of its coefficients, and the configuration.
+    rate
+        Of the log to come [Hz].
+    margin
+        Share of every limit that is left unused, see `Limits.within`.
+    clearance
+        How near links may come to each other [m].
+    criterion, favour
+        The aim; names as in `criteria.favoured`.
+    noise
+        Of a joint's torque in the band, by name [N·m or N]; of others, a share of the effort limit.
+
+    Raises
+    ------
+    ConfigError
+        If limits contradict each other, or a name is not known.
+    """
+    for name in noise:
+        if name not in model.names:
+            raise ConfigError("--noise", f"{name} is no moving joint; {nearest(name, model.names)}")
+    full = limits_of(model, config)
+    limits = full.within(margin)
+    base = structural_base(model, equation, known)
+    if not len(base):
+        raise ModelError(model.robot.path, "has no parameter that a motion could tell: its torque is always zero")
+    sigma, typical, assumed = _scales(model, equation, limits, noise)
+    return Task(
+        model=model,
+        equation=equation,
+        known=known,
+        theta=equation.prior,
+        full=full,
+        limits=limits,
+        collision=SelfCollision.of(model, config.locked_joints),
+        clearance=clearance,
+        base=base,
+        columns=BaseColumns(equation, base, known),
+        size=sizes(base, equation, typical),
+        noise=sigma,
+        noise_assumed=assumed,
+        rate=rate,
+        independent=_independent(config, rate),
+        aim=Aim(criterion, favoured(favour, base, equation)),
+    )
+
+
+def _independent(config: Config, rate: float) -> float:
+    """Independent samples a second in the band of the log to come."""
+    band = config.filter.cutoff_hz or default_cutoff(1 / rate)
+    if band >= 0.45 * rate:
+        raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for --rate {rate:g}")
+    stride = max(1, int(rate / (4 * band)))
+    return rate / (stride * LowPass(band, config.filter.order, 1 / rate, stride).redundancy)
+
+
+def _scales(
+    model: Model, equation: LinearModel, limits: Limits, given: Mapping[str, float]
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Noise of each joint (nv,), typical sizes of the coefficients (p,), and what is to be said of the noise.
+
+    Of a random motion within the limits: the largest torque where there is no limit, and the columns' sizes.
+    """
+    pattern = Fourier(Setting(model, limits, limits.middle, _SECONDS))
+    t = np.linspace(0, _SECONDS, 500)
+    samples = pattern.motion(pattern.draw(np.random.default_rng(0)), t)
+    zero = np.zeros_like(samples.q)
+    motion = Motion(t, *samples, zero, zero, np.full(len(zero), STILL), float(t[1]))
+    largest = np.abs(equation.torque(motion, equation.prior)).max(axis=1)
+    of = np.where(np.isfinite(limits.effort), limits.effort, np.where(largest > 0, largest, 1.0))
+    noise = np.array([given.get(name, _NOISE * x) for name, x in zip(model.names, of, strict=True)])
+    typical = np.zeros(len(equation.prior))
+    for active, block, sigma in zip(equation.active(), equation.columns(motion), noise, strict=True):
+        rms = np.sqrt(np.square(block[:-1]).mean(axis=1))
+        typical[active] = np.maximum(typical[active], np.divide(_TYPICAL * sigma, rms, where=rms > 0, out=0 * rms))
+    assumed = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
+    return noise, np.where(typical > 0, typical, 1.0), tuple(assumed)
