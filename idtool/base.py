@@ -134,7 +134,7 @@ def felt(Y: Array, equation: LinearModel, rounding: float) -> Array:
 def random_motion(model: Model, seed: int = 0) -> Motion:
     """A smooth motion without any regularity, limits not regarded; what depends on time or history can be told too."""
     rng = np.random.default_rng(seed)
-    t = _DT * np.arange(_SAMPLES)
+    t: Array = _DT * np.arange(_SAMPLES, dtype=np.float64)
     nv = len(model.joints)
     size = np.array([_RANGE["prismatic" if joint.kind == "prismatic" else "revolute"] for joint in model.joints])
     w = 2 * np.pi * rng.uniform(0.05, _FASTEST, (nv, _TONES, 1))

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
-from idtool.design import Design
-from idtool.effects import Coefficient
+from idtool.excitation.design import Design
+from idtool.excitation.limits import QUANTITIES
+from idtool.excitation.task import Task
 from idtool.inertia import SIZE
-from idtool.limits import QUANTITIES
 from idtool.names import some
-from idtool.task import Task
+from idtool.trust_report import combination_name, quantity, terms_report
 
 Array = NDArray[np.float64]
 
-_SHOWN = 3  # coefficients of a combination that its name lists
 _CURVE = 500  # instants of each curve
 _TINY = 1e-3  # of a base parameter's size: a prior that small is none to compare with
 _ROUNDING = 1e-9  # of its size
@@ -62,31 +60,6 @@ def excite_report(design: Design) -> dict[str, Any]:
     }
 
 
-def combination_name(row: Array, own: int, coefficients: Sequence[Coefficient]) -> str:
-    """A base parameter in words: the coefficient it is called after, and the largest others in it.
-
-    Parameters
-    ----------
-    row
-        Its combination, shape (p,).
-    own
-        Index of the coefficient that it is called after.
-    coefficients
-        The p coefficients.
-    """
-    scale = np.array([c.scale or 1.0 for c in coefficients])
-    others = [int(i) for i in np.argsort(-np.abs(row * scale), kind="stable") if row[i] and i != own]
-    text = _label(coefficients[own])
-    for i in others[:_SHOWN]:
-        size = "" if math.isclose(abs(row[i]), 1.0, rel_tol=1e-6) else f"{abs(row[i]):.3g} "
-        text += f" {'+' if row[i] > 0 else '−'} {size}{_label(coefficients[i])}"
-    return text + (f" + {len(others) - _SHOWN} more" if len(others) > _SHOWN else "")
-
-
-def _label(coefficient: Coefficient) -> str:
-    return f"{coefficient.owner}.{coefficient.name}"
-
-
 def _finite(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
 
@@ -102,14 +75,14 @@ def _base_parameters(design: Design) -> list[dict[str, Any]]:
     chosen = len(task.aim.favoured) < len(base)
     found = []
     for i, own in enumerate(base.own):
-        row, error = base.B[i], float(design.errors.base[i])
+        error = float(design.errors.base[i])
         before = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
         comparable = abs(prior[i]) > _TINY * task.size[i]
         value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.size[i] else 0.0
         found.append(
             {
-                "name": combination_name(row, int(own), coefficients),
-                "combination": {_label(coefficients[k]): float(row[k]) for k in np.flatnonzero(row)},
+                "name": combination_name(base, i, coefficients),
+                "terms": terms_report(base, i, coefficients),
                 "unit": coefficients[own].unit,
                 "prior": value,
                 "standard_error": _finite(error),
@@ -187,4 +160,4 @@ def untold_names(design: Design, base: BaseParameters) -> list[str]:
     """The base parameters whose standard error is larger than their size, by their own coefficients' names."""
     coefficients = design.task.equation.coefficients
     large = design.errors.base > _LARGE * design.task.size
-    return [_label(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]
+    return [quantity(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]

@@ -59,7 +59,7 @@ class LogDet:
     @property
     def offset(self) -> float:
         """Its constant part, −weight · n."""
-        return -self.weight * self.G.shape[-1]
+        return -self.weight * len(self.G[0])
 
     def value(self, z: Array) -> float:
         """The term; infinite where X is not positive definite."""

@@ -39,6 +39,12 @@ def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coeffi
     return name + (" + …" if len(terms) > _NAMED else "")
 
 
+def terms_report(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> list[dict[str, Any]]:
+    """What a base parameter is the sum of."""
+    terms = combination(base, i, coefficients)
+    return [{"of": coefficients[k].owner, "what": coefficients[k].name, "share": share} for k, share in terms]
+
+
 def trust_report(fit: Fit) -> dict[str, Any]:
     """The entries ``uncertainty``, ``base_parameters``, ``bias`` and ``repeatability`` of report.json."""
     trust, joints = fit.trust, fit.experiment.equation.joints
@@ -90,11 +96,10 @@ def base_report(fit: Fit, asked: Identifiability) -> dict[str, Any]:
     entries = []
     for i in range(len(asked.base)):
         sees = bool(asked.seen[i])
-        terms = combination(asked.base, i, coefficients)
         entries.append(
             {
                 "name": combination_name(asked.base, i, coefficients),
-                "terms": [{"of": coefficients[k].owner, "what": coefficients[k].name, "share": s} for k, s in terms],
+                "terms": terms_report(asked.base, i, coefficients),
                 "unit": coefficients[asked.base.own[i]].unit,
                 "value": float(asked.value[i]),
                 "standard_error": float(asked.standard_error[i]) if sees else None,

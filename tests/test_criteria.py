@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
-from idtool.criteria import CRITERIA, Aim, Criterion, expected_errors
+from idtool.excitation.criteria import CRITERIA, Aim, Criterion, expected_errors
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from commands import LEG, idtool
 from exciting import Array, body, derivatives, excited, joint, robot
 
 from idtool.config import parse_config
-from idtool.excitation.shell import tip_and_jacobian
+from idtool.excitation.patterns.shell import tip_and_jacobian
 from idtool.logs import Log
 from idtool.model import build_model
 from idtool.robot import read_robot

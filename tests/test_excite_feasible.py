@@ -10,13 +10,13 @@ from exciting import Array, arm
 
 from idtool.config import Config
 from idtool.effects import build_effects
-from idtool.excitation import Fourier, Part, Setting
-from idtool.feasible import feasible
+from idtool.excitation.feasible import feasible
+from idtool.excitation.patterns import Fourier, Part, Setting
+from idtool.excitation.task import Task, make_task
 from idtool.knowledge import Knowledge
 from idtool.model import build_model
 from idtool.regressor import LinearModel
 from idtool.robot import read_robot
-from idtool.task import Task, make_task
 
 RATE = 200.0
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from idtool.base import structural_base
 from idtool.config import read_config
-from idtool.criteria import BaseColumns
+from idtool.excitation.criteria import BaseColumns
 from idtool.experiment import Experiment, prepare
 from idtool.logs import Log, read_log, write_log
 from idtool.robot import read_robot

@@ -8,7 +8,7 @@ from exciting import arm, body, joint, robot
 
 from idtool.config import parse_config
 from idtool.exceptions import ConfigError
-from idtool.limits import Limits, limits_of
+from idtool.excitation.limits import Limits, limits_of
 from idtool.model import Model, build_model
 from idtool.robot import read_robot
 

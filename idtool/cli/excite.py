@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from idtool.config import Config
-    from idtool.design import Logged
-    from idtool.task import Task
+    from idtool.excitation.design import Logged
+    from idtool.excitation.task import Task
     from idtool.terminal import Terminal
 
 _CRITERIA = ("d", "a", "e", "condition")
@@ -63,7 +63,7 @@ def excite_command(
     quiet: QuietOption = False,
 ) -> None:
     """Design a trajectory that makes the parameters visible, and print the standard errors to expect."""
-    from idtool.design import Wishes, design
+    from idtool.excitation.design import Wishes, design
     from idtool.excite_report import excite_report
     from idtool.report import HEADER
     from idtool.terminal import Terminal
@@ -158,14 +158,14 @@ def _task(
     progress: Callable[[str, float], None],
 ) -> tuple[Task, Config, Logged | None, Sequence[str]]:
     """The robot and what is to be told; of the joints that are logged already, where some are."""
-    from idtool.design import Logged
     from idtool.effects import build_effects
+    from idtool.excitation.design import Logged
+    from idtool.excitation.task import make_task
     from idtool.experiment import prepare
     from idtool.knowledge import knowledge
     from idtool.model import build_model
     from idtool.regressor import LinearModel
     from idtool.robot import read_robot
-    from idtool.task import make_task
     from idtool.weights import free_noise
 
     robot, logged, measured = read_robot(urdf), None, dict[str, float]()

@@ -1,15 +1,1 @@
-"""Motions that excite: one file a pattern. A pattern's motions begin and end at rest at one pose."""
-
-from __future__ import annotations
-
-from idtool.excitation.base import Pattern, Samples, Setting
-from idtool.excitation.bspline import BSpline
-from idtool.excitation.fourier import Fourier
-from idtool.excitation.shell import Shell
-from idtool.excitation.slow import Slow
-from idtool.excitation.standstill import Standstill
-from idtool.excitation.trajectory import Part, Trajectory
-
-__all__ = ["PATTERNS", "Fourier", "Part", "Pattern", "Samples", "Setting", "Slow", "Standstill", "Trajectory"]
-
-PATTERNS: dict[str, type[Pattern]] = {kind.name: kind for kind in (Fourier, BSpline, Shell)}  # that are searched
+"""Exciting trajectories: limits, patterns of motion, criteria, and the search for the best."""

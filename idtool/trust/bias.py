@@ -98,7 +98,7 @@ def estimates(experiment: Experiment, solution: Identified, progress: Progress) 
 
 def _seconds(experiment: Experiment) -> float:
     """How long the training data are [s]."""
-    return sum((part.stop - part.start) * run.signals.log.dt for run in experiment.runs for part in run.train)
+    return float(sum((part.stop - part.start) * run.signals.log.dt for run in experiment.runs for part in run.train))
 
 
 def instrumented(experiment: Experiment, made: Sequence[Instruments], progress: Progress) -> tuple[Blocks, ...]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.excitation.base import Samples, step
-from idtool.excitation.series import Series
+from idtool.excitation.patterns.base import Samples, step
+from idtool.excitation.patterns.series import Series
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from idtool.exceptions import ConfigError, ModelError
-from idtool.excitation.base import Pattern, Samples, Setting, step
+from idtool.excitation.patterns.base import Pattern, Samples, Setting, step
 from idtool.inertia import mass_com_inertia
 from idtool.model import Model
 from idtool.names import nearest

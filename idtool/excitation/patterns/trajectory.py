@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.excitation.base import Pattern, Samples
+from idtool.excitation.patterns.base import Pattern, Samples
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.excitation.base import STEP_SPEED, Pattern, Samples, Setting
+from idtool.excitation.patterns.base import STEP_SPEED, Pattern, Samples, Setting
 
 Array = NDArray[np.float64]
 

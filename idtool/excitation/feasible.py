@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.exceptions import ConfigError, ModelError
-from idtool.excitation import Part, Samples, Trajectory
-from idtool.limits import QUANTITIES
+from idtool.excitation.limits import QUANTITIES
+from idtool.excitation.patterns import Part, Samples, Trajectory
+from idtool.excitation.task import Task
 from idtool.names import nearest, some
-from idtool.task import Task
 
 Array = NDArray[np.float64]
 

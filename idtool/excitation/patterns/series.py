@@ -7,7 +7,7 @@ from abc import abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.excitation.base import Pattern, Samples, Setting
+from idtool.excitation.patterns.base import Pattern, Samples, Setting
 
 Array = NDArray[np.float64]
 

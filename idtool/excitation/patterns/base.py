@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.limits import Limits
+from idtool.excitation.limits import Limits
 from idtool.model import Model
 
 Array = NDArray[np.float64]

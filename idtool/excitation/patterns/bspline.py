@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline as Spline
 
-from idtool.excitation.base import Samples
-from idtool.excitation.series import Series
+from idtool.excitation.patterns.base import Samples
+from idtool.excitation.patterns.series import Series
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.excitation import Pattern, Samples
-from idtool.task import Task
+from idtool.excitation.patterns import Pattern, Samples
+from idtool.excitation.task import Task
 
 Array = NDArray[np.float64]
 

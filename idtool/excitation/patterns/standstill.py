@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.excitation.base import Pattern, Samples, Setting, farthest, step
+from idtool.excitation.patterns.base import Pattern, Samples, Setting, farthest, step
 
 Array = NDArray[np.float64]
 

@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from idtool.config import Config
-from idtool.criteria import CRITERIA, Errors, expected_errors
 from idtool.exceptions import ConfigError
-from idtool.excitation import PATTERNS, Part, Setting, Slow, Standstill, Trajectory
+from idtool.excitation.criteria import CRITERIA, Errors, expected_errors
+from idtool.excitation.feasible import collisions, feasible, home_of, largest_use, nearest_links
+from idtool.excitation.objective import Objective
+from idtool.excitation.patterns import PATTERNS, Part, Setting, Slow, Standstill, Trajectory
+from idtool.excitation.task import Task
 from idtool.experiment import Progress
-from idtool.feasible import collisions, feasible, home_of, largest_use, nearest_links
 from idtool.logs import Log, make_log
 from idtool.names import nearest
-from idtool.objective import Objective
 from idtool.reduction import Reduction, empty, reduce_blocks
 from idtool.signals import Signals, default_cutoff
-from idtool.task import Task
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from idtool.base import BaseParameters, structural_base
 from idtool.collision import SelfCollision
 from idtool.config import Config
-from idtool.criteria import Aim, BaseColumns, Criterion, favoured, sizes
 from idtool.exceptions import ConfigError, ModelError
-from idtool.excitation import Fourier, Samples, Setting
+from idtool.excitation.criteria import Aim, BaseColumns, Criterion, favoured, sizes
+from idtool.excitation.limits import Limits, limits_of
+from idtool.excitation.patterns import Fourier, Samples, Setting
 from idtool.filters import LowPass
 from idtool.knowledge import Knowledge
-from idtool.limits import Limits, limits_of
 from idtool.model import Model
 from idtool.names import nearest
 from idtool.regressor import LinearModel
