@@ -117,7 +117,7 @@ def test_errors_go_with_the_noise_and_friction_is_told(tmp_path: Path) -> None:
     twice, _ = excited(tmp_path / "b", arm(), "--noise", "0.2")
     assert errors(twice) == pytest.approx({name: 2 * x for name, x in errors(once).items()}, rel=1e-6)
     for name in ("a", "b"):
-        assert once["terms"][name]["coulomb"]["standard_error"] == pytest.approx(errors(once)[f"{name}.coulomb"])
+        assert once["terms"][name]["coulomb"]["standard_error"] == pytest.approx(errors(once)[f"{name} coulomb"])
     assert once["bodies"]["upper"]["standard_error"][0] is None  # a mass on the first joint is told by no motion
 
 
