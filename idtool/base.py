@@ -100,13 +100,14 @@ def structural_base(model: Model, equation: LinearModel, known: Knowledge | None
     """
     p = len(equation.coefficients)
     known = known or Knowledge.none(p)
-    motion = random_motion(model)
-    nv = len(model.joints)
-    Y = np.zeros((nv, len(motion.t), p))
-    for rows, columns, block in zip(Y, equation.active(), equation.columns(motion), strict=True):
-        rows[:, columns] = block[:-1].T
+    motion, factors = random_motion(model), []
+    for columns, block in zip(equation.active(), equation.columns(motion), strict=True):
+        R = np.linalg.qr(block[:-1].T, mode="r")
+        factors.append(np.zeros((len(R), p)))
+        factors[-1][:, columns] = R
+    Y = np.concatenate(factors)
     order = np.argsort(known.free < SIZE * len(model.bodies), kind="stable")  # friction bears its own name
-    base = base_parameters(felt(Y.reshape(-1, p), equation, _RANK) @ known.K, order)
+    base = base_parameters(felt(Y, equation, _RANK) @ known.K, order)
     B = np.zeros((len(base), p))
     B[:, known.free] = base.B
     return BaseParameters(known.free[base.own], B)

@@ -22,6 +22,7 @@ from idtool.regression import Outcome
 
 _PLAIN_WIDTH = 200  # characters
 _WORST = 8  # parameters that are listed
+_SIDE_BY_SIDE = 4  # logs in a table
 _PATIENCE = 2.0  # s before a progress bar appears
 _STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -177,13 +178,21 @@ def _show_trust(terminal: Terminal, report: dict[str, Any]) -> None:
         )
     if logs := report["repeatability"]:
         worst = sorted(logs["parameters"], key=lambda p: (p["agrees"], -(p["ratio"] or 0)))
-        columns = ("times expected", "beyond chance")
-        table = _table("Least repeatable between the logs", "parameter", *map(escape, logs["logs"]), *columns)
+        few = len(logs["logs"]) <= _SIDE_BY_SIDE
+        names = map(escape, logs["logs"]) if few else ("least", "in", "greatest", "in")
+        columns = ("parameter", *names, "times expected", "beyond chance")
+        table = _table("Least repeatable between the logs", *columns)
         for p in worst[:_WORST]:
-            table.add_row(
-                escape(p["name"]), *map(_figure, p["value"]), _figure(p["ratio"]), "" if p["agrees"] else "yes"
-            )
+            values = map(_figure, p["value"]) if few else _extremes(p["value"], logs["logs"])
+            table.add_row(escape(p["name"]), *values, _figure(p["ratio"]), "" if p["agrees"] else "yes")
         terminal.show(table)
+
+
+def _extremes(values: Sequence[float | None], logs: Sequence[str]) -> list[str]:
+    """The least and the greatest value, each with its log."""
+    there = [(value, name) for value, name in zip(values, logs, strict=True) if value is not None]
+    ends = (min(there), max(there)) if there else ((None, "-"), (None, "-"))
+    return [text for value, name in ends for text in (_figure(value), escape(name))]
 
 
 def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:

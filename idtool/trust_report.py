@@ -83,9 +83,7 @@ def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float]:
 
 def intervals(fit: Fit) -> list[list[float] | None]:
     """The 95 % interval of every coefficient; None where the data do not determine it."""
-    p = len(fit.estimate.theta)
-    found = fit.trust.interval(np.eye(p))
-    pairs = zip(found.tolist(), fit.uncertainty.identifiable, strict=True)
+    pairs = zip(fit.trust.intervals.tolist(), fit.uncertainty.identifiable, strict=True)
     return [pair if sees and np.isfinite(pair).all() else None for pair, sees in pairs]
 
 
@@ -209,7 +207,13 @@ def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | Non
                     "differs": bool(biased.differs[i]),
                 }
             )
-    return {"method": fit.method, "instruments": biased.kind, "iterations": biased.iterations, "parameters": entries}
+    return {
+        "method": fit.method,
+        "instruments": biased.kind,
+        "iterations": biased.iterations,
+        "weak": list(biased.weak),
+        "parameters": entries,
+    }
 
 
 def reflected_inertia(fit: Fit) -> dict[str, Any]:

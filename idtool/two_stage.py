@@ -119,8 +119,7 @@ def two_stage(experiment: Experiment, sets: Sequence[ConstraintSet], theta: Arra
         noise = _noise(equation, full, theta)
         change, iterations = _change(equation, full, noise, theta - before), iterations + 1
     found = [correlations(f, size) for f, size in zip(stacked, _sizes(equation, noise, theta), strict=True)]
-    strength = [first_stage(c, factor.independent) for c, factor in zip(found, stacked, strict=True)]
-    weak = [name for name, F in zip(equation.joints, strength, strict=True) if F < _WEAK]
+    weak = weak_joints(equation, stacked, noise, theta)
     least = dict(zip(equation.joints, (float(c.min(initial=1.0)) for c in found), strict=True))
     warnings = _doubts(made, weak, change)
     return TwoStage(theta, projected, full, noise, tuple(made), least, change, iterations, warnings)
@@ -180,6 +179,22 @@ def correlations(stacked: Factor, size: Array) -> Array:
     return np.minimum(np.linalg.svd(_basis(stacked.R[:, :m]).T @ U[:, s > _TOLD], compute_uv=False), 1.0)
 
 
+def weak_joints(equation: LinearModel, stacked: Reduction, noise: Array, theta: Array) -> list[str]:
+    """The joints whose Z_j tells so little of Y_j that the estimate leans to that of least squares.
+
+    Parameters
+    ----------
+    equation
+        The torque equation.
+    stacked
+        Its data, from `stack`.
+    noise, theta
+        An estimate and what it leaves, shape (nv,) [N·m or N] and (p,).
+    """
+    sizes = zip(equation.joints, stacked, _sizes(equation, noise, theta), strict=True)
+    return [name for name, f, size in sizes if first_stage(correlations(f, size), f.independent) < _WEAK]
+
+
 def _size(stacked: Factor) -> int:
     """How many columns Z_j has."""
     return int(stacked.R.shape[1]) // 2
@@ -224,8 +239,8 @@ def _doubts(made: Sequence[Instruments], weak: Sequence[str], change: float) -> 
     smoothed = [np.minimum(one.cutoff_hz, one.run.signals.band_hz) for one in made if one.kind == "smoothed"]
     if smoothed:
         said.append(
-            f"without a command and a controller, instruments are the measured motion below {np.max(smoothed):.3g} Hz: "
-            "the noise that is left in it still biases"
+            "without a command and a controller for every joint, instruments are the measured motion below "
+            f"{np.max(smoothed):.3g} Hz: the noise that is left in it still biases"
         )
     if weak:
         said.append(f"instruments are weak, some parameters may be as biased as by least squares: {some(weak)}")

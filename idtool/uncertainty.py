@@ -117,7 +117,7 @@ class Uncertainty:
         if not len(self.shares):
             return np.full(len(rows), np.inf)
         seen = rows @ self.directions.visible
-        held = np.einsum("ki,bij,kj->kb", seen, self.shares, seen, optimize=True)
+        held = np.column_stack([np.einsum("ki,ki->k", seen @ share, seen) for share in self.shares])
         squares = np.square(held).sum(axis=1)
         return np.asarray(np.maximum(np.square(held.sum(axis=1)) / np.where(squares > 0, squares, 1.0) - 1, 1.0))
 

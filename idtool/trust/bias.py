@@ -24,7 +24,7 @@ from idtool.identified import Identified
 from idtool.instruments import Instruments, Kind, instrumented_rows, instruments
 from idtool.reduction import Reduction
 from idtool.trust.scatter import Scatter, scatter
-from idtool.two_stage import unprojected
+from idtool.two_stage import unprojected, weak_joints
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,8 @@ class BiasCheck:
         Of their difference, shape (r,).
     differs
         Whether it is more than chance explains, and least squares outside the other's 95 % interval; shape (r,).
+    weak
+        Joints whose instruments tell too little for a difference to be seen.
     """
 
     kind: Kind
@@ -57,16 +59,18 @@ class BiasCheck:
     iv: Array
     standard_error: Array
     differs: NDArray[np.bool_]
+    weak: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two estimates from the same blocks, what the instruments are, and how often they were made."""
+    """Two estimates from the same blocks, what instruments are, how often they were made and where they are weak."""
 
     ls: Scatter
     iv: Scatter
     kind: Kind
     iterations: int
+    weak: tuple[str, ...]
 
 
 def estimates(experiment: Experiment, solution: Identified, progress: Progress) -> Pair | None:
@@ -93,7 +97,8 @@ def estimates(experiment: Experiment, solution: Identified, progress: Progress) 
     iv = scattered(experiment, data, "iv", noise, theta)
     ls = scattered(experiment, data, "ls", noise, theta, iv.joined)
     kind: Kind = "smoothed" if any(one.kind == "smoothed" for one in made) else "closed_loop"
-    return Pair(ls, iv, kind, found.iterations if found else 1)
+    weak = weak_joints(experiment.equation, together([log.total for log in data]), noise, theta)
+    return Pair(ls, iv, kind, found.iterations if found else 1, tuple(weak))
 
 
 def _seconds(experiment: Experiment) -> float:
@@ -149,4 +154,4 @@ def bias_check(pair: Pair, base: BaseParameters) -> BiasCheck:
     if sees.any():
         differs[sees] = stats.false_discovery_control(2 * stats.t.sf(t[sees], freedom[sees])) < _FALSE
     differs &= apart > iv.uncertainty.reach(rows) * iv.uncertainty.of(rows)
-    return BiasCheck(pair.kind, pair.iterations, values[0], values[1], error, differs)
+    return BiasCheck(pair.kind, pair.iterations, values[0], values[1], error, differs, pair.weak)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,11 @@ class Trust:
         half = self.uncertainty.of(rows) * self.uncertainty.reach(rows)
         free, fitted = rows @ self.scatter.theta, rows @ self.theta
         return np.column_stack([np.minimum(free, fitted) - half, np.maximum(free, fitted) + half])
+
+    @cached_property
+    def intervals(self) -> Array:
+        """The 95 % interval of every coefficient, shape (p, 2); infinite where not determined."""
+        return self.interval(np.eye(len(self.theta)))
 
     def pull(self, rows: Array) -> Array:
         """How far prior and constraints hold combinations away from what the data say, in standard errors, shape (k,).
@@ -163,22 +168,30 @@ def _of_blocks(found: Scatter, data: Sequence[Blocks]) -> list[str]:
 
 
 def _of_logs(compared: Repeatability | None) -> list[str]:
-    if compared is None or compared.agrees.all():
+    if compared is None:
         return []
+    copies = compared.copies
+    again = [f"data that are given twice make intervals too short; leave out {some(copies)}"] if copies else []
+    if compared.agrees.all():
+        return again
     count = int(np.count_nonzero(~compared.agrees))
     said = f"{count} of {len(compared.agrees)} base parameters differ between logs by more than their intervals"
     if compared.odd is not None:
-        return [f"{said}; the odd one out is {compared.logs[compared.odd]}"]
-    return [f"{said}: intervals from these logs together are too short for them"]
+        return [*again, f"{said}; the odd one out is {compared.logs[compared.odd]}"]
+    return [*again, f"{said}: intervals from these logs together are too short for them"]
 
 
 def _of_bias(biased: BiasCheck | None, instrumental: bool) -> list[str]:
-    if biased is None or not biased.differs.any():
+    if biased is None:
         return []
+    unchecked = "instruments are weak, so that least squares is not checked for bias"
+    weak = [f"{unchecked}: {some(biased.weak)}"] if biased.weak and not instrumental else []  # else said before
+    if not biased.differs.any():
+        return weak
     count = int(np.count_nonzero(biased.differs))
     said = f"{count} of {len(biased.differs)} base parameters differ between least squares and instrumental variables"
     advice = "" if instrumental else ": noise in q and v biases them, or the model lacks something; see --method iv"
-    return [f"{said} by more than their intervals{advice}"]
+    return [*weak, f"{said} by more than their intervals{advice}"]
 
 
 def _of_prediction(ahead: Prediction, joints: Sequence[str]) -> list[str]:

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 _FALSE = 0.05  # of the parameters that are said not to agree
 _MANY = 1e6  # degrees of freedom, as good as infinitely many
+_COPIED = 1e-4  # standard errors, by which logs of the same data may differ
 _CLEARER = 0.5  # of the others' disagreement that is left without a log: then it is the odd one
 
 
@@ -58,6 +59,17 @@ class Repeatability:
     agrees: NDArray[np.bool_]
     odd: int | None
     cross: Array
+
+    @property
+    def copies(self) -> tuple[str, ...]:
+        """The logs that say the same of every parameter as one before them: copies of it, chance does not do that."""
+        error, again = np.where(np.isfinite(self.standard_error), self.standard_error, 0.0), []
+        for k in range(1, len(self.logs)):
+            close = np.abs(self.value[:, :k] - self.value[:, [k]]) < _COPIED * np.minimum(error[:, :k], error[:, [k]])
+            neither = np.isnan(self.value[:, :k]) & np.isnan(self.value[:, [k]])
+            if ((close | neither).all(axis=0) & close.any(axis=0)).any():
+                again.append(self.logs[k])
+        return tuple(again)
 
 
 def repeatability(

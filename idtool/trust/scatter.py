@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 FEWEST = 16  # blocks; fewer say nothing of their own scatter
 _LEFT = 0.05  # least share of a direction's information that is taken to lie outside a block
 _DRAWS = 400
+_AT_ONCE = 25  # of them: each takes as much memory as G of a block
 _LONGER = 2.0  # than what makes the variance most accurate: intervals that are too short are worse than rough ones
 _ALIKE = 10  # directions, at most, that are as good as so many independent series
 _LEAST = 0.1  # of the variance, that correlation may leave of what scores add up to
@@ -199,6 +200,9 @@ def _corrected(G: Array, s: Array) -> Array:
 def _bootstrap(G: Array, s: Array, soft: Array, rng: np.random.Generator) -> Array:
     """Covariance of the estimate when every block's weight is drawn from the exponential distribution."""
     weights = rng.exponential(size=(_DRAWS, len(s)))
-    H = (weights @ G.reshape(len(s), -1)).reshape(_DRAWS, *soft.shape) + soft
-    y = np.linalg.solve(H, (weights @ s)[..., None])[..., 0]
-    return np.asarray(y.T @ y / _DRAWS)
+    flat, squares = G.reshape(len(s), -1), np.zeros_like(soft)
+    for w in np.split(weights, _DRAWS // _AT_ONCE):
+        H = (w @ flat).reshape(len(w), *soft.shape) + soft
+        y = np.linalg.solve(H, (w @ s)[..., None])[..., 0]
+        squares += y.T @ y
+    return squares / _DRAWS
