@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 _RANK = 1e-8  # of the largest singular value of scaled columns: less is rounding
 _LONGEST = 60.0  # s of closed loop that are simulated only to see whether least squares is biased
+_LONGEST_SMOOTHED = 600.0  # s that are smoothed for it: they are held in memory
 _FALSE = 0.05  # of the parameters that are said to differ
 
 
@@ -86,7 +87,7 @@ def estimates(experiment: Experiment, solution: Identified, progress: Progress) 
     found, theta, noise = solution.two_stage, solution.estimate.theta, solution.estimate.noise
     if found is not None:
         made = found.instruments
-    elif experiment.config.controller and _seconds(experiment) > _LONGEST:
+    elif _seconds(experiment) > (_LONGEST if experiment.config.controller else _LONGEST_SMOOTHED):
         return None
     else:
         try:
