@@ -49,6 +49,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "noise": dict(zip(joints, estimate.noise.tolist(), strict=True)),
         "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         "friction": {joint: friction_report(fit, joint) for joint in joints},
+        "friction_intervals": {joint: friction_intervals(fit, joint) for joint in joints},
         "rotors": reflected_inertia(fit),
         **trust_report(fit),
         "regularization": experiment.config.regularization.model_dump(mode="json"),
@@ -189,11 +190,16 @@ def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | Non
 
 def _coefficient(fit: Fit, effect: str, owner: str) -> tuple[float, float | None] | None:
     """Value and standard error of a joint's coefficient, if the model has it."""
-    for i, c in enumerate(fit.experiment.equation.coefficients):
-        if c.effect == effect and c.owner == owner:
-            error = float(fit.uncertainty.standard_error[i])
-            return float(fit.estimate.theta[i]), error if np.isfinite(error) else None
-    return None
+    if (i := _place(fit, effect, owner)) is None:
+        return None
+    error = float(fit.uncertainty.standard_error[i])
+    return float(fit.estimate.theta[i]), error if np.isfinite(error) else None
+
+
+def _place(fit: Fit, effect: str, owner: str) -> int | None:
+    """Index of a joint's coefficient, if the model has it."""
+    names = [(c.effect, c.owner) for c in fit.experiment.equation.coefficients]
+    return names.index((effect, owner)) if (effect, owner) in names else None
 
 
 def friction_report(fit: Fit, joint: str) -> dict[str, Any]:
@@ -203,6 +209,12 @@ def friction_report(fit: Fit, joint: str) -> dict[str, Any]:
         **{name: pair[0] if pair else None for name, pair in found.items()},
         "standard_error": {name: pair[1] if pair else None for name, pair in found.items()},
     }
+
+
+def friction_intervals(fit: Fit, joint: str) -> dict[str, list[float] | None]:
+    """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
+    places = {name: _place(fit, effect, joint) for name, effect in _FRICTION.items()}
+    return {name: None if place is None else intervals(fit)[place] for name, place in places.items()}
 
 
 def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:

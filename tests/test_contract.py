@@ -121,6 +121,11 @@ def test_report_of_friction_and_solver(report: dict[str, Any]) -> None:
         assert set(friction["standard_error"]) == terms
         assert friction["offset"] is None  # not in leg.yaml
         assert 0 < friction["standard_error"]["coulomb"] < 0.02 * friction["coulomb"]
+        assert friction["viscous"] > 0
+    for joint, limits in report["friction_intervals"].items():
+        assert limits["offset"] is None
+        for term in ("viscous", "coulomb"):
+            assert limits[term][0] < report["friction"][joint][term] < limits[term][1]
     for key, kind in SOLVER.items():
         assert isinstance(report["solver"][key], kind)
     assert report["solver"]["name"] == "clarabel"
