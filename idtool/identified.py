@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from idtool.blocks import Blocks, together
 from idtool.body import Body
 from idtool.experiment import Experiment, Progress
@@ -15,6 +18,8 @@ from idtool.local import LOCAL
 from idtool.reduction import Reduction
 from idtool.sets import ConstraintSet, choose_set
 from idtool.two_stage import TwoStage, two_stage
+
+Array = NDArray[np.float64]
 
 Method = Literal["ls", "iv"]
 
@@ -48,6 +53,10 @@ class Identified:
     again: Callable[[Reduction], Estimate]
     two_stage: TwoStage | None
     warnings: tuple[str, ...]
+
+    def theta_of(self, data: Reduction) -> Array:
+        """The coefficients by least squares from other data, shape (p,)."""
+        return self.again(data).theta
 
 
 def identified(experiment: Experiment, method: Method, progress: Progress) -> Identified:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -13,7 +13,6 @@ from idtool.blocks import Blocks
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Identified
 from idtool.names import some
-from idtool.reduction import Reduction
 from idtool.trust.bias import BiasCheck, bias_check, estimates
 from idtool.trust.identifiability import Identifiability, identifiability
 from idtool.trust.prediction import Prediction, prediction
@@ -122,9 +121,8 @@ def trust(
         biased = bias_check(pair, asked.base) if pair is not None else None
     if asked is not None and len(solution.data) > 1:
         progress("comparing logs", 0.0)
-        alone = _theta_of(solution)
-        common = (solution.data, estimate.noise, estimate.theta, known, asked.base, alone, rng)
-        compared = repeatability(equation, *common)
+        noise, theta, base = estimate.noise, estimate.theta, asked.base
+        compared = repeatability(equation, solution.data, noise, theta, known, base, solution.theta_of, rng)
     warnings = (
         *_of_blocks(found, solution.data),
         *_of_logs(compared),
@@ -132,13 +130,6 @@ def trust(
         *_of_prediction(ahead, equation.joints),
     )
     return Trust(estimate.theta, errors, found, independent, ahead, asked, compared, biased, warnings)
-
-
-def _theta_of(solution: Identified) -> Callable[[Reduction], Array]:
-    def alone(data: Reduction) -> Array:
-        return solution.again(data).theta
-
-    return alone
 
 
 def _counted(errors: Uncertainty, independent: Mapping[str, float]) -> Uncertainty:
