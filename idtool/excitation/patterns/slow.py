@@ -38,8 +38,8 @@ class Slow(Pattern):
     def draw(self, rng: np.random.Generator) -> Array:
         """See `Pattern.draw`: speeds a factor of four apart, in an order and with signs at random."""
         speeds = _RATIO ** -np.arange(self.sweeps, dtype=float)
-        orders = np.array([rng.permutation(speeds) for _ in self.home])
-        return np.asarray(orders * rng.choice([-1.0, 1.0], orders.shape)).ravel()
+        orders: Array = np.array([rng.permutation(speeds) for _ in self.home], dtype=np.float64)
+        return np.asarray(orders * rng.choice([-1.0, 1.0], orders.shape), dtype=np.float64).ravel()
 
     def scaled(self, x: Array, share: Array) -> Array:
         """See `Pattern.scaled`."""
