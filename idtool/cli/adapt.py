@@ -42,7 +42,8 @@ def adapt_command(
     from idtool.pages import adapt_page
     from idtool.report import HEADER
     from idtool.robot import read_robot
-    from idtool.terminal import Terminal, show_adaptation
+    from idtool.terminal import Terminal
+    from idtool.terminal.adapt import show_adaptation
 
     terminal = Terminal(quiet, as_json)
     folder = out or Path(f"{urdf.stem}_idtool")

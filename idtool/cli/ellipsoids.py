@@ -77,7 +77,7 @@ def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None
     from idtool.check import check, nearest_bodies, repaired
     from idtool.outputs import write_all
     from idtool.report import HEADER, check_report
-    from idtool.terminal import show_check
+    from idtool.terminal.check import show_check
 
     checks = check(robot, config)
     nearest = nearest_bodies(checks) if repair else {}

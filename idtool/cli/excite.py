@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from idtool.config import Config
     from idtool.excitation.design import Logged
     from idtool.excitation.task import Task
-    from idtool.terminal import Terminal
 
 _CRITERIA = ("d", "a", "e", "condition")
 _ALL = ""  # an option's value for all joints
@@ -67,6 +66,7 @@ def excite_command(
     from idtool.excite_report import excite_report
     from idtool.report import HEADER
     from idtool.terminal import Terminal
+    from idtool.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
     file, settings = out or Path(f"{urdf.stem}_idtool", "excitation.mcap"), config_of(urdf, config)
@@ -99,7 +99,7 @@ def excite_command(
         }
         report["warnings"] = list(dict.fromkeys([*said, *report["warnings"]]))
         _write(file, found.log(file), report)
-    _show(terminal, report)
+    show_excitation(terminal, report)
     finish(terminal, report, {})
 
 
@@ -195,51 +195,3 @@ def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
 
     write_all(file.parent, {f"{file.stem}.html": excite_page(report, command())})
     write_log(file, log)
-
-
-def _figure(x: float | None) -> str:
-    return "-" if x is None else f"{x:.4g}"
-
-
-def _show(terminal: Terminal, report: dict[str, Any]) -> None:
-    """The errors to expect, the limits, and where the files are."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    def table(title: str, *columns: str) -> Table:
-        made = Table(title=title, box=None, pad_edge=False, header_style="dim")
-        for i, column in enumerate(columns):
-            made.add_column(column, justify="right" if i else "left")
-        return made
-
-    logged = "logged" in report["criteria"]
-    errors = table(
-        "Standard errors to expect",
-        "base parameter",
-        "prior",
-        "± se",
-        "of it",
-        "unit",
-        *(["so far ±"] if logged else []),
-    )
-    for p in report["base_parameters"]:
-        share = "-" if p["relative"] is None else f"{p['relative']:.2%}"
-        before = [_figure(p["logged_standard_error"])] if logged else []
-        name = escape(p["name"]) + (" *" if p["favoured"] else "")
-        errors.add_row(name, _figure(p["prior"]), _figure(p["standard_error"]), share, p["unit"], *before)
-    terminal.show(errors)
-    limits = table("Largest share of each limit", "joint", "position", "velocity", "acceleration", "effort")
-    for joint, use in report["use"].items():
-        limits.add_row(escape(joint), *(f"{share:.0%}" for share in use.values()))
-    terminal.show(limits)
-    terms = list(report["criteria"]["design"])
-    criteria = table("Criteria", "of", "D", "A", "E", "condition")
-    for name, values in report["criteria"].items():
-        criteria.add_row(name, *(_figure(values[kind]) for kind in terms))
-    terminal.show(criteria)
-    near = report["clearance"]
-    if near:
-        links = " and ".join(near["links"])
-        terminal.say(f"nearest links: {links}, {1000 * near['distance']:.3g} mm after {near['t']:.4g} s")
-    terminal.warn(report["warnings"])
-    terminal.say(f"written: {report['file']} and {Path(report['file']).with_suffix('.html').name}")

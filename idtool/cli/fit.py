@@ -48,7 +48,8 @@ def fit_command(
     from idtool.pages import fit_page
     from idtool.report import fit_report, joint_dynamics, model_config
     from idtool.robot import read_robot
-    from idtool.terminal import Terminal, show_fit
+    from idtool.terminal import Terminal
+    from idtool.terminal.fit import show_fit
     from idtool.urdf import identified_urdf
 
     terminal = Terminal(quiet, as_json)
@@ -71,6 +72,6 @@ def fit_command(
                 "report.html": fit_page(result, report, command()),
             },
         )
-    show_fit(terminal, result, report, folder)
+    show_fit(terminal, report, folder)
     rms = report["rms"]["validation"] or report["rms"]["train"]
     finish(terminal, report, {name: rms[name] <= bound for name, bound in bounds.items()})

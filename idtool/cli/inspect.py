@@ -23,7 +23,8 @@ def inspect_command(
     from idtool.inspection import inspect_log
     from idtool.logs import read_log
     from idtool.report import HEADER
-    from idtool.terminal import Terminal, show_inspection
+    from idtool.terminal import Terminal
+    from idtool.terminal.inspection import show_inspection
 
     terminal = Terminal(quiet, as_json)
     options = (read_config(config) if config else Config()).log

@@ -44,7 +44,8 @@ def study_command(
     from idtool.robot import read_robot
     from idtool.study import study
     from idtool.study_report import study_report
-    from idtool.terminal import Terminal, show_study
+    from idtool.terminal import Terminal
+    from idtool.terminal.study import show_study
 
     terminal = Terminal(quiet, as_json)
     folder = out or Path(f"{urdf.stem}_idtool")

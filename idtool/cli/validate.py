@@ -57,7 +57,7 @@ def validate_command(
     from idtool.report import validation_report
     from idtool.robot import read_robot
     from idtool.simulation_report import simulation_notes, simulation_report
-    from idtool.terminal import show_validation
+    from idtool.terminal.validation import show_validation
     from idtool.validate import evaluate
 
     settings, folder = config_of(urdf, config), out or Path(f"{urdf.stem}_idtool")
@@ -84,7 +84,7 @@ def _regression(terminal: Terminal) -> None:
     """`idtool validate` without arguments."""
     from idtool.regression import read_manifest, run_case
     from idtool.report import HEADER
-    from idtool.terminal import show_regression
+    from idtool.terminal.validation import show_regression
 
     here, home = Path("sample_logs"), Path(__file__).parents[2] / "sample_logs"
     folder = here if (here / "manifest.yaml").exists() else home
