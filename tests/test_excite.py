@@ -52,7 +52,7 @@ def test_it_begins_and_ends_at_rest_and_velocity_is_the_derivative(tmp_path: Pat
     for end in (0, -1):
         assert log.signals["qcmd"][end] == pytest.approx([0.3, report["home"]["b"]], abs=1e-9)
         assert log.signals["vcmd"][end] == pytest.approx(0, abs=1e-9)
-        assert a[end] == pytest.approx(0, abs=0.05)
+        assert a[end] == pytest.approx(0, abs=0.1)
     assert [part["pattern"] for part in report["parts"]] == ["fourier", "slow"]
     assert report["parts"][-1]["end"] == pytest.approx(12)
     assert (log.t[0], log.t[-1], len(log)) == (0, 12, 12001)
@@ -98,7 +98,7 @@ def test_a_belt_and_rotors(tmp_path: Path) -> None:
 
 
 def test_it_tells_more_than_a_random_motion_and_again_the_same(tmp_path: Path) -> None:
-    options = ["--iterations", "12", "--noise", "0.1"]
+    options = ["--iterations", "25", "--noise", "0.1"]
     report, log = excited(tmp_path, arm(), *options)
     again, same = excited(tmp_path / "b", arm(), *options)
     assert report["criteria"]["design"]["d"] < 0.85 * report["criteria"]["random"]["d"]

@@ -120,7 +120,7 @@ def random_series(report: dict[str, Any], seed: int, harmonics: int) -> Motion:
     return Motion((low + high) / 2 + scale * (q - middle), scale * v, scale * a)
 
 
-@pytest.mark.parametrize(("harmonics", "better"), [(5, 3.0), (15, 1.5), (30, 1.5)])
+@pytest.mark.parametrize(("harmonics", "better"), [(5, 3.0), (15, 3.0), (30, 2.0)])
 def test_better_than_random_fourier_series_within_the_same_limits(
     tmp_path: Path, designed: tuple[dict[str, Any], Log], harmonics: int, better: float
 ) -> None:

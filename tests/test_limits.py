@@ -27,9 +27,9 @@ def test_the_urdfs_limits(tmp_path) -> None:  # type: ignore[no-untyped-def]
     found = limits(arm(), tmp_path, "a", "b")
     assert (found.lower.tolist(), found.upper.tolist()) == ([-1.5, -1.5], [2, 2])
     assert (found.velocity.tolist(), found.effort.tolist()) == ([4, 4], [30, 30])
-    assert found.acceleration.tolist() == [20, 20]
+    assert found.acceleration.tolist() == [40, 40]
     assert found.notes == (
-        "no acceleration limit, that which reaches the velocity limit in 0.2 s is taken: a 20 rad/s², b 20 rad/s²",
+        "no acceleration limit, that which reaches the velocity limit in 0.1 s is taken: a 40 rad/s², b 40 rad/s²",
     )
 
 
@@ -38,7 +38,7 @@ def test_the_configuration_tightens_and_never_widens(tmp_path) -> None:  # type:
     found = limits(arm(), tmp_path, "a", "b", a=wide, b={"velocity": 1.0, "effort": 2.0})
     assert (found.lower.tolist(), found.upper.tolist()) == ([-1.5, -1.5], [1, 2])
     assert found.velocity.tolist() == [4, 1]
-    assert found.acceleration.tolist() == [7, 5]
+    assert found.acceleration.tolist() == [7, 10]
     assert found.effort.tolist() == [30, 2]
 
 

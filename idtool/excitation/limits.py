@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 TURN = math.pi  # rad to either side of zero, of a joint that has no position limits
 SPEED = {False: 3.0, True: 0.3}  # rad/s, m/s of a joint that has no velocity limit; True: prismatic
-RISE = 0.2  # s in which a joint without an acceleration limit may reach its velocity limit from rest
+RISE = {True: 0.1, False: 0.2}  # s in which a joint without an acceleration limit may reach its velocity limit from
+# rest; True: its effort limit bounds the acceleration too
 QUANTITIES = ("position", "velocity", "acceleration", "effort")
 
 
@@ -148,11 +149,12 @@ def _joint(joint: Joint, own: JointLimits, assumed: dict[str, list[str]]) -> tup
     if not math.isfinite(velocity):
         velocity = SPEED[prismatic]
         assumed.setdefault(f"no velocity limit, {velocity:g} {per_second} is taken", []).append(joint.name)
-    acceleration = own.acceleration or velocity / RISE
-    if own.acceleration is None:
-        told = f"no acceleration limit, that which reaches the velocity limit in {RISE:g} s is taken"
-        assumed.setdefault(told, []).append(f"{joint.name} {acceleration:g} {per_second}²")
     effort = min(own.effort or math.inf, joint.effort if joint.effort > 0 else math.inf)
+    rise = RISE[math.isfinite(effort)]
+    acceleration = own.acceleration or velocity / rise
+    if own.acceleration is None:
+        told = f"no acceleration limit, that which reaches the velocity limit in {rise:g} s is taken"
+        assumed.setdefault(told, []).append(f"{joint.name} {acceleration:g} {per_second}²")
     if not math.isfinite(effort):
         assumed.setdefault("no effort limit, torque is not limited", []).append(joint.name)
     return lower, upper, velocity, acceleration, effort

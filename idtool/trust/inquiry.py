@@ -22,6 +22,7 @@ from idtool.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 
+UNCHECKED = "least squares is not checked for bias: the logs are long, or instruments cannot be had; see --method iv"
 _APART = 1.5  # ratio of two standard errors of the same, above which they do not agree
 
 
@@ -127,6 +128,7 @@ def trust(
         *_of_blocks(found, solution.data),
         *_of_logs(compared),
         *_of_bias(biased, solution.two_stage is not None),
+        *([UNCHECKED] if questioned and pair is None else []),
         *_of_prediction(ahead, equation.joints),
     )
     return Trust(estimate.theta, errors, found, independent, ahead, asked, compared, biased, warnings)
