@@ -134,6 +134,13 @@ class Barrier:
             mu = max(mu / _DOWN, lowest) if there else _UP * mu
         return self.x
 
+    def curvature(self, x: Array) -> Array:
+        """Hessian of the barrier, its weight counted, at a point strictly inside; shape (m, m)."""
+        H = np.zeros((len(x), len(x)))
+        for group in self._groups:
+            H[group.own[:, :, None], group.own[:, None, :]] += self._mu * group.derivatives(x)[1]
+        return H
+
     def _start(self, problem: Problem, P: Array, q: Array) -> Array:
         """A point strictly inside: the least s with X_i + s · 1 ⪰ 0, by the same method, until s is negative."""
         m = problem.variables

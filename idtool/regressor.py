@@ -6,14 +6,17 @@ same low-pass. Here transposed and in one array, the torque last: (m_j + 1, n).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.base import Coefficient, Effect
+from idtool.effects.survey import Present
 from idtool.mechanism import Mechanism
 from idtool.model import Model
+from idtool.present import PresentModel
 from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]
@@ -31,10 +34,27 @@ class LinearModel:
         Names of the nv joints.
     effects
         The terms; their coefficients one after the other are the p unknowns.
+    reference
+        Coefficients that the effects go by which need to know the model, by key; others are taken at their prior.
     """
 
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
+    reference: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for effect in self.effects:
+            effect.refer(self._without(effect))
+
+    def _without(self, effect: Effect) -> Callable[[Motion], Present]:
+        """The model without an effect, along a motion."""
+
+        def along(motion: Motion) -> Present:
+            others = LinearModel(self.joints, tuple(x for x in self.effects if type(x) is not type(effect)))
+            theta = np.array([self.reference.get(c.key, c.prior) for c in others.coefficients])
+            return PresentModel(others, theta, motion)
+
+        return along
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -91,13 +111,16 @@ class LinearModel:
 
     def rows(self, batch: Batch) -> tuple[list[Array], list[NDArray[np.bool_]]]:
         """The same with all samples, and per joint whether each counts, shape (n,)."""
-        blocks = [batch.filter(columns) for columns in self.columns(batch.motion)]
-        kept = [np.ones(block.shape[1], dtype=bool) for block in blocks]
+        return [batch.filter(columns) for columns in self.columns(batch.motion)], self.kept(batch)
+
+    def kept(self, batch: Batch) -> list[NDArray[np.bool_]]:
+        """Per joint, whether each filtered sample counts, shape (n,)."""
+        kept = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
         for effect in self.effects:
             for joint, mask in effect.undefined(batch.motion).items():
                 if mask.any():
                     kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
-        return blocks, kept
+        return kept
 
     def torque(self, motion: Motion, theta: Array) -> Array:
         """The torque that the model predicts, as the sensors give it, unfiltered.

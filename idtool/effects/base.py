@@ -7,12 +7,13 @@ tau = Σ over effects of columns(q, v, a) · coefficients. A new effect is one n
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.effects.survey import Present
 from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.signals import Motion
@@ -104,6 +105,9 @@ class Effect(ABC):
         mechanism
             What it is added to.
         """
+
+    def refer(self, model: Callable[[Motion], Present]) -> None:
+        """Take note of the model without it, for effects whose columns depend on what a joint carries."""
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the columns cannot be known from the motion: joint index to a mask of shape (N,)."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
+from idtool.effects.survey import Survey
 from idtool.model import Model
 from idtool.signals import Motion
 
@@ -26,6 +29,13 @@ class TransmissionCoupling(JointTerm):
     lower = -np.inf
     even = False
     held = (Held("source", joint=True, apart=True),)
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: each of the other joints."""
+        for source, other in enumerate(survey.model.names):
+            if source != joint and (cls.id, survey.model.names[joint], float(source)) not in survey.taken:
+                yield {"source": float(source)}
 
     def unit_in(self, model: Model, joint: int) -> str:
         """See `JointTerm.unit_in`."""

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import DryFriction, JointTerm, JointTerms
+from idtool.effects.probe import spread
+from idtool.effects.survey import Survey
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_SOON, _LATE, _TRIED = 0.03, 2.0, 6  # of the log
 
 
 def _share(motion: Motion, time_constant: float | Array) -> Array:
@@ -46,6 +52,12 @@ class FrictionDrift(JointTerms):
     id = "friction_drift"
     held = (Held("time_constant", positive=True),)
     kinds = (_Viscous, _Coulomb)
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: changes that are seen to begin and to go on."""
+        for time_constant in spread(_SOON * survey.seconds, _LATE * survey.seconds, _TRIED):
+            yield {"time_constant": time_constant}
 
     @classmethod
     def made(cls) -> tuple[str, ...]:

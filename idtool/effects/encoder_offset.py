@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,13 @@ from numpy.typing import NDArray
 
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
+from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Mechanism
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_MOST = 0.7  # rad or m: beyond, it is another zero by intention
 
 
 class EncoderOffset(HeldJointEffect):
@@ -20,6 +24,17 @@ class EncoderOffset(HeldJointEffect):
 
     id = "encoder_offset"
     held = (Held("offset"),)
+
+    @classmethod
+    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
+        """See `HeldJointEffect.slopes`."""
+        zero = np.zeros_like(motion.t)
+        return present.moved(motion, joint, zero + 1, zero, zero)
+
+    @classmethod
+    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """See `HeldJointEffect.solved`."""
+        return {"offset": c} if abs(c) < _MOST else None
 
     def true(self, motion: Motion) -> Motion:
         """See `Effect.true`."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
+from idtool.effects.survey import Survey
 from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.robot import Joint
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_SHARES = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.32)  # of the travel that lie beyond
 
 
 class EndStop(JointTerm):
@@ -33,6 +36,16 @@ class EndStop(JointTerm):
     def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, prior, shape)
         self.shape["side"] = _side(model.joints[joint], self.shape["position"])
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: towards both ends of the travel."""
+        low, travel = survey.low[joint], survey.travel[joint]
+        for share in _SHARES:
+            for position in (low + share * travel, low + (1 - share) * travel):
+                above = position > low + travel / 2
+                if travel > 0 and (_side(survey.model.joints[joint], position) > 0) == above:
+                    yield {"position": float(position)}
 
     def join(self, theta: Array, mechanism: Mechanism) -> None:
         """See `Effect.join`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Self
 
@@ -11,11 +12,16 @@ from numpy.typing import NDArray
 from idtool.config import EffectEntry
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, place, vector
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present, Survey
 from idtool.exceptions import ConfigError
 from idtool.mechanism import Mechanism
 from idtool.model import Model
+from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_STEEP = 0.7  # of gravity across: a base that leans more is mounted so by intention
 
 
 class GravityTilt(HeldEffect):
@@ -42,6 +48,28 @@ class GravityTilt(HeldEffect):
             raise ConfigError(place(entry), "acts on the whole robot; give neither joint nor link")
         check_names(entry, ("gravity",))
         return cls(model, vector(entry, "gravity", 3))
+
+    @classmethod
+    def probes(cls, survey: Survey) -> Iterator[Probe]:
+        """See `NamedEffect.probes`: gravity of the same size in another direction."""
+        gravity = survey.model.gravity
+        size = float(np.linalg.norm(gravity))
+        if survey.has(cls.id, "base") or not size:
+            return
+        across = np.linalg.svd(gravity[None] / size)[2][1:]
+
+        def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+            pulled = np.stack([present.pulled(motion, way) for way in across])
+            return {j: pulled[:, j] for j in range(len(motion.q))}
+
+        def entry(c: Array, information: Array) -> EffectEntry | None:
+            tilted = gravity + c @ across
+            tilted *= size / np.linalg.norm(tilted)
+            if np.linalg.norm(c) > _STEEP * size:
+                return None
+            return EffectEntry(effect=cls.id, parameters={"gravity": [float(x) for x in tilted]})
+
+        yield Probe(cls.id, None, None, columns, 2, entry)
 
     @property
     def key(self) -> tuple[str | float, ...]:

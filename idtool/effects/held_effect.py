@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.config import EffectEntry
 from idtool.effects.base import Coefficient
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.named import NamedEffect, Value
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present, Survey
 from idtool.model import Model
 from idtool.signals import Motion
 
@@ -67,3 +71,34 @@ class HeldJointEffect(HeldEffect, JointEffect):
     def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
         """See `JointEffect.with_values`."""
         return cls(model, joint, shape)
+
+    @classmethod
+    @abstractmethod
+    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
+        """By how much the predicted torque changes, to first order, with a unit of the coefficient; shape (nv, N)."""
+
+    @classmethod
+    @abstractmethod
+    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """All parameters by the coefficient and the values tried; None where it cannot be."""
+
+    @classmethod
+    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
+        """See `JointEffect.probe`."""
+
+        def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+            change = cls.slopes(survey, joint, shape, motion, present)
+            return {j: row[None] for j, row in enumerate(change) if row.any()}
+
+        def entry(c: Array, information: Array) -> EffectEntry | None:
+            values = cls.solved(float(c[0]), shape)
+            return None if values is None else cls.entry(survey.model, joint, values)
+
+        return Probe(cls.id, survey.model.names[joint], None, columns, 1, entry, shape)
+
+
+def only(joint: int, row: Array, motion: Motion) -> Array:
+    """A change of one joint's torque, shape (N,), among all; shape (nv, N)."""
+    change = np.zeros_like(motion.q)
+    change[joint] = row
+    return change

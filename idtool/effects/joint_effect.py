@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from idtool.config import EffectEntry
 from idtool.effects.named import NamedEffect, Value, check_names, joint_index, number, place
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Survey
 from idtool.exceptions import ConfigError
 from idtool.model import Model
 from idtool.names import shown
@@ -96,6 +99,37 @@ class JointEffect(NamedEffect):
             if c.prior < c.lower:
                 raise ConfigError(place(entry), f"{c.name} of {c.prior:g} cannot be; give {c.lower:g} or more")
         return effect
+
+    @classmethod
+    def probes(cls, survey: Survey) -> Iterator[Probe]:
+        """See `NamedEffect.probes`."""
+        several = any(held.apart for held in cls.held)
+        for joint, moving in enumerate(survey.model.joints):
+            if several or not survey.has(cls.id, moving.name):
+                for shape in cls.tried(survey, joint):
+                    yield replace(cls.probe(survey, joint, shape), again=partial(cls.probe, survey, joint))
+
+    @classmethod
+    def shapes(cls) -> tuple[str, ...]:
+        """See `NamedEffect.shapes`."""
+        return tuple(held.name for held in cls.held if not held.joint)
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """Values of the parameters in ``held`` to try on a joint; nothing where the joint cannot have the effect."""
+        yield {}
+
+    @classmethod
+    @abstractmethod
+    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
+        """The effect at some values on a joint."""
+
+    @classmethod
+    def entry(cls, model: Model, joint: int, values: Mapping[str, float]) -> EffectEntry:
+        """The entry of a configuration with values of all parameters."""
+        names = {held.name for held in cls.held if held.joint}
+        given = {k: model.names[int(x)] if k in names else float(x) for k, x in values.items()}
+        return EffectEntry(effect=cls.id, joint=model.names[joint], parameters=given)
 
     @property
     def among(self) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
+from idtool.effects.survey import Present, Survey
 from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate
 from idtool.inertia import symmetric
 from idtool.mechanism import Gear, Mechanism
@@ -48,6 +49,17 @@ class JointElasticity(HeldJointEffect):
             if body.kind == "rotor":
                 axial = float(body.axis @ symmetric(body.pi[4:]) @ body.axis)
                 self._rotors += axial * np.outer(body.ratios, body.ratios)
+
+    @classmethod
+    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
+        """See `HeldJointEffect.slopes`: by the compliance, 1 / stiffness."""
+        q, v, a = cls(survey.model, joint, {"stiffness": 1.0})._deflection(motion.tau, motion.a, motion.dt)
+        return present.moved(motion, joint, -q, -v, -a)
+
+    @classmethod
+    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """See `HeldJointEffect.solved`."""
+        return {"stiffness": 1 / c} if c > 0 else None
 
     def true(self, motion: Motion) -> Motion:
         """See `Effect.true`: the link's motion."""

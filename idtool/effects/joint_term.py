@@ -16,8 +16,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.config import EffectEntry
 from idtool.effects.base import Coefficient
 from idtool.effects.joint_effect import JointEffect
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.signals import Motion
@@ -83,6 +86,11 @@ class JointTerm(JointEffect):
     def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
         """See `JointEffect.with_values`."""
         return cls(model, joint, values[cls.name], shape)
+
+    @classmethod
+    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
+        """See `JointEffect.probe`."""
+        return probe_of(cls.with_values(survey.model, joint, {cls.name: 0.0}, shape), survey, joint, shape)
 
     def unit_in(self, model: Model, joint: int) -> str:
         """The coefficient's unit on a joint."""
@@ -194,6 +202,12 @@ class JointTerms(JointEffect):
         """See `JointEffect.with_values`."""
         return cls(model, joint, [values[name] for name in cls.made()], shape)
 
+    @classmethod
+    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
+        """See `JointEffect.probe`."""
+        effect = cls.with_values(survey.model, joint, dict.fromkeys(cls.made(), 0.0), shape)
+        return probe_of(effect, survey, joint, shape)
+
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
         """See `Effect.write`."""
         for row, term in zip(out[int(self.joint)], self.terms, strict=True):
@@ -208,3 +222,29 @@ class JointTerms(JointEffect):
         """See `Effect.undefined`."""
         masks = [mask for term in self.terms for mask in term.undefined(motion).values()]
         return {int(self.joint): np.logical_or.reduce(masks)} if masks else {}
+
+
+def probe_of(effect: JointEffect, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
+    """An effect on a joint that is linear in its coefficients, at values of its other parameters, as a probe."""
+    count = len(effect.coefficients)
+
+    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+        out = [np.empty((count * (j == joint), len(motion.t))) for j in range(len(motion.q))]
+        effect.write(motion, out)
+        return {joint: out[joint]}
+
+    def entry(c: Array, information: Array) -> EffectEntry:
+        made = effect.parameters(c, np.full((count, count), np.inf))
+        return effect.entry(survey.model, joint, {**{name: value for name, (value, _) in made.items()}, **shape})
+
+    return Probe(
+        effect=effect.id,
+        joint=effect.owner,
+        link=None,
+        columns=columns,
+        size=count,
+        entry=entry,
+        shape=shape,
+        lower=tuple(c.lower for c in effect.coefficients),
+        upper=tuple(c.upper for c in effect.coefficients),
+    )

@@ -7,7 +7,7 @@ that are held, on which its columns depend.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from idtool.config import EffectEntry, Uncertain
 from idtool.effects.base import Effect
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Survey
 from idtool.exceptions import ConfigError
 from idtool.model import Model
 from idtool.names import nearest, shown, some
@@ -30,9 +32,28 @@ class NamedEffect(Effect):
     ----------
     id
         Its name in a configuration; none: a base, or a part of another effect.
+    like
+        Effects that it may be confused with, and what tells them apart.
     """
 
     id: str = ""
+    like: Mapping[str, str] = {}
+
+    @classmethod
+    def probes(cls, survey: Survey) -> Iterator[Probe]:
+        """The ways in which the effect may be missing from a model.
+
+        Parameters
+        ----------
+        survey
+            What was logged.
+        """
+        yield from ()
+
+    @classmethod
+    def shapes(cls) -> tuple[str, ...]:
+        """Names of the parameters that are numbers and no coefficients, which a search moves from outside."""
+        return ()
 
     @classmethod
     @abstractmethod

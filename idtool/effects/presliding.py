@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from itertools import accumulate
 
 import numpy as np
@@ -9,12 +10,15 @@ from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
+from idtool.effects.probe import spread
+from idtool.effects.survey import Survey
 from idtool.mechanism import Mechanism
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
 _FORGETS = 4.0  # displacements of travel after which 2 % are left of where a loop began
+_SHORTEST, _LONGEST, _TRIED = 5e-4, 0.15, 8  # of the travel
 _SHAKES = 3.0  # still · dt: path to and fro that is noise
 
 
@@ -30,6 +34,12 @@ class PreslidingHysteresis(JointTerm):
     name = "amplitude"
     unit = ("N·m", "N")
     held = (Held("displacement", positive=True),)
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: a small share of the travel, which would pass for a spring otherwise."""
+        for displacement in spread(_SHORTEST * survey.travel[joint], _LONGEST * survey.travel[joint], _TRIED):
+            yield {"displacement": displacement}
 
     def after(self, state: Array, way: Array) -> Array:
         """See `Loop.after`: along a way in one direction, z − sign(way) falls by e every displacement."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Self
 
 import numpy as np
@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm, JointTerms
 from idtool.effects.named import Value
+from idtool.effects.survey import Survey
 from idtool.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_FINE = 0.35  # of a period over the travel, between the n that are tried
+_FEWEST = 1.2  # periods over the travel: fewer pass for springs and stops
+_MOST = 300  # n that are tried
+_SLOW = 0.3  # of the rms speed, at which a wave must stay within the band to be seen
 
 
 class _Wave(JointTerm):
@@ -57,6 +63,17 @@ class TorqueRipple(JointTerms):
     id = "torque_ripple"
     held = (Held("periods", positive=True, apart=True),)
     kinds = (_Sine, _Cosine)
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: from one period over the travel to what leaves the band even where it is slow."""
+        turns = survey.travel[joint] / (2 * np.pi)
+        if not turns > 0 or not survey.speed[joint] > 0:
+            return
+        fastest = 2 * np.pi * survey.band_hz / (_SLOW * survey.speed[joint])
+        count = int(min((fastest - _FEWEST / turns) * turns / _FINE, _MOST))
+        for k in range(max(count, 0)):
+            yield {"periods": float((_FEWEST + _FINE * k) / turns)}
 
     @classmethod
     def made(cls) -> tuple[str, ...]:

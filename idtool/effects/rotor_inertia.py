@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_term import JointTerm
+from idtool.effects.survey import Survey
 from idtool.mechanism import Mechanism
 from idtool.signals import Motion
 
@@ -18,6 +21,12 @@ class RotorInertia(JointTerm):
     id = "rotor_inertia"
     name = "inertia"
     unit = ("kg·m²", "kg")
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: where the model has no rotor."""
+        if not any(body.kind == "rotor" and body.ratios[joint] for body in survey.model.bodies):
+            yield {}
 
     def column(self, motion: Motion) -> Array:
         """The acceleration."""

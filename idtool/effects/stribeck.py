@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import DryFriction, mean_within
+from idtool.effects.probe import spread
+from idtool.effects.survey import Survey
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
 _REACH = 6.0  # velocities v_s beyond which nothing is left
+_SLOWEST = 2.0  # widths of the sign that v_s has at least
+_TRIED = 7
 _GRID = 10_000  # points of each part of an integral
 
 
@@ -22,6 +28,12 @@ class StribeckFriction(DryFriction):
     name = "stribeck"
     unit = ("N·m", "N")
     held = (Held("velocity", positive=True),)
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: from what the sign's width hides to what would pass for viscous friction."""
+        for velocity in spread(_SLOWEST * survey.still[joint], survey.speed[joint], _TRIED):
+            yield {"velocity": velocity}
 
     def level(self, motion: Motion) -> Array:
         """One at rest, which falls with speed."""

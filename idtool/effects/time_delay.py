@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -12,6 +13,8 @@ from scipy import ndimage
 from idtool.config import EffectEntry
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, joint_index, number, place
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present, Survey
 from idtool.exceptions import ConfigError
 from idtool.mechanism import Mechanism
 from idtool.model import Model
@@ -19,6 +22,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
+_SHIFT = 0.1  # s: no more than that is looked for
 _LONGEST = 1.0  # s: what is later belongs to another motion
 
 
@@ -54,6 +58,21 @@ class TimeDelay(HeldEffect):
         if not abs(delay) <= _LONGEST:
             raise ConfigError(place(entry), f"delay of {delay:g} s cannot be told; give one within {_LONGEST:g} s")
         return cls(model, delay, joint)
+
+    @classmethod
+    def probes(cls, survey: Survey) -> Iterator[Probe]:
+        """See `NamedEffect.probes`: of all joints together, and of each."""
+        names = survey.model.names
+        if not survey.has(cls.id, "all joints"):
+            yield _probe(None, range(len(names)))
+            for j, name in enumerate(names):
+                if not survey.has(cls.id, name) and len(names) > 1:
+                    yield _probe(name, [j])
+
+    @classmethod
+    def shapes(cls) -> tuple[str, ...]:
+        """See `NamedEffect.shapes`."""
+        return ("delay",)
 
     @property
     def key(self) -> tuple[str | float, ...]:
@@ -91,3 +110,17 @@ class TimeDelay(HeldEffect):
                 own = tau[*row, joint]
                 own[:] = ndimage.shift(own, samples, order=5, mode="nearest")
         return tau
+
+
+def _probe(joint: str | None, which: Sequence[int]) -> Probe:
+    """The torque of some joints late, to first order."""
+
+    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+        tau = present.predicted(motion)
+        return {j: -np.gradient(tau[j], motion.dt)[None] for j in which}
+
+    def entry(c: Array, information: Array) -> EffectEntry | None:
+        late = {"delay": float(c[0])}
+        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if abs(c[0]) < _SHIFT else None
+
+    return Probe(TimeDelay.id, joint, None, columns, 1, entry)

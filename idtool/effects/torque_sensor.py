@@ -6,17 +6,22 @@ Several on a joint lie one behind the other: the first in the configuration is n
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.effects.held_effect import HeldJointEffect
+from idtool.effects.held_effect import HeldJointEffect, only
 from idtool.effects.joint_effect import Held
+from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Mechanism, TorqueSensor
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_LEAST, _MOST = 0.2, 5.0  # gains that are believed
+_LEVELS = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)  # of the greatest torque, where it may begin to bend
 
 
 class Sensor(HeldJointEffect):
@@ -54,6 +59,16 @@ class TorqueGain(Sensor):
     id = "torque_gain"
     held = (Held("gain", positive=True),)
 
+    @classmethod
+    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
+        """See `HeldJointEffect.slopes`: in units of the measured torque, or scaling it to nothing would explain all."""
+        return only(joint, present.predicted(motion)[joint], motion)
+
+    @classmethod
+    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """See `HeldJointEffect.solved`."""
+        return {"gain": 1 + c} if _LEAST < 1 + c < _MOST else None
+
     def given(self, tau: Array) -> Array:
         """See `Sensor.given`."""
         return np.asarray(self.shape["gain"] * tau)
@@ -80,6 +95,24 @@ class TorqueSaturation(Sensor):
 
     id = "torque_saturation"
     held = (Held("level", positive=True), Held("bend"))
+
+    @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: levels that the torque exceeds."""
+        for share in _LEVELS:
+            yield {"level": share * float(survey.torque[joint])}
+
+    @classmethod
+    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
+        """See `HeldJointEffect.slopes`: by the bend."""
+        tau = present.predicted(motion)[joint]
+        above = np.maximum(np.abs(tau) - shape["level"], 0.0)
+        return only(joint, -np.sign(tau) * np.square(above) / 2, motion)
+
+    @classmethod
+    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """See `HeldJointEffect.solved`."""
+        return {**shape, "bend": c}
 
     def given(self, tau: Array) -> Array:
         """See `Sensor.given`."""

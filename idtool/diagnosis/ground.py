@@ -1,0 +1,209 @@
+"""`Ground`: what a model leaves of its logs, and what of that a further effect explains that the model cannot.
+
+The model's rows are turned into directions y in which prior, constraints and data together weigh 1, about the fitted
+theta. The constraints count by the Hessian of their barrier there: along an active one the model gives way as little as
+the true problem does. A candidate's columns are then seen only by what is orthogonal to all of that.
+
+Held-out figures leave out one block of time after the other; each is a small linear problem on Gram matrices, which in
+these directions are as good as QR.
+
+Letters: p coefficients theta; r directions y; F blocks of time; sigma_j noise of joint j; k columns of a candidate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.barrier import Barrier
+from idtool.blocks import Blocks, cut, together
+from idtool.effects.torque_sensor import Sensor
+from idtool.experiment import Experiment, Progress
+from idtool.identified import choose_sets
+from idtool.identify import Estimate, identify
+from idtool.reduction import Reduction
+from idtool.regressor import LinearModel
+from idtool.weights import free_noise, weighted_rows
+
+Array = NDArray[np.float64]
+
+_FOLDS = 36  # blocks of time of all logs together
+_SHORTEST = 0.4  # s of a block
+_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
+_SEEN = 1e-5  # of a direction's weight that data have: with less, it is the prior's
+_RANK = 1e-13  # of the largest eigenvalue
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A fitted model and what it leaves.
+
+    Attributes
+    ----------
+    experiment
+        Model and data.
+    estimate
+        Its fit.
+    theta
+        Where it is expanded about, shape (p,): strictly within the constraints.
+    noise
+        What each joint's rows are measured in, shape (nv,) [N·m or N].
+    ways
+        Changes of theta by y, shape (p, r).
+    held
+        Information on y of prior and constraints, shape (r, r).
+    B, g, s
+        Of each block: Gram matrix of the rows by y, shape (F, r, r), its product with the residual, (F, r), and the
+        residual's squares by joint, (F, nv); in units of the noise.
+    rows
+        How many rows each block has by joint, shape (F, nv).
+    size
+        Rms of each joint's torque, shape (nv,) [N·m or N].
+    length
+        Rows of a block of time at the most.
+    """
+
+    experiment: Experiment
+    estimate: Estimate
+    theta: Array
+    noise: Array
+    ways: Array
+    held: Array
+    B: Array
+    g: Array
+    s: Array
+    rows: Array
+    size: Array
+    length: int
+
+    @property
+    def folds(self) -> int:
+        """How many blocks there are, F."""
+        return len(self.s)
+
+    def left(self) -> Array:
+        """Squared residuals of each block under the model fitted to the others, shape (F,)."""
+        y = self.without()
+        return np.asarray(
+            self.s.sum(axis=1) - 2 * np.einsum("fi,fi->f", y, self.g) + np.einsum("fi,fij,fj->f", y, self.B, y)
+        )
+
+    def without(self) -> Array:
+        """How y changes when a block is left out, shape (F, r)."""
+        total = self.B.sum(axis=0) + self.held
+        return np.stack([np.linalg.solve(total - B, -g) for B, g in zip(self.B, self.g, strict=True)])
+
+
+def ground(
+    experiment: Experiment, progress: Progress, like: Ground | None = None
+) -> Ground:
+    """Fit a model, and see what it leaves.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    progress
+        Told the stage and how far it has come.
+    like
+        Whose noise the joints' rows are measured in, so that the two compare; default: what a fit without constraints
+        leaves. Where torque sensors differ, in units of what each takes for the true torque, or "scale it to nothing"
+        would leave least.
+
+    Raises
+    ------
+    IdtoolError
+        If there are fewer samples than it takes, or the problem could not be solved.
+    """
+    length = fold_rows(experiment)
+    blocks = _blocks(experiment, length, progress)
+    equation, config = experiment.equation, experiment.config
+    reduction = experiment.checked(together([log.total for log in blocks]))
+    known = experiment.known
+    size = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
+    noise = free_noise(equation, reduction, known) if like is None else like.noise * _rescaled(experiment, size, like)
+    sets, _ = choose_sets(experiment.model.bodies, config.constraints)
+    found = identify(
+        equation, experiment.model.bodies, reduction, sets, config.regularization, known, config.solver.name, noise
+    )
+    theta, ways, held = _directions(equation, reduction, found, noise)
+    parts = [part for log in blocks for part in log.parts]
+    B, g, s = (np.stack(x) for x in zip(*(_gram(equation, part, theta, ways, noise) for part in parts), strict=True))
+    rows = np.array([[factor.rows for factor in part] for part in parts], dtype=float)
+    return Ground(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length)
+
+
+def _rescaled(experiment: Experiment, size: Array, like: Ground) -> Array:
+    """How much larger each joint's true torque is than by the other's sensors, shape (nv,)."""
+    own, other = (
+        [effect.key for effect in one.equation.effects if isinstance(effect, Sensor)]
+        for one in (experiment, like.experiment)
+    )
+    same = own == other and not own
+    return np.ones_like(size) if same else size / like.size
+
+
+def fold_rows(experiment: Experiment) -> int:
+    """How many rows a block has."""
+    low_pass = experiment.runs[0].signals.low_pass
+    count = sum((part.stop - part.start) // low_pass.stride for run in experiment.runs for part in run.train)
+    least = int(_SHORTEST / (low_pass.stride * experiment.runs[0].signals.log.dt))
+    return max(-(-count // _FOLDS), least, 1)
+
+
+def _blocks(experiment: Experiment, length: int, progress: Progress) -> list[Blocks]:
+    found = []
+    for run in (run for run in experiment.runs if run.train):
+        low_pass = run.signals.low_pass
+        parts = tuple(cut(experiment.rows(run, progress), length, low_pass.redundancy))
+        if parts:
+            found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
+    return found
+
+
+def _directions(
+    equation: LinearModel, reduction: Reduction, found: Estimate, noise: Array
+) -> tuple[Array, Array, Array]:
+    """Theta within the constraints, shape (p,), the ways, (p, r), and the prior's information on them, (r, r)."""
+    problem = found.problem
+    samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
+    A = problem.A @ problem.S
+    gap = _GAP * max(found.certificate.objective, 1e-9)
+    barrier = Barrier(problem, 2 * A.T @ A, 2 * A.T @ problem.b, gap)
+    x = barrier.x
+    to_theta = problem.K @ (problem.scale[:, None] * problem.S)
+    P = samples * (A.T @ A + barrier.curvature(x) / 2)
+    exact = problem.E @ problem.S
+    N = _null(exact, len(x))
+    size = np.sqrt(np.maximum((N.T @ P @ N).diagonal(), 1e-300))
+    values, vectors = np.linalg.eigh((N.T @ P @ N) / size[:, None] / size)
+    keep = values > _RANK * values[-1]
+    ways = to_theta @ N @ (vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
+    D = np.sqrt(samples) * weighted_rows(equation, reduction, noise)[:, :-1] @ ways
+    shares, turned = np.linalg.eigh(D.T @ D)
+    seen = shares > _SEEN
+    ways, shares = ways @ turned[:, seen], shares[seen]
+    return problem.theta(problem.S @ x), ways, np.diag(np.maximum(1 - shares, 0.0))
+
+
+def _null(exact: Array, count: int) -> Array:
+    """The directions that leave what is known exactly as it is, shape (m, free)."""
+    if not len(exact):
+        return np.eye(count)
+    _, s, Vt = np.linalg.svd(exact, full_matrices=True)
+    return np.asarray(Vt[int(np.count_nonzero(s > 1e-9 * s[0])) :].T)
+
+
+def _gram(
+    equation: LinearModel, part: Reduction, theta: Array, ways: Array, noise: Array
+) -> tuple[Array, Array, Array]:
+    """A block's Gram matrix by y, its product with the residual, and the residual's squares by joint."""
+    B, g = np.zeros((ways.shape[1], ways.shape[1])), np.zeros(ways.shape[1])
+    s = np.zeros(len(part))
+    for j, (factor, active) in enumerate(zip(part, equation.active(), strict=True)):
+        Q = factor.R[:, :-1] @ ways[active] / noise[j]
+        e = (factor.R[:, -1] - factor.R[:, :-1] @ theta[active]) / noise[j]
+        B, g, s[j] = B + Q.T @ Q, g + Q.T @ e, e @ e
+    return B, g, s

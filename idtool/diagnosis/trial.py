@@ -1,0 +1,199 @@
+"""A model with a further effect in it, fitted whole, its shape values moved to where they explain most.
+
+Shape values are found by Gauss and Newton's method on what the linear coefficients leave (variable projection; Golub &
+Pereyra 1973, in the form of Kaufman 1975): the change of the residual with a shape value is one more column, judged by
+`screened` as any other, which gives the step and its standard error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import EffectEntry
+from idtool.diagnosis.ground import Ground, ground
+from idtool.present import PresentModel
+from idtool.diagnosis.screen import screened
+from idtool.effects import build_effects, known_effects
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present
+from idtool.exceptions import IdtoolError
+from idtool.experiment import Experiment, Progress
+from idtool.inertia import SIZE
+from idtool.knowledge import Fact, knowledge
+from idtool.regressor import LinearModel
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-3  # of a shape value, or this where it is small: of a difference
+_FAR = 0.3  # of a value that a step goes at the most
+_BETTER = 1e-4  # of the squared residual that a step must save
+_SURE = 2.0  # standard errors that a shape value must be from where the effect is nothing
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A model with effects in it.
+
+    Attributes
+    ----------
+    ground
+        What it leaves.
+    errors
+        Standard errors of the shape values, by place in the configuration's effects and name.
+    """
+
+    ground: Ground
+    errors: Mapping[tuple[int, str], float]
+
+    @property
+    def entries(self) -> tuple[EffectEntry, ...]:
+        """The configuration's effects."""
+        return self.ground.experiment.config.effects
+
+
+def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: Array | None = None) -> Experiment:
+    """The same logs and robot, with other effects in the torque equation; inertia that was fixed stays so.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    entries
+        All effects of the configuration.
+    theta
+        What the experiment's coefficients are by now, shape (p,), for effects that need to know the model.
+    """
+    config = experiment.config.model_copy(update={"effects": tuple(entries)})
+    now = experiment.equation.reference
+    if theta is not None:
+        now = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
+    equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), now)
+    changed = replace(
+        experiment, config=config, equation=equation, known=knowledge(config, experiment.model, equation)
+    )
+    return with_fixed_inertia(changed) if _is_fixed(experiment) else changed
+
+
+_FIXED = "--inertia fixed"
+
+
+def with_fixed_inertia(experiment: Experiment) -> Experiment:
+    """The same with the bodies' parameters known to be those of the URDF."""
+    p, known = len(experiment.equation.coefficients), experiment.known
+    prior, count = experiment.equation.prior, SIZE * len(experiment.model.bodies)
+    facts = tuple(Fact(_FIXED, np.eye(p)[i], float(prior[i])) for i in known.free if i < count)
+    config = experiment.config.model_copy(update={"constraints": "none"})
+    soft = tuple(fact for fact in known.facts if fact.row[count:].any())  # others speak of what is fixed
+    return replace(experiment, config=config, known=replace(known, facts=(*soft, *facts)))
+
+
+def _is_fixed(experiment: Experiment) -> bool:
+    return any(fact.label == _FIXED for fact in experiment.known.facts)
+
+
+def tried(
+    before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, steps: int = 1
+) -> Trial | None:
+    """A model with other effects, fitted with the same weights; None where it cannot be fitted.
+
+    Parameters
+    ----------
+    before
+        The model that it is compared with.
+    entries
+        All effects that it has.
+    moving
+        Indices of those whose shape values are moved.
+    progress
+        Told how far it has come.
+    steps
+        How often they are.
+    """
+    try:
+        here = ground(with_effects(before.experiment, entries, before.theta), progress, before)
+    except IdtoolError:
+        return None
+    errors: dict[tuple[int, str], float] = {}
+    for _ in range(steps):
+        names = [(i, name) for i in moving for name in _moved(here.experiment.config.effects[i])]
+        if not names:
+            break
+        there, errors = _step(here, names, progress)
+        if there is None:
+            break
+        better = here.left().sum() - there.left().sum() > _BETTER * here.left().sum()
+        here = there if there.left().sum() < here.left().sum() else here
+        if not better:
+            break
+    return Trial(here, errors)
+
+
+def _moved(entry: EffectEntry) -> list[str]:
+    names = known_effects()[entry.effect].shapes()
+    return [name for name in names if isinstance(value_of(entry, name), float)]
+
+
+def value_of(entry: EffectEntry, name: str) -> object:
+    """A parameter's value, without its standard error."""
+    given = entry.parameters[name]
+    return given["value"] if isinstance(given, Mapping) else given
+
+
+def _with(entry: EffectEntry, name: str, value: float) -> EffectEntry:
+    return entry.model_copy(update={"parameters": {**entry.parameters, name: value}})
+
+
+def _step(
+    here: Ground, names: Sequence[tuple[int, str]], progress: Progress
+) -> tuple[Ground | None, dict[tuple[int, str], float]]:
+    """One step of all shape values together, half of it, or none; and their standard errors."""
+    entries = list(here.experiment.config.effects)
+    values = [float(value_of(entries[i], name)) for i, name in names]  # type: ignore[arg-type]
+    (found,) = screened(here, [_difference(here, names, values)], progress, "moving shape values")
+    spread = np.sqrt(np.diag(found.covariance))
+    errors = {key: float(x) for key, x in zip(names, spread, strict=True)}
+    for part in (1.0, 0.3):
+        changed = list(entries)
+        for (i, name), value, by in zip(names, values, part * found.c, strict=True):
+            most = _FAR * max(abs(value), _STEP)
+            positive = value > 0 and _is_positive(entries[i].effect, name)
+            limited = float(np.clip(by, -most, most)) if positive or abs(value) > 0.1 else by
+            changed[i] = _with(changed[i], name, value + float(limited))
+        try:
+            there = ground(with_effects(here.experiment, changed, here.theta), progress, here)
+        except IdtoolError:
+            continue
+        if there.left().sum() < here.left().sum():
+            return there, errors
+    return None, errors
+
+
+def _is_positive(effect: str, name: str) -> bool:
+    held = getattr(known_effects()[effect], "held", ())
+    return any(one.name == name and one.positive for one in held)
+
+
+def _difference(here: Ground, names: Sequence[tuple[int, str]], values: Sequence[float]) -> Probe:
+    """The change of the residual with shape values, as a probe."""
+    steps = [_STEP * max(abs(value), 0.1) for value in values]
+    others = []
+    for (i, name), value, step in zip(names, values, steps, strict=True):
+        entries = list(here.experiment.config.effects)
+        entries[i] = _with(entries[i], name, value + step)
+        others.append(with_effects(here.experiment, entries, here.theta).equation)
+
+    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+        assert isinstance(present, PresentModel)
+        own = present.residual
+        change = [
+            (own - PresentModel(other, here.theta, present.measured).residual) / step
+            for other, step in zip(others, steps, strict=True)
+        ]
+        return {j: np.stack([rows[j] for rows in change]) for j in range(len(own))}
+
+    return Probe("shape", None, None, columns, len(names), lambda c, information: None)
