@@ -9,8 +9,8 @@ Shapes: nv joints, N samples at the logged rate, n samples after decimation. Uni
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,8 @@ class Motion:
         Speed at which the sign of v is as good as lost in its noise, shape (nv,).
     dt
         Sample time [s].
+    ahead
+        Of joints whose motor is not fast to its link, of which q, v and a are: how much faster it speeds up, (N,).
     """
 
     t: Array
@@ -62,6 +64,7 @@ class Motion:
     logged: Array
     still: Array
     dt: float
+    ahead: Mapping[int, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

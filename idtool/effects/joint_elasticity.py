@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import welch
 
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
@@ -21,8 +22,10 @@ from idtool.signals import Motion
 Array = NDArray[np.float64]
 
 _DAMPING = 0.05  # of what is critical: harmonic drives and belts have a few per cent
-_BAND = 14.0  # Hz, below which torque tells the deflection and its second derivative is not mostly noise
-_OF_RATE = 0.2  # or this share of the sampling rate
+_BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz, below one of which torque tells the deflection
+_OF_RATE = 0.2  # of the sampling rate, that it is at the most
+_CLEAR = 4.0  # of the noise's power density, above which torque tells more than noise
+_SPECTRUM = 1024  # samples
 _ORDER = 4
 
 
@@ -34,7 +37,7 @@ class JointElasticity(HeldJointEffect):
     `rotor_inertia` on the joint.
 
     In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
-    torque, less what the rotors take of it by their prior, below 14 Hz. What the rotors take more than they would if
+    torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz. What the rotors take more than they would if
     they turned with the link is known then too. That of a `rotor_inertia` is not: give a heavy rotor under `rotors`.
     """
 
@@ -53,7 +56,7 @@ class JointElasticity(HeldJointEffect):
     @classmethod
     def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
         """See `HeldJointEffect.slopes`: by the compliance, 1 / stiffness."""
-        q, v, a = cls(survey.model, joint, {"stiffness": 1.0})._deflection(motion.tau, motion.a, motion.dt)
+        q, v, a = cls(survey.model, joint, {"stiffness": 1.0})._deflection(motion)
         return present.moved(motion, joint, -q, -v, -a)
 
     @classmethod
@@ -64,18 +67,18 @@ class JointElasticity(HeldJointEffect):
     def true(self, motion: Motion) -> Motion:
         """See `Effect.true`: the link's motion."""
         q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        for x, deflection in zip((q, v, a), self._deflection(motion.tau, motion.a, motion.dt), strict=True):
+        deflections = self._deflection(motion)
+        for x, deflection in zip((q, v, a), deflections, strict=True):
             x[self.joint] -= deflection
-        return replace(motion, q=q, v=v, a=a)
+        return replace(motion, q=q, v=v, a=a, ahead={**motion.ahead, self.joint: deflections[2]})
 
     def known(self, motion: Motion) -> Array:
         """See `Effect.known`: what it takes to turn the rotors ahead of the link, the link's motion being given."""
-        ahead = self._deflection(motion.tau, motion.a, motion.dt)[2]
-        return np.outer(self._rotors[:, self.joint], ahead)
+        return np.outer(self._rotors[:, self.joint], motion.ahead[self.joint])
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the deflection is not known, since its filter reaches beyond the samples."""
-        edge = min(_low_pass(motion.dt).edge, len(motion.t))
+        edge = min(_low_pass(_BANDS[0], motion.dt).edge, len(motion.t))
         mask = np.zeros(len(motion.t), dtype=bool)
         mask[:edge] = mask[len(mask) - edge :] = True
         return dict.fromkeys(range(len(motion.q)), mask)
@@ -85,16 +88,30 @@ class JointElasticity(HeldJointEffect):
         play = mechanism.gears[self.joint].play if self.joint in mechanism.gears else 0.0
         mechanism.gears[self.joint] = Gear(self.shape["stiffness"], _DAMPING, play)
 
-    def _deflection(self, tau: Array, a: Array, dt: float) -> tuple[Array, Array, Array]:
+    def _deflection(self, motion: Motion) -> tuple[Array, Array, Array]:
         """The deflection and its first two derivatives, shape (N,)."""
-        carried = tau[self.joint] - self._rotors[self.joint] @ a
-        low_pass, r = _low_pass(dt), 2 * DIFFERENCE_REACH
+        dt = motion.dt
+        carried = motion.tau[self.joint] - self._rotors[self.joint] @ motion.a
+        low_pass, r = _low_pass(_band(motion.logged[self.joint], dt), dt), 2 * DIFFERENCE_REACH
         around = np.pad(carried, low_pass.reach + r, mode="reflect", reflect_type="odd")
         x = low_pass(around[None], low_pass.reach, low_pass.reach) / self.shape["stiffness"]
         v = differentiate(x, dt)
         return x[0, r:-r], v[0, r // 2 : -(r // 2)], differentiate(v, dt)[0]
 
 
+def _band(tau: Array, dt: float) -> float:
+    """Up to which frequency a torque stands above its noise [Hz]: beyond, its second derivative is mostly noise."""
+    f, power = welch(tau, 1 / dt, nperseg=min(_SPECTRUM, len(tau)))
+    tops = [*_BANDS, *(_BANDS[-1] * 2 ** np.arange(1, 5))]
+    octaves = [power[(f > top / 2) & (f <= top)] for top in tops if top < 0.5 / dt]
+    noise = min((np.median(octave) for octave in octaves if octave.size), default=0.0)  # encoders' shakes are torque too
+    clear = [np.mean(octave) > _CLEAR * noise if octave.size else False for octave in octaves]
+    for band, above in reversed(list(zip(_BANDS, clear, strict=False))[1:]):
+        if above and band < _OF_RATE / dt:
+            return band
+    return _BANDS[0]
+
+
 @cache
-def _low_pass(dt: float) -> LowPass:
-    return LowPass(min(_BAND, _OF_RATE / dt), _ORDER, dt)
+def _low_pass(band: float, dt: float) -> LowPass:
+    return LowPass(min(band, _OF_RATE / dt), _ORDER, dt)
