@@ -6,7 +6,18 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from idtool.cli import adapt, ellipsoids, excite, export, fit, inspect, simulate, study, validate  # noqa: F401  # each adds its command
+from idtool.cli import (  # noqa: F401  # each adds its command
+    adapt,
+    diagnose,
+    ellipsoids,
+    excite,
+    export,
+    fit,
+    inspect,
+    simulate,
+    study,
+    validate,
+)
 from idtool.cli.app import app
 from idtool.exceptions import IdtoolError
 

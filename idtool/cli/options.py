@@ -51,6 +51,28 @@ MaxRmsOption = Annotated[
         "exit code 1 above it.",
     ),
 ]
+InertiaOption = Annotated[
+    Literal["refit", "fixed"],
+    typer.Option(
+        help="Identify the inertia anew at every step, or take the URDF's as true, so that a payload, a torque gain or "
+        "a tilted base can be told from it."
+    ),
+]
+EffectsOption = Annotated[
+    str | None, typer.Option(help="The effects that may be named, with commas between; default: all.")
+]
+MaxEffectsOption = Annotated[int, typer.Option(min=1, help="The most effects that are added.")]
+AssumeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="EFFECT:JOINT",
+        help="Start with this effect, on a joint or link, or on none where it has none; repeatable.",
+    ),
+]
+ReportOnlyOption = Annotated[
+    bool, typer.Option("--report-only", help="Write diagnosis.json and diagnosis.html, but no model.")
+]
+ExplainOption = Annotated[bool, typer.Option("--explain", help="Tell why each candidate that was rejected lost.")]
 
 
 def config_of(urdf: Path, given: Path | None) -> Config:

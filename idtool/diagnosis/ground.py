@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from idtool.barrier import Barrier
 from idtool.blocks import Blocks, cut, together
 from idtool.effects.torque_sensor import Sensor
-from idtool.experiment import Experiment, Progress
+from idtool.experiment import Experiment, Progress, tracked
 from idtool.identified import choose_sets
 from idtool.identify import Estimate, identify
 from idtool.reduction import Reduction
@@ -97,7 +97,7 @@ class Ground:
 
 
 def ground(
-    experiment: Experiment, progress: Progress, like: Ground | None = None
+    experiment: Experiment, progress: Progress, like: Ground | None = None, own_rows: bool = False
 ) -> Ground:
     """Fit a model, and see what it leaves.
 
@@ -108,9 +108,11 @@ def ground(
     progress
         Told the stage and how far it has come.
     like
-        Whose noise the joints' rows are measured in, so that the two compare; default: what a fit without constraints
+        Whose rows count, and whose noise they are measured in, so that the two compare; default: what a fit without constraints
         leaves. Where torque sensors differ, in units of what each takes for the true torque, or "scale it to nothing"
         would leave least.
+    own_rows
+        Whether those rows count that the model itself knows its columns at.
 
     Raises
     ------
@@ -118,7 +120,7 @@ def ground(
         If there are fewer samples than it takes, or the problem could not be solved.
     """
     length = fold_rows(experiment)
-    blocks = _blocks(experiment, length, progress)
+    blocks = _blocks(experiment, length, progress, like.experiment.equation if like and not own_rows else experiment.equation)
     equation, config = experiment.equation, experiment.config
     reduction = experiment.checked(together([log.total for log in blocks]))
     known = experiment.known
@@ -133,6 +135,23 @@ def ground(
     B, g, s = (np.stack(x) for x in zip(*(_gram(equation, part, theta, ways, noise) for part in parts), strict=True))
     rows = np.array([[factor.rows for factor in part] for part in parts], dtype=float)
     return Ground(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length)
+
+
+def held_out(ground: Ground, counting: LinearModel) -> Array:
+    """Mean squared residual on what was held out, by joint, in units of the noise, on the rows that an equation knows.
+
+    Shape (nv,); NaN where nothing was held out.
+    """
+    squares, count = np.zeros((2, len(ground.noise)))
+    theta, equation = ground.estimate.theta, ground.experiment.equation
+    for run in ground.experiment.runs:
+        for batch in run.signals.batches(run.held_out):
+            for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
+                e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
+                keep = counting.kept(batch)[j]
+                squares[j], count[j] = squares[j] + np.square(e[keep]).sum(), count[j] + keep.sum()
+    with np.errstate(invalid="ignore"):
+        return np.asarray(squares / count / np.square(ground.noise))
 
 
 def _rescaled(experiment: Experiment, size: Array, like: Ground) -> Array:
@@ -153,11 +172,16 @@ def fold_rows(experiment: Experiment) -> int:
     return max(-(-count // _FOLDS), least, 1)
 
 
-def _blocks(experiment: Experiment, length: int, progress: Progress) -> list[Blocks]:
+def _blocks(experiment: Experiment, length: int, progress: Progress, counting: LinearModel) -> list[Blocks]:
+    """The training data in blocks of so many rows, those that an equation knows its columns at."""
     found = []
     for run in (run for run in experiment.runs if run.train):
         low_pass = run.signals.low_pass
-        parts = tuple(cut(experiment.rows(run, progress), length, low_pass.redundancy))
+        batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
+        rows = (
+            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.kept(batch)) for batch in batches
+        )
+        parts = tuple(cut(rows, length, low_pass.redundancy))
         if parts:
             found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
     return found

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 _MEMORY = 3e7  # numbers that are held at once
 _AT_ONCE = 128  # columns that are filtered together
+_NOTHING = 1e-18  # of a column, squared and in units of the noise: rounding
 _NEW = 1e-5  # share of a column that the model cannot make: with less it says nothing new
 
 
@@ -251,7 +252,7 @@ def _of_size(ground: Ground, probes: Sequence[Probe], index: NDArray[np.intp], s
     covariance = (F - 1) / F * np.einsum("fik,fil->ikl", away, away)
     ordinary = np.einsum("ikk->ik", np.linalg.pinv(S))
     spread = np.einsum("ikk->ik", covariance)
-    inflation = (spread / np.where(ordinary > 0, ordinary, np.inf)).mean(axis=1)
+    inflation = (spread / np.where(ordinary > 1e-200, ordinary, np.inf)).mean(axis=1)
     rows = zip(probes, c, covariance, gains.T, S, inflation, strict=True)
     return [Found(probe, c, V, gain, own, float(more)) for probe, c, V, gain, own, more in rows]
 
@@ -261,7 +262,8 @@ def _solved(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, A
     r, i, k = P.shape
     X = np.linalg.solve(A, P.reshape(r, i * k)).reshape(r, i, k)
     S = C - np.einsum("rik,ril->ikl", P, X)
-    size = np.sqrt(np.maximum(np.einsum("ikk->ik", C), 1e-300))
+    squares = np.einsum("ikk->ik", C)
+    size = np.sqrt(np.where(squares > _NOTHING, squares, np.inf))
     values, vectors = np.linalg.eigh(S / size[:, :, None] / size[:, None, :])
     inverse = np.where(values > _NEW, 1 / np.maximum(values, _NEW), 0.0)
     rhs = (h - np.einsum("rik,r->ik", P, y0)) / size

@@ -6,18 +6,17 @@ other, so it takes ``inflation`` times more of it than of independent rows.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import EffectEntry
-from idtool.diagnosis.ground import Ground
+from idtool.diagnosis.ground import Ground, held_out
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
-from idtool.diagnosis.trial import Trial, tried
+from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of
 from idtool.effects import known_effects
 from idtool.effects.probe import Probe
 from idtool.experiment import Progress
@@ -25,12 +24,18 @@ from idtool.experiment import Progress
 Array = NDArray[np.float64]
 
 SURE = 5.0  # standard errors of noise that a gain must be worth: some thousand candidates compete
-WORTH = 0.01  # of the squared residual of a joint that an effect must explain
+_EACH = 4.0  # more for each further parameter
+WORTH = 0.05  # of the squared residual of a joint that an effect must explain
 _CONTENDERS = 7  # that are tried more finely
 _FINALISTS = 5  # that are fitted whole
 _NEAR = 0.4  # of the best gain that a finalist has at least
 _EQUAL = 2.0  # standard errors within which two gains are the same
 _AS_GOOD = 0.03  # of the best gain that a simpler explanation may lack
+_WORSE = 1.01  # times the squared residual of held-out data
+_DETERMINED = 1.5  # standard errors that a shape value is at least from nothing
+_FREE = ("time_constant",)  # a change that has only begun has any
+_NEARLY = 0.8  # of the better gain, that one which chance may tell from it has
+_SAME = 1.1  # of the squared residual that the better of two leaves
 _FINE = 7  # values between neighbours in a finer search
 
 
@@ -64,6 +69,8 @@ class Choice:
 
     Attributes
     ----------
+    here
+        The model that it was about.
     winner
         None: nothing pays.
     equals
@@ -76,15 +83,26 @@ class Choice:
         How many rows are worth one independent one.
     """
 
+    here: Ground
     winner: Contender | None
     equals: tuple[Contender, ...]
     others: tuple[Contender, ...]
     lost: tuple[Candidate, ...]
     inflation: float
 
+    def alternatives(self) -> Iterator[Candidate]:
+        """What came near, the best first."""
+        for one in (*self.equals, *self.others):
+            yield candidate(one, self.here)
+
 
 def searched(
-    here: Ground, progress: Progress, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...] = ()
+    here: Ground,
+    progress: Progress,
+    effects: Sequence[str] | None,
+    bursts: tuple[tuple[float, float], ...] = (),
+    on: str | None = None,
+    forced: bool = False,
 ) -> Choice:
     """Look for the effect that explains most of what a model leaves.
 
@@ -98,10 +116,15 @@ def searched(
         Ids of those that may be; None: all.
     bursts
         Stretches of time in which the residual is out of the ordinary [s].
+    on
+        The joint or link; None: any.
+    forced
+        Whether the best is taken even where it does not pay.
     """
-    seen = survey(here, bursts)
+    seen = survey(here, bursts, is_fixed(here.experiment))
     kinds = [kind for name, kind in known_effects().items() if effects is None or name in effects]
     probes = [probe for kind in kinds for probe in kind.probes(seen)]
+    probes = [probe for probe in probes if on is None or probe.on[1] == on]
     found = screened(here, probes, progress)
     inflation = _inflation(here, found)
     best = _best(found)
@@ -109,11 +132,20 @@ def searched(
     best |= _best(screened(here, list(_finer(contenders, found)), progress, "looking closer"), best)
     ranked = sorted(best.values(), key=lambda one: -one.gain)
     most = ranked[0].gain if ranked else 0.0
-    least = max(_NEAR * most, SURE**2 * inflation)
+    least = max(_NEAR * most, 0.0 if forced else SURE**2 * inflation)
     finalists = [one for one in ranked if one.gain >= least][:_FINALISTS]
-    fitted = [own for one in finalists if (own := _fitted(here, one, progress)) is not None]
+    ahead = held_out(here, here.experiment.equation)
+    fitted, failed = [], []
+    for one in finalists:
+        own, reason = _fitted(here, one, ahead, progress)
+        if own is not None:
+            fitted.append(own)
+        else:
+            failed.append(_record(one, here, reason))
     fitted.sort(key=lambda one: -one.gain)
-    return _chosen(here, fitted, found, inflation)
+    if forced:
+        return Choice(here, fitted[0] if fitted else None, (), tuple(fitted[1:]), (), inflation)
+    return _chosen(here, fitted, failed, found, inflation)
 
 
 def _inflation(here: Ground, found: Iterable[Found]) -> float:
@@ -150,19 +182,39 @@ def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Prob
                 yield one.probe.at({**one.probe.shape, name: float(value)})
 
 
-def _fitted(here: Ground, one: Found, progress: Progress) -> Contender | None:
-    """A candidate in the model."""
+def _fitted(here: Ground, one: Found, ahead: Array, progress: Progress) -> tuple[Contender | None, str]:
+    """A candidate in the model; None where it is no explanation, and why."""
     entry = one.entry
     if entry is None:
-        return None
+        return None, "comes out beyond what such an effect can be"
     entries = (*here.experiment.config.effects, entry)
     trial = tried(here, entries, [len(entries) - 1], progress)
-    if trial is None or not _stands(trial, entry, here):
-        return None
-    return Contender(one, trial, saved(here, trial.ground))
+    if trial is None:
+        return None, "cannot be fitted together with the rest of the model"
+    if not _stands(trial, here):
+        return None, "is held at its bound, the rest of the model being fitted with it"
+    if loose := _loose(trial):
+        return None, f"its {loose} is not determined by the data"
+    worse = held_out(trial.ground, here.experiment.equation).sum() > _WORSE * ahead.sum()
+    if worse:  # and not where nothing was held out
+        return None, "makes the held-out data worse"
+    return Contender(one, trial, saved(here, trial.ground)), ""
 
 
-def _stands(trial: Trial, entry: EffectEntry, here: Ground) -> bool:
+def _loose(trial: Trial) -> str:
+    """The first shape value of the newest effect that is no larger than what it may be off by."""
+    last = len(trial.entries) - 1
+    entry = trial.entries[last]
+    for held in getattr(known_effects()[entry.effect], "held", ()):
+        error = trial.errors.get((last, held.name))
+        if error is not None and held.positive and held.name not in _FREE:
+            value = float(value_of(entry, held.name))  # type: ignore[arg-type]
+            if not error < value / _DETERMINED:
+                return str(held.name)
+    return ""
+
+
+def _stands(trial: Trial, here: Ground) -> bool:
     """Whether, fitted whole, a coefficient of the effect is not held at its bound."""
     keys = {c.key for c in here.experiment.equation.coefficients}
     equation, theta = trial.ground.experiment.equation, trial.ground.estimate.theta
@@ -171,9 +223,8 @@ def _stands(trial: Trial, entry: EffectEntry, here: Ground) -> bool:
 
 
 def saved(before: Ground, after: Ground) -> Array:
-    """What a model saves of another's squared residual on each block, shape (F,), for as many rows."""
-    rows = before.rows.sum(axis=1) / np.maximum(after.rows.sum(axis=1), 1)
-    return np.asarray(before.left() - rows * after.left())
+    """What a model saves of another's squared residual on each block, shape (F,); both of the same rows."""
+    return np.asarray(before.left() - after.left())
 
 
 def share(gain: float, here: Ground, joints: int) -> float:
@@ -181,22 +232,36 @@ def share(gain: float, here: Ground, joints: int) -> float:
     return gain / float(here.left().sum()) * here.s.shape[1] / joints
 
 
-def _chosen(here: Ground, fitted: Sequence[Contender], found: Sequence[Found], inflation: float) -> Choice:
+def _chosen(
+    here: Ground,
+    fitted: Sequence[Contender],
+    failed: Sequence[Candidate],
+    found: Sequence[Found],
+    inflation: float,
+) -> Choice:
     worthy = [one for one in fitted if _pays(one, here, inflation)]
-    lost = tuple(_lost(one, here, inflation) for one in _best_of_all(found).values())
+    known = {(one.effect, one.on) for one in failed} | {_named(one.found.probe) for one in fitted}
+    screened_out = [one for one in _best_of_all(found).values() if _named(one.probe) not in known]
+    lost = (*failed, *(_lost(one, here, inflation) for one in screened_out))
     if not worthy:
-        return Choice(None, (), tuple(fitted), lost, inflation)
+        return Choice(here, None, (), tuple(fitted), lost, inflation)
     top = worthy[0]
     equals = [one for one in worthy if _as_good(one, top)]
     winner = min(equals, key=lambda one: (one.found.probe.parameters, -one.gain))
     alike = [one for one in worthy if one is not winner and _alike(one, winner)]
     others = tuple(one for one in fitted if one is not winner and one not in alike)
-    return Choice(winner, tuple(alike), others, lost, inflation)
+    return Choice(here, winner, tuple(alike), others, lost, inflation)
 
 
 def _pays(one: Contender, here: Ground, inflation: float) -> bool:
-    joints = 1 if one.found.probe.joint else here.s.shape[1]
-    return one.gain > SURE**2 * inflation and share(one.gain, here, joints) > WORTH
+    probe = one.found.probe
+    return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.parameters)
+
+
+def worthwhile(gain: float, here: Ground, inflation: float, on_joint: bool, parameters: int) -> bool:
+    """Whether a gain is no chance, and large enough to have an effect for it."""
+    least = inflation * (SURE**2 + _EACH * (parameters - 1))
+    return gain > least and share(gain, here, 1 if on_joint else here.s.shape[1]) > WORTH
 
 
 def _as_good(one: Contender, top: Contender) -> bool:
@@ -205,7 +270,10 @@ def _as_good(one: Contender, top: Contender) -> bool:
 
 
 def _alike(one: Contender, other: Contender) -> bool:
-    return not _apart(one, other) and min(one.gain, other.gain) > 0.8 * max(one.gain, other.gain)
+    """Whether the data do not tell two contenders apart, by chance or since both leave as good as the same."""
+    left = sorted(float(x.trial.ground.left().sum()) for x in (one, other))
+    near = min(one.gain, other.gain) > _NEARLY * max(one.gain, other.gain)
+    return (near and not _apart(one, other)) or left[1] < _SAME * left[0]
 
 
 def _apart(one: Contender, other: Contender) -> bool:
@@ -235,8 +303,18 @@ def _lost(one: Found, here: Ground, inflation: float) -> Candidate:
         reason = "explains no more of data it was not fitted to than chance would"
     else:
         reason = f"explains {100 * part:.2g} % of what is left on its joint, less than another"
-    error = share(one.standard_error, here, 1 if probe.joint else here.s.shape[1])
-    return Candidate(probe.effect, probe.joint, probe.link, part, error, probe.parameters, reason)
+    return _record(one, here, reason)
+
+
+def _named(probe: Probe) -> tuple[str, str]:
+    return probe.effect, probe.joint or probe.link or "all joints"
+
+
+def _record(one: Found, here: Ground, reason: str) -> Candidate:
+    """A candidate that was only screened, for the record."""
+    probe = one.probe
+    scores = (share(x, here, 1 if probe.joint else here.s.shape[1]) for x in (one.gain, one.standard_error))
+    return Candidate(probe.effect, probe.joint, probe.link, *scores, probe.parameters, reason)
 
 
 def candidate(one: Contender, here: Ground, reason: str = "") -> Candidate:

@@ -8,6 +8,7 @@ Pereyra 1973, in the form of Kaufman 1975): the change of the residual with a sh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +33,8 @@ Array = NDArray[np.float64]
 _STEP = 1e-3  # of a shape value, or this where it is small: of a difference
 _FAR = 0.3  # of a value that a step goes at the most
 _BETTER = 1e-4  # of the squared residual that a step must save
-_SURE = 2.0  # standard errors that a shape value must be from where the effect is nothing
+_SCAN = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15)  # of a value, that are tried
+_AS_GOOD = 1.05  # of the least squared residual
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
     changed = replace(
         experiment, config=config, equation=equation, known=knowledge(config, experiment.model, equation)
     )
-    return with_fixed_inertia(changed) if _is_fixed(experiment) else changed
+    return with_fixed_inertia(changed) if is_fixed(experiment) else changed
 
 
 _FIXED = "--inertia fixed"
@@ -92,7 +94,8 @@ def with_fixed_inertia(experiment: Experiment) -> Experiment:
     return replace(experiment, config=config, known=replace(known, facts=(*soft, *facts)))
 
 
-def _is_fixed(experiment: Experiment) -> bool:
+def is_fixed(experiment: Experiment) -> bool:
+    """Whether the bodies' parameters are the URDF's."""
     return any(fact.label == _FIXED for fact in experiment.known.facts)
 
 
@@ -119,11 +122,15 @@ def tried(
     except IdtoolError:
         return None
     errors: dict[tuple[int, str], float] = {}
+    for i in moving:
+        for name in known_effects()[entries[i].effect].scanned():
+            here, errors[i, name] = _scanned(here, i, name, progress)
     for _ in range(steps):
         names = [(i, name) for i in moving for name in _moved(here.experiment.config.effects[i])]
         if not names:
             break
-        there, errors = _step(here, names, progress)
+        there, found = _step(here, names, progress)
+        errors |= found
         if there is None:
             break
         better = here.left().sum() - there.left().sum() > _BETTER * here.left().sum()
@@ -171,6 +178,21 @@ def _step(
         if there.left().sum() < here.left().sum():
             return there, errors
     return None, errors
+
+
+def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Ground, float]:
+    """The best of values about the present one, and how far it may be off: half of what is as good as it."""
+    tried: dict[float, Ground] = {}
+    for ratio in _SCAN:
+        entries = list(here.experiment.config.effects)
+        value = ratio * float(value_of(entries[i], name))  # type: ignore[arg-type]
+        entries[i] = _with(entries[i], name, value)
+        with suppress(IdtoolError):
+            tried[value] = ground(with_effects(here.experiment, entries, here.theta), progress, here)
+    best = min(tried, key=lambda value: float(tried[value].left().sum()))
+    least = float(tried[best].left().sum())
+    alike = [value for value, one in tried.items() if float(one.left().sum()) < _AS_GOOD * least]
+    return tried[best], max(max(alike) - min(alike), best * (_SCAN[1] / _SCAN[0] - 1)) / 2
 
 
 def _is_positive(effect: str, name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Self
 
 import numpy as np
@@ -12,6 +13,8 @@ from idtool.body import Frame
 from idtool.config import EffectEntry
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import place, rows, vector
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present, Survey
 from idtool.exceptions import ConfigError
 from idtool.kinematics import cross
 from idtool.mechanism import Mechanism
@@ -46,6 +49,8 @@ class ExternalContact(LinkEffect):
     """
 
     id = "external_contact"
+    means = "something pushes against the link"
+    shows = "the same motion without contact"
     names = ("windows", "wrench")
 
     def __init__(self, model: Model, link: str, frame: Frame, windows: Array, wrench: Array) -> None:
@@ -66,6 +71,34 @@ class ExternalContact(LinkEffect):
     def key(self) -> tuple[str | float, ...]:
         """See `NamedEffect.key`."""
         return *super().key, float(self._edges[0])
+
+    @classmethod
+    def probes(cls, survey: Survey) -> Iterator[Probe]:
+        """See `NamedEffect.probes`: one wrench in all stretches of time in which the residual is out of the ordinary."""
+        if survey.bursts:
+            for body in survey.model.bodies:
+                if body.kind == "link":
+                    yield cls._probe(survey, body.name)
+
+    @classmethod
+    def _probe(cls, survey: Survey, link: str) -> Probe:
+        """Of the six components by themselves."""
+        windows = [[float(a), float(b)] for a, b in survey.bursts]
+        entries = [
+            EffectEntry(effect=cls.id, link=link, parameters={"windows": windows, "wrench": one}) for one in np.eye(6).tolist()
+        ]
+        pushes = [cls.of(one, survey.model) for one in entries]
+
+        def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+            rows = np.stack([push.known(motion) for push in pushes])
+            return {j: rows[:, j] for j in range(len(motion.q))}
+
+        def entry(c: Array, information: Array) -> EffectEntry | None:
+            given = {"windows": windows, "wrench": [float(x) for x in c]}
+            return EffectEntry(effect=cls.id, link=link, parameters=given)
+
+        felt = sum(bool(x) for x in np.any([body.ratios for body in pushes[0].chain.bodies], axis=0))
+        return Probe(cls.id, None, link, columns, 6, entry, local=True, count=2 * len(windows) + felt)
 
     def known(self, motion: Motion) -> Array:
         """See `Effect.known`."""

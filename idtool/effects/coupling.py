@@ -25,6 +25,8 @@ class TransmissionCoupling(JointTerm):
     """
 
     id = "transmission_coupling"
+    means = "torque of another joint leaks into this one"
+    shows = "motion of each joint alone"
     name = "coefficient"
     lower = -np.inf
     even = False

@@ -15,6 +15,8 @@ class QuadraticDrag(JointTerm):
     """d v abs(v)."""
 
     id = "quadratic_drag"
+    means = "drag grows with the square of speed"
+    shows = "steady motion at several high speeds"
     name = "drag"
     unit = ("N·m·s²/rad²", "N·s²/m²")
 

@@ -50,6 +50,8 @@ class FrictionDrift(JointTerms):
     """
 
     id = "friction_drift"
+    means = "friction changes over the log"
+    shows = "the same motion again, warm"
     held = (Held("time_constant", positive=True),)
     kinds = (_Viscous, _Coulomb)
 

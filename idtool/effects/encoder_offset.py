@@ -23,6 +23,8 @@ class EncoderOffset(HeldJointEffect):
     """True q = measured q + offset. A controller acts on the measured one."""
 
     id = "encoder_offset"
+    means = "the encoder's zero is not the joint's"
+    shows = "standstill over the whole travel, the base turned over or tilted by a known angle"
     held = (Held("offset"),)
 
     @classmethod

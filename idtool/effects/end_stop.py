@@ -28,6 +28,8 @@ class EndStop(JointTerm):
     """
 
     id = "end_stop"
+    means = "a stop pushes back beyond a position"
+    shows = "slow motion into the region and out of it"
     name = "stiffness"
     unit = ("N·m/rad", "N/m")
     even = False

@@ -18,6 +18,8 @@ class ViscousFriction(JointTerm):
     """b v."""
 
     id = "viscous_friction"
+    means = "friction that grows with speed"
+    shows = "steady motion at several speeds"
     name = "viscous"
     unit = ("N·m·s/rad", "N·s/m")
 
@@ -30,6 +32,8 @@ class CoulombFriction(DryFriction):
     """c sign(v)."""
 
     id = "coulomb_friction"
+    means = "friction that does not depend on speed"
+    shows = "slow motion in both directions"
     name = "coulomb"
     unit = ("N·m", "N")
 
@@ -42,6 +46,8 @@ class TorqueOffset(JointTerm):
     """A constant."""
 
     id = "torque_offset"
+    means = "a constant torque, or friction that differs between the directions"
+    shows = "standstill and slow motion in both directions at several positions"
     name = "offset"
     unit = ("N·m", "N")
     lower = -np.inf

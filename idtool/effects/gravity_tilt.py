@@ -36,6 +36,8 @@ class GravityTilt(HeldEffect):
     """
 
     id = "gravity_tilt"
+    means = "the base is not level"
+    shows = "standstill in many postures of the first joints"
 
     def __init__(self, model: Model, gravity: Array) -> None:
         super().__init__(model)

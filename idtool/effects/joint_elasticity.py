@@ -42,6 +42,8 @@ class JointElasticity(HeldJointEffect):
     """
 
     id = "joint_elasticity"
+    means = "the joint gives under load"
+    shows = "quick reversals at high and at low load"
     rank = 1
     held = (Held("stiffness", positive=True),)
 

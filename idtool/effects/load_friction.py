@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_term import DryFriction
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Survey
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+
+_MOST = 0.6  # of the load: a transmission that takes more does not move by itself
 
 
 class LoadDependentFriction(DryFriction):
     """c abs(tau_load) sign(v), tau_load being the joint's actuator torque: what the transmission passes on."""
 
     id = "load_dependent_friction"
+    means = "friction grows with the load"
+    shows = "the same slow sweep with another load"
     name = "coefficient"
     unit = ("1", "1")
+
+    @classmethod
+    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
+        """See `JointEffect.probe`."""
+        return replace(super().probe(survey, joint, shape), upper=(_MOST,))
 
     def level(self, motion: Motion) -> Array:
         """The torque's size."""

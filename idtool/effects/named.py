@@ -32,12 +32,15 @@ class NamedEffect(Effect):
     ----------
     id
         Its name in a configuration; none: a base, or a part of another effect.
-    like
-        Effects that it may be confused with, and what tells them apart.
+    means
+        What it is, in a few words for people.
+    shows
+        The motion in which it shows itself.
     """
 
     id: str = ""
-    like: Mapping[str, str] = {}
+    means: str = ""
+    shows: str = ""
 
     @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:
@@ -53,6 +56,11 @@ class NamedEffect(Effect):
     @classmethod
     def shapes(cls) -> tuple[str, ...]:
         """Names of the parameters that are numbers and no coefficients, which a search moves from outside."""
+        return ()
+
+    @classmethod
+    def scanned(cls) -> tuple[str, ...]:
+        """Names of those that a search finds by trying values, as what they make jumps."""
         return ()
 
     @classmethod

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterator, Mapping
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from idtool.body import Frame
 from idtool.config import EffectEntry
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import number, place, vector
+from idtool.effects.probe import Probe
+from idtool.effects.survey import Present, Survey
 from idtool.exceptions import ConfigError
-from idtool.inertia import from_mass_com_inertia, pseudo_inertia, symmetric, transformation
+from idtool.inertia import (
+    SIZE,
+    from_mass_com_inertia,
+    from_pseudo_inertia,
+    mass_com_inertia,
+    pseudo_inertia,
+    six,
+    symmetric,
+    transformation,
+)
 from idtool.kinematics import body_motions, cross
 from idtool.mechanism import Mechanism
 from idtool.model import Model
@@ -21,6 +35,44 @@ from idtool.signals import Motion
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # of the inertia's size
+_SEEN = 1e-9  # of the largest information, that is taken at the least
+_COMPACT = 1e-3  # m²: of a start's inertia over its mass
+_FAR = 1.0  # m: from the link's frame, where a search begins at the most
+_COUNT = 4  # numbers that speak of it: mass and centre; the inertia about it follows within narrow bounds
+
+
+def replaced(load: Payload, pi: Array) -> Payload:
+    """A payload with other parameters, in the link's frame."""
+    other = copy.copy(load)
+    other.pi = transformation(load.frame.R, load.frame.p) @ pi
+    return other
+
+
+def realizable(c: Array, information: Array) -> Array | None:
+    """The parameters of a body that come nearest to c, shape (10,), in the data's own measure; None: it has no mass.
+
+    With J = L Lᵀ, every L is a body (Rucker & Wensing 2022), so that nothing constrains the search.
+    """
+    if not c[0] > 0:
+        return None
+    size = np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(information / size[:, None] / size)
+    root = (vectors * np.sqrt(np.maximum(values, _SEEN * values[-1]))).T * size
+    lower = np.tril_indices(4)
+
+    def body(x: Array) -> Array:
+        L = np.zeros((4, 4))
+        L[lower] = x
+        return from_pseudo_inertia(L @ L.T)
+
+    com = c[1:4] / c[0]
+    com *= min(1.0, _FAR / np.linalg.norm(com)) if com.any() else 1.0
+    start = from_mass_com_inertia(float(c[0]), com, np.eye(3) * _COMPACT * float(c[0]))
+    x = np.linalg.cholesky(pseudo_inertia(start))[lower]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        found = least_squares(lambda x: root @ (body(x) - c), x, method="lm")
+    pi = body(found.x)
+    return pi if pi[0] > 0 else None
 
 
 class Payload(LinkEffect):
@@ -41,6 +93,8 @@ class Payload(LinkEffect):
     """
 
     id = "payload"
+    means = "the link carries what the model has not"
+    shows = "quick and slow motion in many postures"
     names = ("mass", "com", "inertia")
 
     def __init__(self, model: Model, link: str, frame: Frame, pi: Array) -> None:
@@ -58,6 +112,34 @@ class Payload(LinkEffect):
             what = "no body has this inertia about its centre: its moments break a triangle inequality or are negative"
             raise ConfigError(place(entry), f"{what}; give [ixx, ixy, iyy, ixz, iyz, izz] of one that can be")
         return cls(model, str(entry.link), frame, from_mass_com_inertia(mass, com, inertia))
+
+    @classmethod
+    def probes(cls, survey: Survey) -> Iterator[Probe]:
+        """See `NamedEffect.probes`: on links whose inertia is taken as true; else it is the link's own."""
+        if survey.fixed:
+            for body in survey.model.bodies:
+                if body.kind == "link" and not survey.has(cls.id, body.name):
+                    yield cls._probe(survey.model, body.name)
+
+    @classmethod
+    def _probe(cls, model: Model, link: str) -> Probe:
+        """Of the ten parameters in the link's frame, each by itself."""
+        nothing = EffectEntry(effect=cls.id, link=link, parameters={"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6})
+        loads = [replaced(cls.of(nothing, model), pi) for pi in np.eye(SIZE)]
+
+        def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+            rows = np.stack([load.known(motion) for load in loads])
+            return {j: rows[:, j] for j in range(len(motion.q)) if rows[:, j].any()}
+
+        def entry(c: Array, information: Array) -> EffectEntry | None:
+            pi = realizable(c, information)
+            if pi is None:
+                return None
+            mass, com, inertia = mass_com_inertia(pi)
+            given = {"mass": float(mass), "com": com.tolist(), "inertia": six(inertia).tolist()}
+            return EffectEntry(effect=cls.id, link=link, parameters=given)
+
+        return Probe(cls.id, None, link, columns, SIZE, entry, count=_COUNT)
 
     def known(self, motion: Motion) -> Array:
         """See `Effect.known`: force and moment about the body's origin that its motion takes (4), on the joints."""

@@ -31,6 +31,8 @@ class PreslidingHysteresis(JointTerm):
     """
 
     id = "presliding_hysteresis"
+    means = "friction builds up over a displacement after each reversal"
+    shows = "small reversals of several amplitudes"
     name = "amplitude"
     unit = ("N·m", "N")
     held = (Held("displacement", positive=True),)

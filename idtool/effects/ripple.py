@@ -61,6 +61,8 @@ class TorqueRipple(JointTerms):
     """
 
     id = "torque_ripple"
+    means = "torque ripples with the angle"
+    shows = "slow motion over the whole travel at several speeds"
     held = (Held("periods", positive=True, apart=True),)
     kinds = (_Sine, _Cosine)
 

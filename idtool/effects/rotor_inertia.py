@@ -19,6 +19,8 @@ class RotorInertia(JointTerm):
     """I_a a: a rotor's inertia about its axis times its gear ratio squared."""
 
     id = "rotor_inertia"
+    means = "a rotor is missing from the model"
+    shows = "quick motion of the joint in several postures"
     name = "inertia"
     unit = ("kg·m²", "kg")
 

@@ -21,6 +21,8 @@ class ParallelSpring(JointTerm):
     """k (q − q0). The rest position q0 is held; with a torque offset on the joint it does not matter which it is."""
 
     id = "parallel_spring"
+    means = "a spring acts across the joint"
+    shows = "slow motion over the whole travel"
     name = "stiffness"
     unit = ("N·m/rad", "N/m")
     held = (Held("rest_position"),)

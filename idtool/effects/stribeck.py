@@ -16,7 +16,7 @@ from idtool.signals import Motion
 Array = NDArray[np.float64]
 
 _REACH = 6.0  # velocities v_s beyond which nothing is left
-_SLOWEST = 2.0  # widths of the sign that v_s has at least
+_SLOWEST = 4.0  # widths of the sign that v_s has at least
 _TRIED = 7
 _GRID = 10_000  # points of each part of an integral
 
@@ -25,6 +25,8 @@ class StribeckFriction(DryFriction):
     """(f_s − f_c) exp(−(v/v_s)²) sign(v), beside Coulomb friction f_c; the velocity v_s is held."""
 
     id = "stribeck_friction"
+    means = "friction rises at low speed"
+    shows = "slow sweeps at several speeds below that at which it rises"
     name = "stribeck"
     unit = ("N·m", "N")
     held = (Held("velocity", positive=True),)

@@ -22,6 +22,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
+_LEAST = 2e-4  # s: less is how the samples of a period were taken
 _SHIFT = 0.1  # s: no more than that is looked for
 _LONGEST = 1.0  # s: what is later belongs to another motion
 
@@ -40,6 +41,8 @@ class TimeDelay(HeldEffect):
     """
 
     id = "time_delay"
+    means = "the torque is recorded late against the position"
+    shows = "quick motion with sharp changes of torque"
 
     def __init__(self, model: Model, delay: float, joint: int | None = None) -> None:
         super().__init__(model)
@@ -121,6 +124,6 @@ def _probe(joint: str | None, which: Sequence[int]) -> Probe:
 
     def entry(c: Array, information: Array) -> EffectEntry | None:
         late = {"delay": float(c[0])}
-        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if abs(c[0]) < _SHIFT else None
+        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if _LEAST < abs(c[0]) < _SHIFT else None
 
     return Probe(TimeDelay.id, joint, None, columns, 1, entry)

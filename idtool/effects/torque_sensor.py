@@ -57,6 +57,8 @@ class TorqueGain(Sensor):
     """Measured = gain × true: a torque constant, gear ratio or efficiency taken for another."""
 
     id = "torque_gain"
+    means = "the measured torque is a multiple of the true one"
+    shows = "a known mass on the last link, logged with and without"
     held = (Held("gain", positive=True),)
 
     @classmethod
@@ -94,6 +96,8 @@ class TorqueSaturation(Sensor):
     """
 
     id = "torque_saturation"
+    means = "the measured torque bends away from the true one at high load"
+    shows = "standstill and slow motion at high and at low load"
     held = (Held("level", positive=True), Held("bend"))
 
     @classmethod

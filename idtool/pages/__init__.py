@@ -2,6 +2,7 @@
 
 from idtool.pages.adapt import adapt_page
 from idtool.pages.curves import curves, merged, rounded
+from idtool.pages.diagnosis import diagnosis_page
 from idtool.pages.figures import by_unit, metres, number, percent, with_error
 from idtool.pages.fit import fit_page
 from idtool.pages.study import study_page
@@ -11,6 +12,7 @@ __all__ = [
     "adapt_page",
     "by_unit",
     "curves",
+    "diagnosis_page",
     "fit_page",
     "merged",
     "metres",

@@ -1,0 +1,181 @@
+"""Signs, order and units of the channels, by what bodies can be.
+
+Where bodies that can be explain the torque as logged, nothing is wrong that matters here. Where they do not, every
+mistake of `fault_trials` is undone in turn, in all independent parts of the robot at once. One is believed when what
+is left of the torque shrinks manifold by it: a wrong model, a missing effect or noise are no better off with a channel
+turned or swapped.
+
+Letters as in `fault_fit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from idtool.diagnosis.fault_fit import Change, FaultFit
+from idtool.diagnosis.fault_record import Fault
+from idtool.diagnosis.fault_trials import Trial, composed, torque_order, trials
+from idtool.experiment import Progress
+from idtool.robot import Joint
+
+Array = NDArray[np.float64]
+
+_SUSPICIOUS = 0.01  # u above which mistakes are looked for
+_GAIN = 1.5  # what the sum over the joints of log u has to fall by; without a mistake none of 200 logs gained 0.5
+_LESS = 0.3  # to which the mean of u has to fall
+_ALIKE = 0.7  # of the same: of two that differ by less the former is believed
+_ROUNDS = 4
+_ORDER = 2.0  # what another order of the torques has to promise, of the same
+_RANGES = 10.0  # of the URDF that a joint can't cover, whatever the torque says
+_NEUTRAL = 0.5  # of the sum: what the fit does not mind
+_TURNS = 8 * np.pi  # rad that a joint without limits may be taken to cover
+_UNIT = 0.25  # log of v over dq/dt that is no calibration
+
+
+@dataclass
+class ChannelSearch:
+    """The search for mistakes.
+
+    Attributes
+    ----------
+    fit
+        The sample of the logs.
+    joints
+        The nv joints.
+    limits
+        Least and greatest q of each, shape (nv, 2).
+    gains
+        Of v over dq/dt, by joint, where the two agree.
+    progress
+        Told the stage and how far it has come.
+    accepted
+        Mistakes that were found.
+    """
+
+    fit: FaultFit
+    joints: tuple[Joint, ...]
+    limits: Array
+    gains: Mapping[str, float]
+    progress: Progress
+    accepted: list[Trial] = field(default_factory=list)
+
+    @property
+    def change(self) -> Change:
+        """The channels with all mistakes undone that were found."""
+        return composed([trial.change for trial in self.accepted])
+
+    def faults(self) -> Iterator[Fault]:
+        """All faults of signs, order and units that the motion tells."""
+        self.progress("looking for wrong channels", 0.0)
+        u = self.fit.unexplained(self.change)
+        if u is not None:
+            yield from self._mistakes(u)
+        yield from self._beyond()
+        yield from self._velocities()
+
+    def _mistakes(self, u: Array) -> Iterator[Fault]:
+        names = [joint.name for joint in self.joints]
+        order, everyone = self._order(u), list(range(len(u)))
+        if order is not None and (after := self._tried([order])) is not None and _gain(u, after, everyone) > _GAIN:
+            self.accepted.append(order)
+            yield from order.faults(names, *_means(u, after, list(order.joints)))
+            u = after
+        for turn in range(_ROUNDS):
+            self.progress("looking for wrong channels", turn / _ROUNDS)
+            chosen = self._best(u)
+            after = self._tried(list(chosen.values())) if chosen else None
+            if after is None:
+                return
+            self.accepted += chosen.values()
+            for g, trial in chosen.items():
+                yield from trial.faults(names, *_means(u, after, list(self.fit.groups[g])))
+            u = after
+
+    def _best(self, u: Array) -> dict[int, Trial]:
+        """By independent part of the robot, the mistake that is best undone next, with those that do as well."""
+        outside = self._outside()
+        turned = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
+        groups = [list(map(int, group)) for group in self.fit.groups]
+        suspicious = [max(u[group]) > _SUSPICIOUS for group in groups]
+        lists = [
+            trials(group, self.joints, turned, outside, self.fit.excess) if bad else []
+            for group, bad in zip(groups, suspicious, strict=True)
+        ]
+        gains: list[list[float]] = [[] for _ in groups]
+        for step in zip_longest(*lists):
+            after = self._tried([trial for trial in step if trial])
+            for g, trial in enumerate(step):
+                if trial:
+                    gains[g].append(-np.inf if after is None else _gain(u, after, groups[g]))
+        best = {}
+        for g, own in enumerate(gains):
+            if own and max(own) > _GAIN:
+                first, *others = (trial for trial, x in zip(lists[g], own, strict=True) if x > max(own) - _ALIKE)
+                best[g] = replace(first, others=tuple(others))
+        return best
+
+    def _order(self, u: Array) -> Trial | None:
+        """Another order of the torques, where the joints' own equations ask for one."""
+        if max(u) < _SUSPICIOUS or len(u) < 2:
+            return None
+        cost = np.log(self.fit.exchanged(self.change))
+        _, order = linear_sum_assignment(cost)
+        if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _ORDER:
+            return None
+        return torque_order([int(k) for k in order], [joint.name for joint in self.joints])
+
+    def _tried(self, more: list[Trial]) -> Array | None:
+        return self.fit.unexplained(composed([trial.change for trial in (*self.accepted, *more)]))
+
+    def _outside(self) -> set[int]:
+        """Joints whose q lies beyond their limits by more than their range, or of many turns."""
+        found = set()
+        for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
+            range_ = joint.upper - joint.lower
+            if 0 < range_ < np.inf:
+                beyond = max(high - joint.upper, joint.lower - low) > range_
+            else:
+                beyond = joint.kind != "prismatic" and high - low > _TURNS
+            if beyond:
+                found.add(j)
+        return found
+
+    def _beyond(self) -> Iterator[Fault]:
+        """Positions that can't be, where the torque does not mind the unit."""
+        known = {j for trial in self.accepted if trial.fault == "wrong_unit" for j in trial.joints}
+        for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
+            range_ = joint.upper - joint.lower
+            if j not in known and 0 < range_ < np.inf and high - low > max(_RANGES * range_, np.pi):
+                what = f"q covers {high - low:.4g}, {(high - low) / range_:.0f} times its range in the URDF"
+                yield Fault("wrong_unit", joint.name, f"{what}, as degrees, mm or counts do: set its `log.scale`")
+
+    def _velocities(self) -> Iterator[Fault]:
+        """Velocities that have another sign or unit than their positions, where it is not the positions' fault."""
+        gains = {name: gain for name, gain in self.gains.items() if abs(np.log(abs(gain))) > _UNIT}
+        put_right = {(trial.fault, j) for trial in self.accepted for j in trial.joints}
+        for j, joint in enumerate(self.joints):
+            gain = self.gains.get(joint.name, 1.0)
+            if gain < 0 and ("wrong_sign", j) not in put_right:
+                what = f"v is {gain:.3g} times the derivative of q, which agrees with tau"
+                yield Fault("wrong_sign", joint.name, f"{what}: set the `log.scale` of v to -1")
+            if joint.name in gains and ("wrong_unit", j) not in put_right:
+                what = f"v is {abs(gain):.4g} times the derivative of q in size"
+                yield Fault("wrong_unit", joint.name, f"{what}: set the `log.scale` of v to {1 / gain:.4g}")
+
+
+def _gain(before: Array, after: Array, which: list[int]) -> float:
+    """By how much the sum of log u falls over some of the joints; none where their mean does not fall by as much."""
+    if after[which].mean() > _LESS * before[which].mean():
+        return -np.inf
+    return float(np.log(before[which] / after[which]).sum())
+
+
+def _means(before: Array, after: Array, which: list[int]) -> tuple[float, float]:
+    """Mean u of some of the joints."""
+    return float(before[which].mean()), float(after[which].mean())

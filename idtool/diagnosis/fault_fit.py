@@ -1,0 +1,197 @@
+"""How well bodies that can be explain the torque, when a log's channels are taken for something else than they say.
+
+A bounded sample of the logs is fitted by the model with all that a joint may well have beside its bodies: friction,
+an offset, a spring and a rotor. So no torque is called impossible that one of them explains. What remains impossible
+is what physics forbids whatever the robot: friction that drives, inertia below zero, one mass felt by two joints as
+two. Channels that were swapped, turned round or scaled ask for just that. The URDF's masses have next to no say.
+
+Letters: nv joints, n samples in the band; u_j share of the power of joint j's torque that is left unexplained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import Config, EffectEntry, Regularization
+from idtool.effects import build_effects
+from idtool.exceptions import SolverError
+from idtool.experiment import Experiment
+from idtool.identify import identify
+from idtool.reduction import Factor, Reduction, empty, merge
+from idtool.regressor import LinearModel
+from idtool.sets import choose_set
+from idtool.signals import Batch, Motion
+
+Array = NDArray[np.float64]
+Change = Callable[[Motion], Motion]
+
+_PARTS, _ROWS = 8, 512  # stretches of the logs, and samples in the band of each
+_EXPLAINED = 1e-3  # of a torque's power: what less is left is no better explained
+_FEWEST = 4.0  # rows for each coefficient, for a joint to have a say
+_PLAIN = {
+    "viscous_friction": {"viscous": 0.0},
+    "coulomb_friction": {"coulomb": 0.0},
+    "torque_offset": {"offset": 0.0},
+    "rotor_inertia": {"inertia": 0.0},
+    "parallel_spring": {"stiffness": 0.0, "rest_position": 0.0},
+}
+
+
+class FaultFit:
+    """A bounded sample of the logs, and the fit of it.
+
+    Attributes
+    ----------
+    equation
+        The torque equation with all plain effects.
+    batches
+        Stretches of the logs, evenly spread.
+    motions
+        The same in the band and decimated, n samples each.
+    groups
+        Joints that have a body in common, directly or by others; nothing that is done to one group's channels
+        concerns another.
+
+    prior
+        Parameters of all bodies by the URDF, shape (10 bodies,).
+
+    Parameters
+    ----------
+    experiment
+        Model and logs.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._bodies = experiment.model.bodies
+        self._sets = tuple(choose_set(body, "full") for body in self._bodies)
+        names = experiment.model.names
+        self.equation = LinearModel(names, build_effects(experiment.model, _generous(experiment.config, names)))
+        self.batches = tuple(_spread(experiment))
+        self.motions = tuple(map(_in_band, self.batches))
+        self._redundancy = [batch.low_pass.redundancy for batch in self.batches]
+        self.groups = _groups(experiment.model.support())
+        self.prior = np.concatenate([body.pi for body in self._bodies])
+
+    def unexplained(self, change: Change) -> Array | None:
+        """What is left of each joint's torque when the channels are changed.
+
+        Returns
+        -------
+        u, at least 1e-3, shape (nv,), 1 for a joint that tells nothing; None where no fit was found.
+        """
+        data = self._reduce(change)
+        try:
+            plain = Regularization()
+            theta = identify(self.equation, self._bodies, data, self._sets, plain).theta
+        except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
+            return None
+        return np.array([_share(f, theta[columns]) for f, columns in zip(data, self.equation.active(), strict=True)])
+
+    @cached_property
+    def excess(self) -> Array:
+        """log10 of the size of each torque over what the URDF's bodies take, 0 where one is zero; shape (nv,)."""
+        power = np.zeros((2, len(self.equation.joints)))
+        for motion in self.motions:
+            for j, block in enumerate(self.equation.columns(motion)):
+                power[:, j] += np.square(self.rigid(j, block)).sum(), np.square(block[-1]).sum()
+        told = power.all(axis=0)
+        return np.where(told, 0.5 * np.log10(np.where(told, power[1], 1) / np.where(told, power[0], 1)), 0.0)
+
+    def rigid(self, j: int, block: Array) -> Array:
+        """Torque of joint j that the URDF's bodies take, from the joint's columns, shape (n,)."""
+        active = self.equation.active()[j]
+        bodies = active[active < len(self.prior)]
+        return np.asarray(self.prior[bodies] @ block[: len(bodies)])
+
+    def exchanged(self, change: Change) -> Array:
+        """What any coefficients whatever leave of each torque, in each joint's equation by itself; shape (nv, nv).
+
+        Row j: in that of joint j; column k: of the torque of joint k.
+        """
+        nv = len(self.equation.joints)
+        total: list[Factor] | None = None
+        for motion, redundancy in zip(self.motions, self._redundancy, strict=True):
+            blocks = self.equation.columns(change(motion))
+            torques = np.stack([block[-1] for block in blocks])
+            factors = [Factor.of(np.vstack([block[:-1], torques]), redundancy) for block in blocks]
+            total = factors if total is None else [a + b for a, b in zip(total, factors, strict=True)]
+        if total is None:
+            return np.ones((nv, nv))
+        return np.stack([_left(factor.R, nv) for factor in total])
+
+    def _reduce(self, change: Change) -> Reduction:
+        data = empty(self.equation.active())
+        for motion, redundancy in zip(self.motions, self._redundancy, strict=True):
+            changed = change(motion)
+            moving = np.ones(changed.q.shape, dtype=bool)
+            for effect in self.equation.effects:
+                for joint, mask in effect.undefined(changed).items():
+                    moving[joint] &= ~mask
+            blocks = zip(self.equation.columns(changed), moving, strict=True)
+            data = merge(data, tuple(Factor.of(block[:, kept], redundancy) for block, kept in blocks))
+        return data
+
+
+def _share(factor: Factor, theta: Array) -> float:
+    """u of a joint."""
+    power = float(np.square(factor.R[:, -1]).sum())
+    if factor.rows < _FEWEST * len(theta) or power == 0:
+        return 1.0
+    return max(factor.squares(theta) / power, _EXPLAINED)
+
+
+def _left(R: Array, nv: int) -> Array:
+    """Shares of the last nv columns that the others leave, at least 1e-3, shape (nv,)."""
+    Y, torques = R[:, :-nv], R[:, -nv:]
+    size = np.linalg.norm(Y, axis=0)
+    size[size == 0] = 1.0
+    rest = torques - Y / size @ np.linalg.lstsq(Y / size, torques, rcond=1e-8)[0]
+    power = np.square(torques).sum(axis=0)
+    shares = np.square(rest).sum(axis=0) / np.where(power > 0, power, 1.0)
+    return np.asarray(np.where(power > 0, np.maximum(shares, _EXPLAINED), 1.0))
+
+
+def _generous(config: Config, joints: tuple[str, ...]) -> Config:
+    """The configuration with all plain effects on every joint."""
+    present = {(entry.effect, entry.joint) for entry in config.effects}
+    added = [
+        EffectEntry(effect=effect, joint=joint, parameters=values)
+        for joint in joints
+        for effect, values in _PLAIN.items()
+        if (effect, joint) not in present
+    ]
+    return config.model_copy(update={"effects": (*config.effects, *added)})
+
+
+def _spread(experiment: Experiment) -> Iterator[Batch]:
+    """Stretches evenly spread over all logs, of bounded length in all."""
+    pieces = []
+    for run in experiment.runs:
+        length = _ROWS * run.signals.low_pass.stride
+        for whole in run.signals.ranges:
+            starts = range(whole.start, whole.stop, length)
+            pieces += [(run.signals, slice(start, min(start + length, whole.stop))) for start in starts]
+    chosen = np.linspace(0, len(pieces) - 1, min(_PARTS, len(pieces))).astype(int)
+    for signals, part in (pieces[i] for i in chosen):
+        yield from signals.batches([part])
+
+
+def _in_band(batch: Batch) -> Motion:
+    """A batch's motion in the band and decimated."""
+    motion, low_pass = batch.motion, batch.low_pass
+    q, v, a, tau = (batch.filter(x) for x in (motion.q, motion.v, motion.a, motion.tau))
+    return Motion(batch.t, q, v, a, tau, tau, motion.still, motion.dt * low_pass.stride)
+
+
+def _groups(support: NDArray[np.bool_]) -> tuple[NDArray[np.intp], ...]:
+    """Joints that share bodies, from which of the nv joints move which body, shape (bodies, nv)."""
+    group = np.arange(support.shape[1])
+    for moved in support:
+        together = np.isin(group, group[moved])
+        if moved.any():
+            group[together] = group[together].min()
+    return tuple(np.flatnonzero(group == g) for g in np.unique(group))

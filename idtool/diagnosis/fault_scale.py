@@ -1,0 +1,130 @@
+"""The unit of all torques, by the URDF's masses, and whether a torque at its extremes is cut off.
+
+Letters as in `fault_fit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from idtool.diagnosis.fault_fit import Change, FaultFit
+from idtool.diagnosis.fault_record import Fault
+from idtool.inspection import Joint
+from idtool.names import some
+from idtool.reduction import Factor
+
+Array = NDArray[np.float64]
+
+_SHARE = 0.3  # of a torque's power that weight or inertia must make up to tell the unit
+_EXPLAINED = 0.7  # of it that they and friction must explain together
+_SEVERAL, _ONE, _INERTIA = 5.0, 10.0, 30.0  # factors: by the weight of several joints, of one, by inertia alone
+_BEYOND = 3.0  # standard errors, and
+_BEYOND_SHARE = 0.01  # of the extreme, that the torque must go on beyond it
+
+
+def torque_unit(fit: FaultFit, change: Change) -> Iterator[Fault]:
+    """A fault where all torques are another multiple of what the URDF's bodies take than a wrong URDF explains.
+
+    Weight is believed before inertia, to which rotors may add any amount.
+
+    Parameters
+    ----------
+    fit
+        The sample of the logs.
+    change
+        The channels with all other mistakes undone.
+    """
+    weight, inertia = _factors(fit, change)
+    factors = weight or inertia
+    limit = (_SEVERAL if len(weight) > 1 else _ONE) if weight else _INERTIA
+    logs = np.log(list(factors.values()))
+    if not len(logs) or not (np.all(logs > np.log(limit)) or np.all(logs < -np.log(limit))):
+        return
+    factor = float(np.exp(np.median(logs)))
+    what = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
+    do = "if it is a motor's torque, a current, mN·m or the like set its `log.scale`; else the URDF's masses are wrong"
+    yield Fault("wrong_unit", None, f"{what} at {some(list(factors))}: {do}")
+
+
+def _factors(fit: FaultFit, change: Change) -> tuple[dict[str, float], dict[str, float]]:
+    """By joint, what to multiply weight and inertia with, where they tell."""
+    rows: list[list[Array]] = [[] for _ in fit.equation.joints]
+    for motion in map(change, fit.motions):
+        still = replace(motion, v=0 * motion.v, a=0 * motion.a)
+        moved, held = (fit.equation.columns(m) for m in (motion, still))
+        for j, own in enumerate(rows):
+            rigid, gravity = fit.rigid(j, moved[j]), fit.rigid(j, held[j])
+            v = motion.v[j]
+            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.still[j]), moved[j][-1]]))
+    weight, inertia = {}, {}
+    for name, parts in zip(fit.equation.joints, rows, strict=True):
+        x = np.concatenate(parts, axis=1)
+        size = np.sqrt(np.mean(np.square(x), axis=1))
+        if not size[-1] > 0:
+            continue
+        x = x / np.where(size > 0, size, 1.0)[:, None]
+        share, rest = nnls(x[:-1].T, x[-1])
+        if rest**2 / x.shape[1] > 1 - _EXPLAINED:
+            continue
+        for found, k in ((weight, 0), (inertia, 1)):
+            if share[k] ** 2 > _SHARE:
+                found[name] = float(share[k] * size[-1] / size[k])
+    return weight, inertia
+
+
+def cut_off(fit: FaultFit, j: int, joint: Joint) -> Iterator[Fault]:
+    """A fault where the torque of joint j goes on beyond the extremes at which its channel stays.
+
+    A drive's limit keeps the torque itself there, which is no fault. So the torque equation gets a column more, which
+    is 1 or −1 where the channel is at an extreme: its coefficient is the mean of what is missing there.
+
+    Parameters
+    ----------
+    fit
+        The sample of the logs.
+    j
+        Index of the joint.
+    joint
+        Its inspection.
+    """
+    tau, name = joint.signals["tau"], fit.equation.joints[j]
+    near = max(0.5 * (tau.step or 0.0), 1e-9 * (tau.maximum - tau.minimum))
+    total: Factor | None = None
+    for batch in fit.batches:
+        logged = batch.motion.logged[j]
+        extreme = (logged > tau.maximum - near).astype(float) - (logged < tau.minimum + near)
+        block = fit.equation.columns(batch.motion)[j]
+        factor = Factor.of(batch.filter(np.vstack([block[:-1], extreme, block[-1]])), batch.low_pass.redundancy)
+        total = factor if total is None else total + factor
+    if total is None:
+        return
+    missing, error = _last(total)
+    level = max(abs(tau.minimum), abs(tau.maximum))
+    if missing > max(_BEYOND * error, _BEYOND_SHARE * level):
+        what = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
+        beyond = f"where by the motion it goes on for {missing:.2g} in the mean"
+        yield Fault("clipped", name, f"{what}, {beyond}: excite less, or raise the limit")
+
+
+def _last(factor: Factor) -> tuple[float, float]:
+    """How much of its last column the torque lacks, and the standard error of that."""
+    Y, tau = factor.R[:, :-1], factor.R[:, -1]
+    size = np.linalg.norm(Y, axis=0)
+    if size[-1] == 0:
+        return 0.0, np.inf
+    others = np.flatnonzero(size[:-1] > 0)
+    others_, wanted = Y[:, others] / size[others], np.column_stack([Y[:, -1], tau])
+    own, tau = (wanted - others_ @ np.linalg.lstsq(others_, wanted, rcond=1e-8)[0]).T
+    power = float(own @ own)
+    if power < 1e-8 * size[-1] ** 2:
+        return 0.0, np.inf
+    slope = float(own @ tau) / power
+    rest = float(np.square(tau - slope * own).sum())
+    free = max(factor.independent - len(others), 1.0)
+    return -slope, float(np.sqrt(rest / power / free))
+

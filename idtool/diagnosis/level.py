@@ -1,0 +1,38 @@
+"""How well a model does, in torque and in rollouts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.diagnosis.records import Level
+from idtool.experiment import Experiment, Progress
+from idtool.replay import replay
+from idtool.validate import evaluate
+
+Array = NDArray[np.float64]
+
+MODEL = "model"
+
+
+def level(experiment: Experiment, theta: Array, simulated: bool, progress: Progress) -> Level:
+    """Errors of a model on training and held-out data.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    theta
+        Its coefficients, shape (p,).
+    simulated
+        Whether to run it forwards too, on what was held out, else on the training data.
+    progress
+        Told the stage and how far it has come.
+    """
+    joints, models = experiment.equation.joints, {MODEL: theta}
+    held_out = any(run.held_out for run in experiment.runs)
+    train = evaluate(experiment, models, False, progress).errors[MODEL].rms(joints)
+    validation = evaluate(experiment, models, True, progress).errors[MODEL].rms(joints) if held_out else None
+    run = replay(experiment, models, held_out, progress) if simulated else None
+    moved = None if run is None or MODEL in run.failed else run.departures[MODEL].rmse(joints, "position")
+    return Level(train, validation, moved)

@@ -1,0 +1,65 @@
+"""What was found, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from idtool.diagnosis.records import Candidate, Level, Step
+from idtool.effects import known_effects
+
+_SHOWN = 4  # parameters in a sentence
+
+
+def sentence(step: Step, units: Mapping[str, str]) -> str:
+    """One step, for people.
+
+    Parameters
+    ----------
+    step
+        The step.
+    units
+        Of each joint's torque.
+    """
+    chosen = step.chosen
+    if step.entry is None:
+        return f"{chosen.on}: what is left has structure ({step.where.region}) that none of the effects explains"
+    means = known_effects()[chosen.effect].means
+    figures = ", ".join(_figure(name, x, step.standard_error.get(name)) for name, x in list(step.parameters.items())[:_SHOWN])
+    region = "" if step.where.region in ("", "all along") else f" {step.where.region}"
+    return f"{chosen.on}:{region} {means} ({chosen.effect}: {figures}): {_shrinks(step, units)}"
+
+
+def _figure(name: str, value: object, error: object) -> str:
+    if isinstance(value, float):
+        return f"{name} {value:.3g}" + (f" ± {error:.2g}" if isinstance(error, float) else "")
+    if isinstance(value, list | tuple):
+        return f"{name} [{', '.join(_number(x) for x in value)}]"
+    return f"{name} {value}"
+
+
+def _number(x: object) -> str:
+    if isinstance(x, list | tuple):
+        return f"[{', '.join(_number(y) for y in x)}]"
+    return f"{x:.3g}" if isinstance(x, float) else str(x)
+
+
+def _shrinks(step: Step, units: Mapping[str, str]) -> str:
+    joint = step.chosen.joint or "overall"
+    unit = units.get(joint, next(iter(units.values())))
+    before, after = (_torque(one)[joint] for one in (step.before, step.after))
+    kind = "held-out torque" if step.before.validation is not None else "torque"
+    said = f"{kind} RMS {before:.3g} → {after:.3g} {unit}"
+    if step.before.simulation is not None and step.after.simulation is not None:
+        moved = "m" if unit == "N" else "rad"
+        said += f", rollout {step.before.simulation[joint]:.2g} → {step.after.simulation[joint]:.2g} {moved}"
+    return said
+
+
+def _torque(one: Level) -> Mapping[str, float]:
+    return one.validation if one.validation is not None else one.train
+
+
+def separating(one: Candidate, other: Candidate) -> str:
+    """Which experiment tells two effects apart."""
+    kinds = known_effects()
+    return f"log {kinds[one.effect].shows} ({one.effect}), and {kinds[other.effect].shows} ({other.effect})"
