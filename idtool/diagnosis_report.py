@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> dict[str, Any]:
         "rollout_worse": _worse(diagnosis.before, diagnosis.after),
         "steps": [_step(step, units) for step in diagnosis.steps],
         "removed": list(diagnosis.removed),
-        "data_faults": [{"fault": f.fault, "joint": f.joint, "detail": f.detail} for f in diagnosis.faults],
+        "data_faults": [asdict(fault) for fault in diagnosis.faults],
         **{key: model[key] for key in _MODEL},
         "residual_maps": {
             "before": {joint: _residual(one) for joint, one in diagnosis.maps_before.items()},

@@ -81,7 +81,7 @@ def next_steps(report: Mapping[str, Any]) -> list[str]:
         The content of diagnosis.json.
     """
     said = []
-    if report["data_faults"]:
+    if any(not fault["undone"] for fault in report["data_faults"]):
         said.append("Correct the data first, or say what they mean in the configuration, and diagnose again.")
     for step in report["steps"]:
         if step["evidence"]["pair"] and step["alternatives"]:

@@ -45,7 +45,7 @@ def diagnose_command(
     validate: ValidateOption = None,
     inertia: InertiaOption = "refit",
     effects: EffectsOption = None,
-    max_effects: MaxEffectsOption = 8,
+    max_effects: MaxEffectsOption = 12,
     assume: AssumeOption = None,
     report_only: ReportOnlyOption = False,
     explain: ExplainOption = False,

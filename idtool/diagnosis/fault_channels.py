@@ -10,7 +10,7 @@ Letters as in `fault_fit`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
@@ -18,19 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from idtool.diagnosis.fault_fit import Change, FaultFit
+from idtool.diagnosis.fault_fit import EXPLAINED, Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
-from idtool.diagnosis.fault_trials import Trial, composed, torque_order, trials
+from idtool.diagnosis.fault_trials import Trial, torque_order, trials
 from idtool.experiment import Progress
 from idtool.robot import Joint
+from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
 _SUSPICIOUS = 0.01  # u above which mistakes are looked for
 _GAIN = 1.5  # what the sum over the joints of log u has to fall by; without a mistake none of 200 logs gained 0.5
 _LESS = 0.3  # to which the mean of u has to fall
+_LEFT = 0.15  # mean of u above which nothing is believed in the end
 _ALIKE = 0.7  # of the same: of two that differ by less the former is believed
 _ROUNDS = 4
+_STAGE = "looking for wrong channels"
 _ORDER = 2.0  # what another order of the torques has to promise, of the same
 _RANGES = 10.0  # of the URDF that a joint can't cover, whatever the torque says
 _NEUTRAL = 0.5  # of the sum: what the fit does not mind
@@ -52,6 +55,8 @@ class ChannelSearch:
         Least and greatest q of each, shape (nv, 2).
     gains
         Of v over dq/dt, by joint, where the two agree.
+    computed
+        Names of joints whose torque is the controller's.
     progress
         Told the stage and how far it has come.
     accepted
@@ -62,76 +67,112 @@ class ChannelSearch:
     joints: tuple[Joint, ...]
     limits: Array
     gains: Mapping[str, float]
+    computed: Set[str]
     progress: Progress
     accepted: list[Trial] = field(default_factory=list)
 
-    @property
-    def change(self) -> Change:
-        """The channels with all mistakes undone that were found."""
-        return composed([trial.change for trial in self.accepted])
+    def __post_init__(self) -> None:
+        self.T = np.eye(len(self.joints))
+        self._names = [joint.name for joint in self.joints]
+        self.position: Change = _as_logged
+        self._posed = self.fit.posed(self.position)
 
     def faults(self) -> Iterator[Fault]:
         """All faults of signs, order and units that the motion tells."""
-        self.progress("looking for wrong channels", 0.0)
-        u = self.fit.unexplained(self.change)
+        self.progress(_STAGE, 0.0)
+        u = self._posed.unexplained(self.T)
         if u is not None:
             yield from self._mistakes(u)
         yield from self._beyond()
         yield from self._velocities()
 
     def _mistakes(self, u: Array) -> Iterator[Fault]:
-        names = [joint.name for joint in self.joints]
-        order, everyone = self._order(u), list(range(len(u)))
-        if order is not None and (after := self._tried([order])) is not None and _gain(u, after, everyone) > _GAIN:
-            self.accepted.append(order)
-            yield from order.faults(names, *_means(u, after, list(order.joints)))
-            u = after
-        for turn in range(_ROUNDS):
-            self.progress("looking for wrong channels", turn / _ROUNDS)
-            chosen = self._best(u)
+        """One mistake after the other is undone, as long as that helps; told is what makes sense in the end."""
+        found: list[tuple[NDArray[np.intp], Fault]] = []
+        order = self._order(u)
+        chosen: dict[int | None, Trial] = {None: order} if order is not None and self._helps(u, order) else {}
+        for _ in range(_ROUNDS):
+            chosen = chosen or self._best(u)
             after = self._tried(list(chosen.values())) if chosen else None
             if after is None:
-                return
-            self.accepted += chosen.values()
+                break
             for g, trial in chosen.items():
-                yield from trial.faults(names, *_means(u, after, list(self.fit.groups[g])))
-            u = after
+                group = np.array(trial.joints) if g is None else self.fit.groups[g]
+                told = trial.faults(self._names, u[group].mean(), after[group].mean(), self.computed)
+                found += [(group, fault) for fault in told]
+            self._accept(list(chosen.values()))
+            u, chosen = after, {}
+        yield from (fault for group, fault in found if u[group].mean() < _LEFT)
 
-    def _best(self, u: Array) -> dict[int, Trial]:
+    def _helps(self, u: Array, trial: Trial) -> bool:
+        after = self._tried([trial])
+        return after is not None and _gain(u, after, np.arange(len(u))) > _GAIN
+
+    def _accept(self, chosen: list[Trial]) -> None:
+        self.T, self.position = self._with(chosen)
+        self._posed = self.fit.posed(self.position)
+        self.accepted += chosen
+
+    def _with(self, more: list[Trial]) -> tuple[Array, Change]:
+        """Torques and positions with more mistakes undone."""
+        T, position = self.T, self.position
+        for trial in more:
+            T = trial.T @ T
+            if trial.position is not None:
+                position = _after(position, trial.position)
+        return T, position
+
+    def _tried(self, more: list[Trial]) -> Array | None:
+        T, position = self._with(more)
+        posed = self._posed if position is self.position else self.fit.posed(position)
+        return posed.unexplained(T)
+
+    def _best(self, u: Array) -> dict[int | None, Trial]:
         """By independent part of the robot, the mistake that is best undone next, with those that do as well."""
-        outside = self._outside()
-        turned = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
-        groups = [list(map(int, group)) for group in self.fit.groups]
-        suspicious = [max(u[group]) > _SUSPICIOUS for group in groups]
-        lists = [
-            trials(group, self.joints, turned, outside, self.fit.excess) if bad else []
-            for group, bad in zip(groups, suspicious, strict=True)
-        ]
-        gains: list[list[float]] = [[] for _ in groups]
-        for step in zip_longest(*lists):
+        lists = self._lists(u)
+        gains: dict[int, list[float]] = {g: [] for g in range(len(lists))}
+        steps = list(zip_longest(*lists))
+        for k, step in enumerate(steps):
+            self.progress(_STAGE, k / len(steps))
             after = self._tried([trial for trial in step if trial])
             for g, trial in enumerate(step):
                 if trial:
-                    gains[g].append(-np.inf if after is None else _gain(u, after, groups[g]))
-        best = {}
-        for g, own in enumerate(gains):
+                    gains[g].append(-np.inf if after is None else _gain(u, after, self.fit.groups[g]))
+        best: dict[int | None, Trial] = {}
+        for g, own in gains.items():
             if own and max(own) > _GAIN:
                 first, *others = (trial for trial, x in zip(lists[g], own, strict=True) if x > max(own) - _ALIKE)
                 best[g] = replace(first, others=tuple(others))
         return best
 
+    def _lists(self, u: Array) -> list[list[Trial]]:
+        """By independent part of the robot, what may be wrong with it.
+
+        A mistake of the torques alone is left out where no fit could be so good, not even one of any coefficients.
+        """
+        outside = self._outside()
+        turned = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
+        lists = []
+        for group in self.fit.groups:
+            suspicious = max(u[group]) > _SUSPICIOUS
+            own = trials(list(map(int, group)), self.joints, turned, outside, self.fit.excess) if suspicious else []
+            lists.append([trial for trial in own if trial.position or self._hope(u, trial, group) > _GAIN])
+        return lists
+
+    def _hope(self, u: Array, trial: Trial, group: NDArray[np.intp]) -> float:
+        """The most that a mistake of the torques alone may gain."""
+        least = np.maximum(self._posed.free(trial.T @ self.T), EXPLAINED)
+        return float(np.log(u[group] / least[group]).sum())
+
     def _order(self, u: Array) -> Trial | None:
         """Another order of the torques, where the joints' own equations ask for one."""
         if max(u) < _SUSPICIOUS or len(u) < 2:
             return None
-        cost = np.log(self.fit.exchanged(self.change))
+        cost = np.log(np.maximum(self._posed.exchanged, EXPLAINED))
         _, order = linear_sum_assignment(cost)
         if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _ORDER:
             return None
-        return torque_order([int(k) for k in order], [joint.name for joint in self.joints])
-
-    def _tried(self, more: list[Trial]) -> Array | None:
-        return self.fit.unexplained(composed([trial.change for trial in (*self.accepted, *more)]))
+        return torque_order([int(k) for k in order], self._names)
 
     def _outside(self) -> set[int]:
         """Joints whose q lies beyond their limits by more than their range, or of many turns."""
@@ -169,13 +210,16 @@ class ChannelSearch:
                 yield Fault("wrong_unit", joint.name, f"{what}: set the `log.scale` of v to {1 / gain:.4g}")
 
 
-def _gain(before: Array, after: Array, which: list[int]) -> float:
+def _gain(before: Array, after: Array, which: NDArray[np.intp]) -> float:
     """By how much the sum of log u falls over some of the joints; none where their mean does not fall by as much."""
     if after[which].mean() > _LESS * before[which].mean():
         return -np.inf
     return float(np.log(before[which] / after[which]).sum())
 
 
-def _means(before: Array, after: Array, which: list[int]) -> tuple[float, float]:
-    """Mean u of some of the joints."""
-    return float(before[which].mean()), float(after[which].mean())
+def _as_logged(motion: Motion) -> Motion:
+    return motion
+
+
+def _after(first: Change, then: Change) -> Change:
+    return lambda motion: then(first(motion))

@@ -5,12 +5,14 @@ an offset, a spring and a rotor. So no torque is called impossible that one of t
 is what physics forbids whatever the robot: friction that drives, inertia below zero, one mass felt by two joints as
 two. Channels that were swapped, turned round or scaled ask for just that. The URDF's masses have next to no say.
 
-Letters: nv joints, n samples in the band; u_j share of the power of joint j's torque that is left unexplained.
+Letters: nv joints, n samples in the band; u_j share of the power of joint j's torque that is left unexplained; T
+(nv, nv) true torques from the logged ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +23,7 @@ from idtool.effects import build_effects
 from idtool.exceptions import SolverError
 from idtool.experiment import Experiment
 from idtool.identify import identify
-from idtool.reduction import Factor, Reduction, empty, merge
+from idtool.reduction import Factor
 from idtool.regressor import LinearModel
 from idtool.sets import choose_set
 from idtool.signals import Batch, Motion
@@ -29,9 +31,11 @@ from idtool.signals import Batch, Motion
 Array = NDArray[np.float64]
 Change = Callable[[Motion], Motion]
 
-_PARTS, _ROWS = 8, 512  # stretches of the logs, and samples in the band of each
-_EXPLAINED = 1e-3  # of a torque's power: what less is left is no better explained
+_PARTS, _ROWS = 8, 384  # stretches of the logs, and samples in the band of each
+EXPLAINED = 1e-3  # of a torque's power: what less is left is no better explained
+_QUIET = 1e-6  # of a torque's power that its noise is taken to have at least
 _FEWEST = 4.0  # rows for each coefficient, for a joint to have a say
+_RANK = 1e-8  # of the largest singular value
 _PLAIN = {
     "viscous_friction": {"viscous": 0.0},
     "coulomb_friction": {"coulomb": 0.0},
@@ -42,7 +46,7 @@ _PLAIN = {
 
 
 class FaultFit:
-    """A bounded sample of the logs, and the fit of it.
+    """A bounded sample of the logs, and the model to fit to it.
 
     Attributes
     ----------
@@ -55,7 +59,6 @@ class FaultFit:
     groups
         Joints that have a body in common, directly or by others; nothing that is done to one group's channels
         concerns another.
-
     prior
         Parameters of all bodies by the URDF, shape (10 bodies,).
 
@@ -66,30 +69,33 @@ class FaultFit:
     """
 
     def __init__(self, experiment: Experiment) -> None:
-        self._bodies = experiment.model.bodies
-        self._sets = tuple(choose_set(body, "full") for body in self._bodies)
+        self.bodies = experiment.model.bodies
+        self.sets = tuple(choose_set(body, "full") for body in self.bodies)
         names = experiment.model.names
         self.equation = LinearModel(names, build_effects(experiment.model, _generous(experiment.config, names)))
         self.batches = tuple(_spread(experiment))
         self.motions = tuple(map(_in_band, self.batches))
-        self._redundancy = [batch.low_pass.redundancy for batch in self.batches]
         self.groups = _groups(experiment.model.support())
-        self.prior = np.concatenate([body.pi for body in self._bodies])
+        self.prior = np.concatenate([body.pi for body in self.bodies])
 
-    def unexplained(self, change: Change) -> Array | None:
-        """What is left of each joint's torque when the channels are changed.
+    def posed(self, change: Change) -> Posed:
+        """The sample with position, velocity and acceleration changed."""
+        total: tuple[Factor, ...] | None = None
+        for motion, batch in zip(self.motions, self.batches, strict=True):
+            factors = tuple(Factor.of(rows, batch.low_pass.redundancy) for rows in self._rows(change(motion)))
+            total = factors if total is None else tuple(a + b for a, b in zip(total, factors, strict=True))
+        return Posed(self, total or ())
 
-        Returns
-        -------
-        u, at least 1e-3, shape (nv,), 1 for a joint that tells nothing; None where no fit was found.
-        """
-        data = self._reduce(change)
-        try:
-            plain = Regularization()
-            theta = identify(self.equation, self._bodies, data, self._sets, plain).theta
-        except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
-            return None
-        return np.array([_share(f, theta[columns]) for f, columns in zip(data, self.equation.active(), strict=True)])
+    def _rows(self, motion: Motion) -> Iterator[Array]:
+        """Per joint its columns and all torques where it moves, shape (m_j + nv, n)."""
+        moving = np.ones(motion.q.shape, dtype=bool)
+        for effect in self.equation.effects:
+            for joint, mask in effect.undefined(motion).items():
+                moving[joint] &= ~mask
+        blocks = self.equation.columns(motion)
+        torques = np.stack([block[-1] for block in blocks])
+        for block, kept in zip(blocks, moving, strict=True):
+            yield np.vstack([block[:-1], torques])[:, kept]
 
     @cached_property
     def excess(self) -> Array:
@@ -107,52 +113,84 @@ class FaultFit:
         bodies = active[active < len(self.prior)]
         return np.asarray(self.prior[bodies] @ block[: len(bodies)])
 
-    def exchanged(self, change: Change) -> Array:
-        """What any coefficients whatever leave of each torque, in each joint's equation by itself; shape (nv, nv).
 
-        Row j: in that of joint j; column k: of the torque of joint k.
+@dataclass(frozen=True)
+class Posed:
+    """The sample reduced, positions being what they are taken for and torques as logged.
+
+    Attributes
+    ----------
+    fit
+        The sample.
+    factors
+        Per joint, that of [Y_j, all torques]; none where no stretch is long enough.
+    """
+
+    fit: FaultFit
+    factors: tuple[Factor, ...]
+
+    def unexplained(self, T: Array) -> Array | None:
+        """What bodies that can be leave of each torque.
+
+        Parameters
+        ----------
+        T
+            Shape (nv, nv).
+
+        Returns
+        -------
+        u, at least 1e-3, shape (nv,), 1 for a joint that tells nothing; None where no fit was found.
         """
-        nv = len(self.equation.joints)
-        total: list[Factor] | None = None
-        for motion, redundancy in zip(self.motions, self._redundancy, strict=True):
-            blocks = self.equation.columns(change(motion))
-            torques = np.stack([block[-1] for block in blocks])
-            factors = [Factor.of(np.vstack([block[:-1], torques]), redundancy) for block in blocks]
-            total = factors if total is None else [a + b for a, b in zip(total, factors, strict=True)]
-        if total is None:
-            return np.ones((nv, nv))
-        return np.stack([_left(factor.R, nv) for factor in total])
+        if not self.factors:
+            return None
+        nv, fit = len(self.factors), self.fit
+        data = tuple(
+            replace(f, R=np.column_stack([f.R[:, :-nv], f.R[:, -nv:] @ row]))
+            for f, row in zip(self.factors, T, strict=True)
+        )
+        power = np.array([np.square(f.R[:, -1]).sum() / max(f.rows, 1) for f in data])
+        noise = np.sqrt(self.free(T) * power)
+        noise[noise == 0] = 1.0
+        try:
+            theta = identify(fit.equation, fit.bodies, data, fit.sets, Regularization(), noise=noise).theta
+        except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
+            return None
+        return np.array([_share(f, theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)])
 
-    def _reduce(self, change: Change) -> Reduction:
-        data = empty(self.equation.active())
-        for motion, redundancy in zip(self.motions, self._redundancy, strict=True):
-            changed = change(motion)
-            moving = np.ones(changed.q.shape, dtype=bool)
-            for effect in self.equation.effects:
-                for joint, mask in effect.undefined(changed).items():
-                    moving[joint] &= ~mask
-            blocks = zip(self.equation.columns(changed), moving, strict=True)
-            data = merge(data, tuple(Factor.of(block[:, kept], redundancy) for block, kept in blocks))
-        return data
+    def free(self, T: Array) -> Array:
+        """What any coefficients whatever leave of each torque, each joint by itself: u can't be less; shape (nv,)."""
+        pairs = zip(T, self._powers, strict=True)
+        return np.array([_quotient(row @ left @ row, row @ whole @ row) for row, (left, whole) in pairs])
+
+    @property
+    def exchanged(self) -> Array:
+        """What any coefficients whatever leave of the torque of joint k in the equation of joint j, shape (nv, nv)."""
+        return np.array([list(map(_quotient, np.diag(left), np.diag(whole))) for left, whole in self._powers])
+
+    @cached_property
+    def _powers(self) -> list[tuple[Array, Array]]:
+        """Per joint, products of all torques with each other: of what its columns leave of them, and of them."""
+        nv, found = len(self.factors), []
+        for factor in self.factors:
+            Y, torques = factor.R[:, :-nv], factor.R[:, -nv:]
+            size = np.linalg.norm(Y, axis=0)
+            size[size == 0] = 1.0
+            rest = torques - Y / size @ np.linalg.lstsq(Y / size, torques, rcond=_RANK)[0]
+            found.append((rest.T @ rest, torques.T @ torques))
+        return found
+
+
+def _quotient(left: float, power: float) -> float:
+    """Share of a torque's power that is left, at least 1e-6; 1 of none."""
+    return max(float(left / power), _QUIET) if power > 0 else 1.0
 
 
 def _share(factor: Factor, theta: Array) -> float:
-    """u of a joint."""
+    """Share of a joint's torque that coefficients leave."""
     power = float(np.square(factor.R[:, -1]).sum())
     if factor.rows < _FEWEST * len(theta) or power == 0:
         return 1.0
-    return max(factor.squares(theta) / power, _EXPLAINED)
-
-
-def _left(R: Array, nv: int) -> Array:
-    """Shares of the last nv columns that the others leave, at least 1e-3, shape (nv,)."""
-    Y, torques = R[:, :-nv], R[:, -nv:]
-    size = np.linalg.norm(Y, axis=0)
-    size[size == 0] = 1.0
-    rest = torques - Y / size @ np.linalg.lstsq(Y / size, torques, rcond=1e-8)[0]
-    power = np.square(torques).sum(axis=0)
-    shares = np.square(rest).sum(axis=0) / np.where(power > 0, power, 1.0)
-    return np.asarray(np.where(power > 0, np.maximum(shares, _EXPLAINED), 1.0))
+    return max(factor.squares(theta) / power, EXPLAINED)
 
 
 def _generous(config: Config, joints: tuple[str, ...]) -> Config:

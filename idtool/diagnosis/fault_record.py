@@ -17,8 +17,11 @@ class Fault:
         The joint it concerns; None: the log, or all joints.
     detail
         What was seen and what to do, a plain sentence.
+    undone
+        Whether it is undone, so that nothing is to be done.
     """
 
     fault: str
     joint: str | None
     detail: str
+    undone: bool = False

@@ -27,7 +27,7 @@ _BEYOND = 3.0  # standard errors, and
 _BEYOND_SHARE = 0.01  # of the extreme, that the torque must go on beyond it
 
 
-def torque_unit(fit: FaultFit, change: Change) -> Iterator[Fault]:
+def torque_unit(fit: FaultFit, change: Change, T: Array) -> Iterator[Fault]:
     """A fault where all torques are another multiple of what the URDF's bodies take than a wrong URDF explains.
 
     Weight is believed before inertia, to which rotors may add any amount.
@@ -36,10 +36,10 @@ def torque_unit(fit: FaultFit, change: Change) -> Iterator[Fault]:
     ----------
     fit
         The sample of the logs.
-    change
-        The channels with all other mistakes undone.
+    change, T
+        The positions and torques with all other mistakes undone.
     """
-    weight, inertia = _factors(fit, change)
+    weight, inertia = _factors(fit, change, T)
     factors = weight or inertia
     limit = (_SEVERAL if len(weight) > 1 else _ONE) if weight else _INERTIA
     logs = np.log(list(factors.values()))
@@ -51,17 +51,19 @@ def torque_unit(fit: FaultFit, change: Change) -> Iterator[Fault]:
     yield Fault("wrong_unit", None, f"{what} at {some(list(factors))}: {do}")
 
 
-def _factors(fit: FaultFit, change: Change) -> tuple[dict[str, float], dict[str, float]]:
+def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:
     """By joint, what to multiply weight and inertia with, where they tell."""
     rows: list[list[Array]] = [[] for _ in fit.equation.joints]
     for motion in map(change, fit.motions):
         still = replace(motion, v=0 * motion.v, a=0 * motion.a)
         moved, held = (fit.equation.columns(m) for m in (motion, still))
+        torques = T @ np.stack([block[-1] for block in moved])
         for j, own in enumerate(rows):
             rigid, gravity = fit.rigid(j, moved[j]), fit.rigid(j, held[j])
             v = motion.v[j]
-            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.still[j]), moved[j][-1]]))
-    weight, inertia = {}, {}
+            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.still[j]), torques[j]]))
+    weight: dict[str, float] = {}
+    inertia: dict[str, float] = {}
     for name, parts in zip(fit.equation.joints, rows, strict=True):
         x = np.concatenate(parts, axis=1)
         size = np.sqrt(np.mean(np.square(x), axis=1))
@@ -127,4 +129,3 @@ def _last(factor: Factor) -> tuple[float, float]:
     rest = float(np.square(tau - slope * own).sum())
     free = max(factor.independent - len(others), 1.0)
     return -slope, float(np.sqrt(rest / power / free))
-

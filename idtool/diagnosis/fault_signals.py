@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from idtool.channels import Channels
 from idtool.diagnosis.fault_record import Fault
-from idtool.inspection import Inspection, Joint, Stamps
+from idtool.inspection import Inspection, Joint, Signal, Stamps
 from idtool.inspection.findings import JITTER, LATE, LATE_ERRORS, LATE_PHASE, SHORT, STUCK, UNRELATED
 from idtool.inspection.velocity import velocity_agreement
 from idtool.logs.log import Log
@@ -126,7 +126,7 @@ def _late(name: str, joint: Joint, dt: float) -> Iterator[Fault]:
     if abs(v.lag_ms) > max(1e3 * LATE * dt, LATE_ERRORS * v.lag_error_ms) and phase > LATE_PHASE:
         way = "lags" if v.lag_ms > 0 else "leads"
         what = f"v {way} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
-        yield Fault("velocity_lag", name, f"{what}: idtool undoes it, nothing is to be done")
+        yield Fault("velocity_lag", name, f"{what}: idtool undoes it, nothing is to be done", True)
 
 
 def _clipped(name: str, joint: Joint) -> Iterator[Fault]:
@@ -157,18 +157,17 @@ def _frozen(log: Log, name: str, joint: Joint) -> Iterator[Fault]:
         x = joint.signals.get(signal)
         if x is None or x.constant or (x.stale or 0.0) > _HELD:
             continue
-        seconds, first = 0.0, 0.0
+        found = []
         for segment in log.segments:
             for start in range(segment.start, segment.stop, _BLOCK):
                 part = slice(start, min(start + _BLOCK, segment.stop))
-                path = _path(log, i, part, by="v" if signal == "q" else "q")
-                usual = joint.speed_rms * log.dt
-                leaps = signal == "q"
-                for a, b in _held(log.signals[signal][part, i], path, x.step or 0.0, x.noise, usual, log.dt, leaps):
-                    first = first if seconds else float(log.t[start + a] - log.t[0])
-                    seconds += (b - a) * log.dt
+                path = _path(log, i, part, by="v" if signal == "q" else "q") / (joint.speed_rms * log.dt)
+                runs = _held(log.signals[signal][part, i], path, x, log.dt, leaps=signal == "q")
+                found += [(start + a, start + b) for a, b in runs]
+        seconds = sum(b - a for a, b in found) * log.dt
         if seconds > _FROZEN:
-            what = f"{signal} keeps one value for {seconds:.3g} s in all while the joint moves, first {first:.3f} s in"
+            since = float(log.t[found[0][0]] - log.t[0])
+            what = f"{signal} keeps one value for {seconds:.3g} s in all while the joint moves, first {since:.3f} s in"
             yield Fault("stale", name, f"{what}: leave those stretches out of the log")
 
 
@@ -180,46 +179,61 @@ def _path(log: Log, i: int, part: slice, by: str) -> Array:
     q = log.signals["q"][part, i]
     at = np.arange(0, len(q), _LONG[1] // 2)
     gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q[at])))])
-    return np.interp(np.arange(len(q)), at, gone)
+    return np.asarray(np.interp(np.arange(len(q)), at, gone))
 
 
-def _held(x: Array, path: Array, step: float, noise: float, usual: float, dt: float, leaps: bool) -> list[tuple[int, int]]:
+def _held(x: Array, path: Array, figures: Signal, dt: float, leaps: bool) -> list[tuple[int, int]]:
     """Stretches of a channel without a gap in which it froze, first sample and the one after the last.
 
     In a noisy channel that hardly repeats a value elsewhere, many equal ones in a row are no chance. In any other, one
     that was frozen leaps when it goes on, where one that rests or turns goes on slowly. The extremes are left to those
     who look for clipping.
+
+    Parameters
+    ----------
+    x
+        The channel, shape (N,).
+    path
+        The way that the joint has gone, in that of a sample at its usual speed, shape (N,).
+    figures
+        Of the channel.
+    dt
+        Sample time [s].
+    leaps
+        Whether a leap is enough, as of a position, which has to go where it comes to.
     """
     change = np.abs(np.diff(x))
-    equal = np.flatnonzero(np.diff(np.concatenate([[0], change == 0, [0]]).astype(np.int8)))
-    runs = equal.reshape(-1, 2) + np.array([0, 1])  # samples first to one after the last
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], change == 0, [0]]).astype(np.int8)))
+    runs = ends.reshape(-1, 2) + np.array([0, 1])
     runs = runs[runs[:, 1] - runs[:, 0] >= max(_LONG[0] / dt, _LONG[1])]
     if not len(runs) or (runs[:, 1] - runs[:, 0]).sum() > _MOSTLY * len(x):
         return []
     outside = np.ones(len(change), dtype=bool)
     for a, b in runs:
         outside[a : b - 1] = False
-    impossible = noise > _NOISY * np.std(x) and np.mean(change[outside] == 0) < _BY_CHANCE
-    usual_change = float(np.median(change[outside & (change > 0)])) if (outside & (change > 0)).any() else np.inf
+    noisy = figures.noise > _NOISY * np.std(x) and np.mean(change[outside] == 0) < _BY_CHANCE
+    changing = change[outside & (change > 0)]
+    far = max(_LEAP * float(np.median(changing)), 4 * (figures.step or 0.0)) if len(changing) else np.inf
     found = []
     for a, b in runs.tolist():
-        leap = b < len(x) and change[b - 1] > max(_LEAP * usual_change, 4 * step)
-        moves = path[b - 1] - path[a] > _MOVES * usual * (b - a)
-        if x.min() < x[a] < x.max() and ((leap and leaps) or (moves and (impossible or leap))):
+        leap = b < len(x) and change[b - 1] > far
+        moves = path[b - 1] - path[a] > _MOVES * (b - a)
+        if x.min() < x[a] < x.max() and ((leap and leaps) or (moves and (noisy or leap))):
             found.append((a, b))
     return found
 
 
 def exchanged_velocities(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> Iterator[Fault]:
     """Velocities that are another joint's."""
-    strange = [n for n in joints if (v := inspection.joints[n].velocity) is not None and v.agreement < UNRELATED]
+    velocities = {name: inspection.joints[name].velocity for name in joints}
+    strange = [name for name, v in velocities.items() if v is not None and v.agreement < UNRELATED]
     if len(strange) < 2:
         return
     channels = Channels(log, strange)
     part = channels.longest(channels.parts())
-    q, v = channels.signal("q", part), channels.signal("v", part)
+    q, dq = channels.signal("q", part), channels.signal("v", part)
     for j, name in enumerate(strange):
         for k, other in enumerate(strange):
-            if j != k and velocity_agreement(q[j], v[k], log.dt).agreement > _OTHERS:
+            if j != k and velocity_agreement(q[j], dq[k], log.dt).agreement > _OTHERS:
                 what = f"v of {other} is the derivative of q of {name}, and its own v is not"
                 yield Fault("wrong_joint_order", name, f"{what}: put the columns right in `log.columns`")

@@ -6,7 +6,7 @@ Each trial changes the channels as if one mistake of a driver or a logger were u
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_POSITION, _ALL = ("q", "v", "a"), ("q", "v", "a", "tau")
+_FEW = 4  # joints of which any may be turned at once
 _EXCESS = 1.5  # log10 of a torque over what the URDF says, from which it may be a thousandfold
 
 
@@ -43,10 +43,11 @@ class Trial:
     fault: str
     what: tuple[tuple[str, str], ...]
     joints: tuple[int, ...]
-    change: Change
+    T: Array
+    position: Change | None = None
     others: tuple[Trial, ...] = ()
 
-    def faults(self, names: Sequence[str], before: float, after: float) -> Iterator[Fault]:
+    def faults(self, names: Sequence[str], before: float, after: float, computed: Set[str]) -> Iterator[Fault]:
         """The mistake as faults, one a joint.
 
         Parameters
@@ -55,12 +56,16 @@ class Trial:
             Of all joints.
         before, after
             Share of the torque that is unexplained with the mistake and without.
+        computed
+            Names of joints whose torque is the controller's, from the command.
         """
         shares = f"put right, bodies that can be leave {after:.1%} of the torque's power unexplained, else "
         shares += f"{before:.1%}" if before < 1 else "all of it"
         for joint, (what, do) in zip(self.joints, self.what, strict=True):
             also = [f"{names[other.joints[0]]}: {other.what[0][0]}" for other in self.others]
             or_else = f"; the data can't tell it from {some(also)}" if also else ""
+            if names[joint] in computed:
+                do = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"
             yield Fault(self.fault, names[joint], f"{what} ({shares}{or_else}): {do}")
 
 
@@ -82,18 +87,18 @@ def trials(
     excess
         log10 of the size of each torque over what the URDF's bodies take, shape (nv,).
     """
-    names = [joint.name for joint in joints]
-    found = [_turned_position(j) for j in group if j in turned]
+    names, nv = [joint.name for joint in joints], len(joints)
+    pairs = list(itertools.combinations(group, 2))
+    found = [_turned_position(j, nv) for j in group if j in turned]
     found += [_position_unit(tuple(sorted(outside & set(group))), joints)] if outside & set(group) else []
     found += [_position_unit((j,), joints) for j in group if j in outside and len(outside & set(group)) > 1]
-    found += [_turned_torque((j,)) for j in group]
-    found += [_turned_torque(tuple(group))] if len(group) > 1 else []
-    found += [_torque_order(_swap(len(joints), i, k), names) for i, k in itertools.combinations(group, 2)]
-    found += [_turned_position(j) for j in group if j not in turned]
-    found += [_turned_joint(j) for j in group]
-    found += [_joint_order(_swap(len(joints), i, k), names) for i, k in itertools.combinations(group, 2)]
+    found += [_turned_torque(which, nv) for which in _subsets(group)]
+    found += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
+    found += [_turned_position(j, nv) for j in group if j not in turned]
+    found += [_turned_joint(j, nv) for j in group]
+    found += [_joint_order(_swap(nv, i, k), names) for i, k in pairs]
     if len(group) > 1:
-        found += [_torque_unit(j, 10 ** (-3 * np.sign(excess[j]))) for j in group if abs(excess[j]) > _EXCESS]
+        found += [_torque_unit(j, 10 ** (-3 * np.sign(excess[j])), nv) for j in group if abs(excess[j]) > _EXCESS]
     return found
 
 
@@ -107,22 +112,24 @@ def torque_order(order: Sequence[int], names: Sequence[str]) -> Trial:
     names
         Of all joints.
     """
-    return _torque_order(order, names)
+    which = tuple(j for j, k in enumerate(order) if j != k)
+    what = tuple((f"its torque stands under {names[order[j]]}", "put the order of tau right") for j in which)
+    return Trial("wrong_joint_order", what, which, np.eye(len(names))[list(order)])
 
 
-def _turned_torque(which: tuple[int, ...]) -> Trial:
+def _turned_torque(which: tuple[int, ...], nv: int) -> Trial:
     what = "tau has the opposite sign of the torque that moves the joint", "set its `log.scale` to -1"
-    return Trial("wrong_sign", (what,) * len(which), which, _scaled(which, ("tau",), -1))
+    return Trial("wrong_sign", (what,) * len(which), which, _diagonal(which, -1.0, nv))
 
 
-def _turned_position(j: int) -> Trial:
+def _turned_position(j: int, nv: int) -> Trial:
     what = "q runs against the direction in which tau acts", "set its `log.scale` to -1"
-    return Trial("wrong_sign", (what,), (j,), _scaled((j,), _POSITION, -1))
+    return Trial("wrong_sign", (what,), (j,), np.eye(nv), _scaled((j,), -1.0))
 
 
-def _turned_joint(j: int) -> Trial:
+def _turned_joint(j: int, nv: int) -> Trial:
     what = "q, v and tau all run against the joint's axis in the URDF", "set their `log.scale` to -1, or turn the axis"
-    return Trial("wrong_sign", (what,), (j,), _scaled((j,), _ALL, -1))
+    return Trial("wrong_sign", (what,), (j,), _diagonal((j,), -1.0, nv), _scaled((j,), -1.0))
 
 
 def _position_unit(which: tuple[int, ...], joints: Sequence[Joint]) -> Trial:
@@ -131,25 +138,30 @@ def _position_unit(which: tuple[int, ...], joints: Sequence[Joint]) -> Trial:
         unit, factor = ("mm", 1e-3) if joints[j].kind == "prismatic" else ("degrees", np.pi / 180)
         what.append((f"q is in {unit}", f"set its `log.scale` to {factor:.6g}"))
         factors.append(factor)
-    return Trial("wrong_unit", tuple(what), which, _scaled(which, _POSITION, np.array(factors)))
+    return Trial("wrong_unit", tuple(what), which, np.eye(len(joints)), _scaled(which, np.array(factors)))
 
 
-def _torque_unit(j: int, factor: float) -> Trial:
+def _torque_unit(j: int, factor: float, nv: int) -> Trial:
     unit = "thousandths" if factor < 1 else "thousands"
     what = f"tau is in {unit} of the unit of the other joints'", f"set its `log.scale` to {factor:g}"
-    return Trial("wrong_unit", (what,), (j,), _scaled((j,), ("tau",), factor))
-
-
-def _torque_order(order: Sequence[int], names: Sequence[str]) -> Trial:
-    which = tuple(j for j, k in enumerate(order) if j != k)
-    what = tuple((f"its torque stands under {names[order[j]]}", "put the order of tau right") for j in which)
-    return Trial("wrong_joint_order", what, which, lambda motion: replace(motion, tau=motion.tau[list(order)]))
+    return Trial("wrong_unit", (what,), (j,), _diagonal((j,), factor, nv))
 
 
 def _joint_order(order: Sequence[int], names: Sequence[str]) -> Trial:
-    which = tuple(j for j, k in enumerate(order) if j != k)
-    what = tuple((f"q, v and tau of it stand under {names[order[j]]}", "put the names right") for j in which)
-    return Trial("wrong_joint_order", what, which, _reordered(list(order)))
+    own, rows = torque_order(order, names), list(order)
+    what = tuple((f"q, v and tau of it stand under {names[order[j]]}", "put the names right") for j in own.joints)
+
+    def change(motion: Motion) -> Motion:
+        q, v, a, still = motion.q[rows], motion.v[rows], motion.a[rows], motion.still[rows]
+        return replace(motion, q=q, v=v, a=a, still=still)
+
+    return replace(own, what=what, position=change)
+
+
+def _subsets(group: Sequence[int]) -> list[tuple[int, ...]]:
+    """Small ones first: all of a few joints, of many only those of one, two or all."""
+    sizes = range(1, len(group) + 1) if len(group) <= _FEW else (1, 2, len(group))
+    return [which for size in sizes for which in itertools.combinations(group, size)]
 
 
 def _swap(nv: int, i: int, k: int) -> list[int]:
@@ -158,35 +170,19 @@ def _swap(nv: int, i: int, k: int) -> list[int]:
     return order
 
 
-def _reordered(order: list[int]) -> Change:
-    def change(motion: Motion) -> Motion:
-        own = {name: getattr(motion, name)[order] for name in (*_ALL, "still")}
-        return replace(motion, **own)
-
-    return change
+def _diagonal(which: tuple[int, ...], factor: float, nv: int) -> Array:
+    T = np.eye(nv)
+    T[which, which] = factor
+    return T
 
 
-def _scaled(which: tuple[int, ...], signals: tuple[str, ...], factor: float | Array) -> Change:
-    """Signals of some joints times a factor."""
+def _scaled(which: tuple[int, ...], factor: float | Array) -> Change:
+    """Positions of some joints times a factor."""
 
     def change(motion: Motion) -> Motion:
         scale = np.ones((len(motion.q), 1))
         scale[list(which), 0] = factor
-        own = {name: getattr(motion, name) * scale for name in signals}
-        if "v" in signals:
-            own["still"] = motion.still * np.abs(scale[:, 0])
-        return replace(motion, **own)
+        still = motion.still * np.abs(scale[:, 0])
+        return replace(motion, q=motion.q * scale, v=motion.v * scale, a=motion.a * scale, still=still)
 
     return change
-
-
-def composed(changes: Sequence[Change]) -> Change:
-    """One change after the other."""
-
-    def change(motion: Motion) -> Motion:
-        for one in changes:
-            motion = one(motion)
-        return motion
-
-    return change
-

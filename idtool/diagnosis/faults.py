@@ -87,9 +87,12 @@ def _model_faults(
 ) -> Iterator[Fault]:
     """Faults that the model tells."""
     model = experiment.model
-    search = ChannelSearch(fit, model.joints, _limits(model.names, inspections), _gains(inspections), progress)
+    commands = [run.signals.command for run in experiment.runs]
+    computed = {name for j, name in enumerate(model.names) if any(command.joints[j] for command in commands)}
+    limits, gains = _limits(model.names, inspections), _gains(inspections)
+    search = ChannelSearch(fit, model.joints, limits, gains, computed, progress)
     yield from search.faults()
-    yield from torque_unit(fit, search.change)
+    yield from torque_unit(fit, search.position, search.T)
     for j, name in enumerate(model.names):
         for inspection in inspections:
             tau = inspection.joints[name].signals.get("tau")

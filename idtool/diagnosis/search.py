@@ -32,8 +32,10 @@ _NEAR = 0.4  # of the best gain that a finalist has at least
 _EQUAL = 2.0  # standard errors within which two gains are the same
 _AS_GOOD = 0.03  # of the best gain that a simpler explanation may lack
 _WORSE = 1.01  # times the squared residual of held-out data
-_DETERMINED = 1.5  # standard errors that a shape value is at least from nothing
+_HARMS = 0.5  # of what it saves, that an effect costs elsewhere
+_DETERMINED = 2.5  # standard errors that a shape value is at least from nothing
 _FREE = ("time_constant",)  # a change that has only begun has any
+_GONE = 0.5  # of what a rival explained before, that it may explain with the winner there
 _NEARLY = 0.8  # of the better gain, that one which chance may tell from it has
 _SAME = 1.1  # of the squared residual that the better of two leaves
 _FINE = 7  # values between neighbours in a finer search
@@ -134,10 +136,9 @@ def searched(
     most = ranked[0].gain if ranked else 0.0
     least = max(_NEAR * most, 0.0 if forced else SURE**2 * inflation)
     finalists = [one for one in ranked if one.gain >= least][:_FINALISTS]
-    ahead = held_out(here, here.experiment.equation)
     fitted, failed = [], []
     for one in finalists:
-        own, reason = _fitted(here, one, ahead, progress)
+        own, reason = _fitted(here, one, progress)
         if own is not None:
             fitted.append(own)
         else:
@@ -145,7 +146,7 @@ def searched(
     fitted.sort(key=lambda one: -one.gain)
     if forced:
         return Choice(here, fitted[0] if fitted else None, (), tuple(fitted[1:]), (), inflation)
-    return _chosen(here, fitted, failed, found, inflation)
+    return _chosen(here, fitted, failed, found, inflation, progress)
 
 
 def _inflation(here: Ground, found: Iterable[Found]) -> float:
@@ -182,7 +183,7 @@ def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Prob
                 yield one.probe.at({**one.probe.shape, name: float(value)})
 
 
-def _fitted(here: Ground, one: Found, ahead: Array, progress: Progress) -> tuple[Contender | None, str]:
+def _fitted(here: Ground, one: Found, progress: Progress) -> tuple[Contender | None, str]:
     """A candidate in the model; None where it is no explanation, and why."""
     entry = one.entry
     if entry is None:
@@ -195,10 +196,14 @@ def _fitted(here: Ground, one: Found, ahead: Array, progress: Progress) -> tuple
         return None, "is held at its bound, the rest of the model being fitted with it"
     if loose := _loose(trial):
         return None, f"its {loose} is not determined by the data"
-    worse = held_out(trial.ground, here.experiment.equation).sum() > _WORSE * ahead.sum()
+    own = trial.ground.experiment.equation
+    worse = held_out(trial.ground, own).sum() > _WORSE * held_out(here, own).sum()
+    gains = saved(here, trial.ground)
+    if -np.minimum(gains, 0).sum() > _HARMS * np.maximum(gains, 0).sum():
+        return None, "helps in some stretches of the log and harms in others"
     if worse:  # and not where nothing was held out
         return None, "makes the held-out data worse"
-    return Contender(one, trial, saved(here, trial.ground)), ""
+    return Contender(one, trial, gains), ""
 
 
 def _loose(trial: Trial) -> str:
@@ -207,10 +212,12 @@ def _loose(trial: Trial) -> str:
     entry = trial.entries[last]
     for held in getattr(known_effects()[entry.effect], "held", ()):
         error = trial.errors.get((last, held.name))
-        if error is not None and held.positive and held.name not in _FREE:
-            value = float(value_of(entry, held.name))  # type: ignore[arg-type]
-            if not error < value / _DETERMINED:
-                return str(held.name)
+        value = value_of(entry, held.name)
+        if error is None or not isinstance(value, float) or held.name in _FREE:
+            continue
+        most = held.error if held.error is not None else value / _DETERMINED if held.positive else np.inf
+        if not error < most:
+            return str(held.name)
     return ""
 
 
@@ -238,6 +245,7 @@ def _chosen(
     failed: Sequence[Candidate],
     found: Sequence[Found],
     inflation: float,
+    progress: Progress,
 ) -> Choice:
     worthy = [one for one in fitted if _pays(one, here, inflation)]
     known = {(one.effect, one.on) for one in failed} | {_named(one.found.probe) for one in fitted}
@@ -247,9 +255,11 @@ def _chosen(
         return Choice(here, None, (), tuple(fitted), lost, inflation)
     top = worthy[0]
     equals = [one for one in worthy if _as_good(one, top)]
+    equals = [one for one in equals if not any(_contains(one, other) for other in equals)] or equals
     winner = min(equals, key=lambda one: (one.found.probe.parameters, -one.gain))
-    alike = [one for one in worthy if one is not winner and _alike(one, winner)]
-    others = tuple(one for one in fitted if one is not winner and one not in alike)
+    rivals = _rivals([one for one in fitted if one is not winner], winner, progress)
+    alike = [one for one in rivals if one in worthy and _alike(one, winner) and not _contains(one, winner)]
+    others = tuple(one for one in rivals if one not in alike)
     return Choice(here, winner, tuple(alike), others, lost, inflation)
 
 
@@ -274,6 +284,20 @@ def _alike(one: Contender, other: Contender) -> bool:
     left = sorted(float(x.trial.ground.left().sum()) for x in (one, other))
     near = min(one.gain, other.gain) > _NEARLY * max(one.gain, other.gain)
     return (near and not _apart(one, other)) or left[1] < _SAME * left[0]
+
+
+def _rivals(others: Sequence[Contender], winner: Contender, progress: Progress) -> list[Contender]:
+    """Those that explain the same: with the winner in the model, most of what they explained is gone."""
+    if not others:
+        return []
+    again = screened(winner.trial.ground, [one.found.probe for one in others], progress, "comparing explanations")
+    return [one for one, now in zip(others, again, strict=True) if now.gain < _GONE * one.found.gain]
+
+
+def _contains(one: Contender, other: Contender) -> bool:
+    """Whether one can take the place of the other, and so explains no less by itself."""
+    a, b = one.found.probe, other.found.probe
+    return a.joint == b.joint and b.effect in known_effects()[a.effect].contains
 
 
 def _apart(one: Contender, other: Contender) -> bool:

@@ -8,7 +8,6 @@ Pereyra 1973, in the form of Kaufman 1975): the change of the residual with a sh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from idtool.config import EffectEntry
 from idtool.diagnosis.ground import Ground, ground
 from idtool.present import PresentModel
 from idtool.diagnosis.screen import screened
+from idtool.diagnosis.survey import survey
 from idtool.effects import build_effects, known_effects
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present
@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 _STEP = 1e-3  # of a shape value, or this where it is small: of a difference
 _FAR = 0.3  # of a value that a step goes at the most
 _BETTER = 1e-4  # of the squared residual that a step must save
-_SCAN = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15)  # of a value, that are tried
-_AS_GOOD = 1.05  # of the least squared residual
+_SCAN = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # of a value, that are tried
+_AS_GOOD = 0.9  # of the largest gain
 
 
 @dataclass(frozen=True)
@@ -181,18 +181,20 @@ def _step(
 
 
 def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Ground, float]:
-    """The best of values about the present one, and how far it may be off: half of what is as good as it."""
-    tried: dict[float, Ground] = {}
-    for ratio in _SCAN:
-        entries = list(here.experiment.config.effects)
-        value = ratio * float(value_of(entries[i], name))  # type: ignore[arg-type]
-        entries[i] = _with(entries[i], name, value)
-        with suppress(IdtoolError):
-            tried[value] = ground(with_effects(here.experiment, entries, here.theta), progress, here)
-    best = min(tried, key=lambda value: float(tried[value].left().sum()))
-    least = float(tried[best].left().sum())
-    alike = [value for value, one in tried.items() if float(one.left().sum()) < _AS_GOOD * least]
-    return tried[best], max(max(alike) - min(alike), best * (_SCAN[1] / _SCAN[0] - 1)) / 2
+    """The value about the present one that explains most, how far it may be off, and the model with it."""
+    entries = list(here.experiment.config.effects)
+    entry, others = entries[i], [*entries[:i], *entries[i + 1 :]]
+    without = ground(with_effects(here.experiment, others, here.theta), progress, here, own_rows=True)
+    kind, seen = known_effects()[entry.effect], survey(without)
+    joint = here.experiment.equation.joints.index(str(entry.joint))
+    values = [ratio * float(value_of(entry, name)) for ratio in _SCAN]  # type: ignore[arg-type]
+    probes = [kind.probe(seen, joint, {name: value}) for value in values]  # type: ignore[attr-defined]
+    gains = [one.gain for one in screened(without, probes, progress, "trying values")]
+    best = values[int(np.argmax(gains))]
+    alike = [value for value, gain in zip(values, gains, strict=True) if gain > _AS_GOOD * max(gains)]
+    entries[i] = _with(entry, name, best)
+    error = max(max(alike) - min(alike), best * (_SCAN[1] / _SCAN[0] - 1)) / 2
+    return ground(with_effects(here.experiment, entries, here.theta), progress, here), error
 
 
 def _is_positive(effect: str, name: str) -> bool:

@@ -22,7 +22,8 @@ def sentence(step: Step, units: Mapping[str, str]) -> str:
     """
     chosen = step.chosen
     if step.entry is None:
-        return f"{chosen.on}: what is left has structure ({step.where.region}) that none of the effects explains"
+        region = f" ({step.where.region})" if step.where.region else ""
+        return f"{chosen.on}: what is left has structure{region} that none of the effects explains"
     means = known_effects()[chosen.effect].means
     figures = ", ".join(_figure(name, x, step.standard_error.get(name)) for name, x in list(step.parameters.items())[:_SHOWN])
     region = "" if step.where.region in ("", "all along") else f" {step.where.region}"

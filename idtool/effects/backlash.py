@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 
 _DAMPING = 0.5  # of what is critical
 _NARROW, _WIDE, _TRIED = 3e-4, 0.12, 12  # rad or m
-_LEAST, _MOST = 0.15, 1.8  # of the change that the width makes
+_LEAST, _MOST = 0.25, 3.0  # of the change that the width makes
 _BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # of the width
+_COUNTS = 0.6  # of a blip, where its time is known to milliseconds: leaves least of it on average
 _DIES = 0.02  # s
 _GIVES = 2e-3  # s
 _LIGHT = 1e-9  # kg·m² or kg
@@ -99,10 +100,10 @@ class Backlash(HeldJointEffect):
 
 
 def _change(motion: Motion, joint: int, width: float, present: Present) -> Array:
-    """What play adds to the predicted torque, shape (nv, N)."""
+    """What play adds to the predicted torque, shape (nv, N); less than all, as a blip at the wrong time is worse."""
     place = _travel(motion, joint, width, present)
     v = np.gradient(place, motion.dt)
-    return present.moved(motion, joint, -place, -v, -np.gradient(v, motion.dt))
+    return _COUNTS * present.moved(motion, joint, -place, -v, -np.gradient(v, motion.dt))
 
 
 def _travel(motion: Motion, joint: int, width: float, present: Present) -> Array:

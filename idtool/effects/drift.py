@@ -52,6 +52,7 @@ class FrictionDrift(JointTerms):
     id = "friction_drift"
     means = "friction changes over the log"
     shows = "the same motion again, warm"
+    contains = ("viscous_friction", "coulomb_friction")
     held = (Held("time_constant", positive=True),)
     kinds = (_Viscous, _Coulomb)
 

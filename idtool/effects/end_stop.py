@@ -30,10 +30,11 @@ class EndStop(JointTerm):
     id = "end_stop"
     means = "a stop pushes back beyond a position"
     shows = "slow motion into the region and out of it"
+    contains = ("parallel_spring", "torque_offset")
     name = "stiffness"
     unit = ("N·m/rad", "N/m")
     even = False
-    held = (Held("position", apart=True),)
+    held = (Held("position", apart=True, error=0.03),)
 
     def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, prior, shape)

@@ -38,12 +38,15 @@ class Held:
         Whether it is the name of another joint, whose index the effect then holds.
     apart
         Whether a joint may have the effect more than once, with different values of this.
+    error
+        The largest that its standard error may be where the effect is named; None: a share of the value.
     """
 
     name: str
     positive: bool = False
     joint: bool = False
     apart: bool = False
+    error: float | None = None
 
 
 class JointEffect(NamedEffect):

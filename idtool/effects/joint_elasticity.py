@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -56,6 +56,12 @@ class JointElasticity(HeldJointEffect):
                 self._rotors += axial * np.outer(body.ratios, body.ratios)
 
     @classmethod
+    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
+        """See `JointEffect.tried`: where teeth have play, what gives is the teeth."""
+        if not survey.has("backlash", survey.model.names[joint]):
+            yield {}
+
+    @classmethod
     def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
         """See `HeldJointEffect.slopes`: by the compliance, 1 / stiffness."""
         q, v, a = cls(survey.model, joint, {"stiffness": 1.0})._deflection(motion)
@@ -103,10 +109,11 @@ class JointElasticity(HeldJointEffect):
 
 def _band(tau: Array, dt: float) -> float:
     """Up to which frequency a torque stands above its noise [Hz]: beyond, its second derivative is mostly noise."""
+    # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
     f, power = welch(tau, 1 / dt, nperseg=min(_SPECTRUM, len(tau)))
     tops = [*_BANDS, *(_BANDS[-1] * 2 ** np.arange(1, 5))]
     octaves = [power[(f > top / 2) & (f <= top)] for top in tops if top < 0.5 / dt]
-    noise = min((np.median(octave) for octave in octaves if octave.size), default=0.0)  # encoders' shakes are torque too
+    noise = min((np.median(octave) for octave in octaves if octave.size), default=0.0)
     clear = [np.mean(octave) > _CLEAR * noise if octave.size else False for octave in octaves]
     for band, above in reversed(list(zip(_BANDS, clear, strict=False))[1:]):
         if above and band < _OF_RATE / dt:

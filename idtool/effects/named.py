@@ -36,11 +36,14 @@ class NamedEffect(Effect):
         What it is, in a few words for people.
     shows
         The motion in which it shows itself.
+    contains
+        Effects that it can take the place of: their simpler name is the right one unless the data insist.
     """
 
     id: str = ""
     means: str = ""
     shows: str = ""
+    contains: tuple[str, ...] = ()
 
     @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:

@@ -33,6 +33,7 @@ class PreslidingHysteresis(JointTerm):
     id = "presliding_hysteresis"
     means = "friction builds up over a displacement after each reversal"
     shows = "small reversals of several amplitudes"
+    contains = ("coulomb_friction",)
     name = "amplitude"
     unit = ("N·m", "N")
     held = (Held("displacement", positive=True),)

@@ -63,7 +63,8 @@ class TorqueRipple(JointTerms):
     id = "torque_ripple"
     means = "torque ripples with the angle"
     shows = "slow motion over the whole travel at several speeds"
-    held = (Held("periods", positive=True, apart=True),)
+    contains = ("parallel_spring", "end_stop", "torque_offset")
+    held = (Held("periods", positive=True, apart=True, error=0.3),)
     kinds = (_Sine, _Cosine)
 
     @classmethod

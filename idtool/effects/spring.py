@@ -23,6 +23,7 @@ class ParallelSpring(JointTerm):
     id = "parallel_spring"
     means = "a spring acts across the joint"
     shows = "slow motion over the whole travel"
+    contains = ("torque_offset",)
     name = "stiffness"
     unit = ("N·m/rad", "N/m")
     held = (Held("rest_position"),)

@@ -27,6 +27,7 @@ class StribeckFriction(DryFriction):
     id = "stribeck_friction"
     means = "friction rises at low speed"
     shows = "slow sweeps at several speeds below that at which it rises"
+    contains = ("coulomb_friction",)
     name = "stribeck"
     unit = ("N·m", "N")
     held = (Held("velocity", positive=True),)

@@ -22,7 +22,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_LEAST = 2e-4  # s: less is how the samples of a period were taken
+_LEAST = 5e-4  # s: less is how the samples of a period were taken
 _SHIFT = 0.1  # s: no more than that is looked for
 _LONGEST = 1.0  # s: what is later belongs to another motion
 

@@ -98,6 +98,7 @@ class TorqueSaturation(Sensor):
     id = "torque_saturation"
     means = "the measured torque bends away from the true one at high load"
     shows = "standstill and slow motion at high and at low load"
+    contains = ("torque_gain",)
     held = (Held("level", positive=True), Held("bend"))
 
     @classmethod

@@ -1,0 +1,104 @@
+"""Spectra of a torque over time frequency and over the angle of its joint.
+
+Over frequency: Welch's method (1967). Over the angle: at each number of periods per turn n, the sine of n q that fits
+best in least squares (Lomb 1976, of positions in place of times), by Fourier transforms of the torque binned by
+position.
+
+Letters: n samples, f frequencies, a numbers of periods per turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Array = NDArray[np.float64]
+
+SECONDS = 4.0  # that a stretch lasts of which a spectrum is taken
+_PERIODS = 300.0  # per turn, at the most
+_ACROSS = 16  # bins of position in the shortest period
+_FINE = 8  # points of the spectrum in what the travel can tell apart
+_BINS = 1 << 20  # at the most
+_SLOW = 0.25  # of the samples, of which the band must hold a ripple
+
+
+def density(x: Array, kept: NDArray[np.bool_], step: float, stretches: Sequence[slice], band: float) -> tuple[Array, Array]:
+    """Power density over frequency, one-sided.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (n,).
+    kept
+        Which of them count; the others are taken as zero.
+    step
+        Time between them [s].
+    stretches
+        Those without a gap.
+    band
+        Highest frequency [Hz].
+
+    Returns
+    -------
+    Frequencies [Hz], shape (f,), and the density [(unit of x)²/Hz], shape (f,).
+    """
+    length = max(round(SECONDS / step), 2)
+    count = min(int(band * length * step), length // 2)
+    window = np.hanning(length + 2)[1:-1]
+    power, size = np.zeros(count), 0.0
+    known = np.where(kept, x, 0.0)
+    for part in stretches:
+        n = part.stop - part.start
+        pieces = max(-(-2 * n // length) - 1, 1)
+        for first in np.linspace(part.start, max(part.stop - length, part.start), pieces).astype(int):
+            last = min(first + length, part.stop)
+            own = window[: last - first]
+            power += np.square(np.abs(fft.rfft(known[first:last] * own, length)))[1 : count + 1]
+            size += float(np.square(own) @ kept[first:last])
+    frequency = np.arange(1, count + 1) / (length * step)
+    return frequency, power * (2 * step / size if size else 0.0)
+
+
+def ripple(x: Array, q: Array, v: Array, band: float) -> tuple[Array, Array]:
+    """Amplitude of the best sine over the angle, by its periods per turn: from one over the travel to what is seen.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (n,).
+    q, v
+        Position [rad or m] and velocity, shape (n,).
+    band
+        Highest frequency in time that x holds [Hz].
+
+    Returns
+    -------
+    Periods per turn, or 2π m, shape (a,), and amplitudes [unit of x], shape (a,).
+    """
+    low, travel = (float(q.min()), float(np.ptp(q))) if len(q) else (0.0, 0.0)
+    slow = float(np.quantile(np.abs(v), _SLOW)) if len(v) else 0.0
+    most = min(_PERIODS, 2 * np.pi * band / slow if slow > 0 else np.inf)
+    least = 2 * np.pi / travel if travel > 0 else np.inf
+    if most <= least:
+        return np.zeros(0), np.zeros(0)
+    bins = min(int(np.ceil(travel * most * _ACROSS / (2 * np.pi))), _BINS)
+    width = travel / bins
+    index = np.minimum(((q - low) / width).astype(np.intp), bins - 1)
+    count, total = np.bincount(index, minlength=bins), np.bincount(index, x - x.mean(), bins)
+    size = fft.next_fast_len(_FINE * bins, real=True)
+    of_count, of_total = (np.conj(fft.rfft(y, size)) for y in (count, total))  # Σ y exp(i n q)
+    k = np.arange(_FINE, min(int(most * size * width / (2 * np.pi)), (len(of_count) - 1) // 2) + 1)
+    return k * (2 * np.pi / (size * width)), _amplitude(len(x), of_count[k], of_count[2 * k], of_total[k])
+
+
+def _amplitude(n: int, one: Array, two: Array, with_x: Array) -> Array:
+    """Of the least-squares fit of c cos + s sin + constant, by the sums of exp(i n q), exp(2 i n q) and x exp(i n q)."""
+    c, s = one.real / n, one.imag / n
+    cc, ss, cs = (1 + two.real / n) / 2 - c * c, (1 - two.real / n) / 2 - s * s, two.imag / (2 * n) - c * s
+    det = cc * ss - cs * cs
+    safe = np.where(det > 1e-3, det, np.inf)  # a fraction of a period: no sine of its own
+    x, y = with_x.real / n, with_x.imag / n
+    return np.asarray(np.hypot((ss * x - cs * y) / safe, (cc * y - cs * x) / safe))

@@ -1,0 +1,343 @@
+"""diagnosis.json, its words, and `idtool diagnose` in the terminal; what is found is made up."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from commands import JOINTS, LEG, files, idtool, strict_json
+from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, step_of
+from rich.console import Console
+
+from idtool.diagnosis.records import Candidate, Diagnosis, Level
+from idtool.diagnosis_report import diagnosis_report, gap_closed
+from idtool.fit import Fit
+from idtool.terminal import Terminal
+from idtool.terminal.diagnosis import show_diagnosis
+
+STEP = (
+    *("effect", "joint", "link", "parameters", "standard_error", "where", "evidence"),
+    *("validation_rms_before", "validation_rms_after", "alternatives"),
+)
+
+
+@pytest.fixture(scope="module")
+def leg(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Fit]:
+    return fits(tmp_path_factory.mktemp("leg"))
+
+
+@pytest.fixture
+def found(leg: tuple[Fit, Fit]) -> Diagnosis:
+    """Stribeck friction on the hip."""
+    return diagnosis_of(*leg, step_of())
+
+
+def report_of(diagnosis: Diagnosis, inertia: str = "refit") -> dict[str, Any]:
+    """The content of diagnosis.json, as a reader gets it."""
+    report = diagnosis_report(diagnosis, inertia)
+    read = strict_json(json.dumps(report, allow_nan=False))
+    assert read == report  # plain data: nothing is turned into something else on the way
+    return dict(read)
+
+
+def said(diagnosis: Diagnosis, explain: bool = False, color: bool = False) -> str:
+    """What the terminal shows."""
+    terminal, out = Terminal(quiet=False, as_json=False), io.StringIO()
+    terminal.console = Console(
+        file=out, width=250, highlight=False, force_terminal=color, color_system="standard" if color else None
+    )
+    show_diagnosis(terminal, report_of(diagnosis), Path("out"), ("diagnosis.json", "diagnosis.html"), explain)
+    return out.getvalue()
+
+
+def test_the_report_has_what_the_contract_promises(found: Diagnosis) -> None:
+    report = report_of(found)
+    assert list(report)[:2] == ["idtool", "schema"]
+    assert report["verdict"] == "explained"
+    for part in ("before", "after"):
+        assert set(report[part]) == {"train", "validation", "simulation"}
+        assert all(set(rms) == {*JOINTS, "overall"} for rms in report[part].values())
+    assert report["before"]["validation"]["hip"] == pytest.approx(1.43)
+    assert report["after"]["simulation"]["hip"] == 0.012
+    assert report["noise_floor"]["hip"] == 0.5
+    assert report["data_faults"] == []
+    (step,) = report["steps"]
+    assert set(STEP) < set(step)
+    assert (step["effect"], step["joint"], step["link"]) == ("stribeck_friction", "hip", None)
+    assert step["parameters"] == {"stribeck": 1.9123, "velocity": 0.15}
+    assert step["standard_error"] == {"stribeck": 0.2, "velocity": None}
+    assert step["where"] == {"joints": ["hip"], "windows": [[1.25, 2.5], [4.0, 4.5]], "region": "below 0.15 rad/s"}
+    assert (step["validation_rms_before"]["hip"], step["validation_rms_after"]["hip"]) == pytest.approx((1.43, 0.66))
+    (rival,) = step["alternatives"]
+    assert {"effect": "load_dependent_friction", "joint": "hip", "link": None, "score": 0.6}.items() <= rival.items()
+    assert [one["reason"] for one in step["rejected"]] == ["within two standard errors of zero"]
+    evidence = step["evidence"]
+    assert (evidence["score"], evidence["standard_error"], evidence["significance"]) == (0.64, 0.03, 21.0)
+    assert (evidence["simulation_before"]["hip"], evidence["simulation_after"]["hip"]) == (0.03, 0.012)
+    assert evidence["sentence"] == step_of().sentence
+
+
+def test_faults_and_what_is_unknown_are_there(found: Diagnosis) -> None:
+    report = report_of(faulty(found))
+    assert report["data_faults"] == [{"fault": "velocity_lag", "joint": "hip", "detail": BEHIND}]
+    last = report["steps"][-1]
+    assert (last["effect"], last["joint"], last["parameters"]) == ("unknown", "knee", {})
+    assert report["removed"] == [BEHIND]
+    assert BEHIND in report["warnings"]
+    assert len(set(report["warnings"])) == len(report["warnings"])
+
+
+def test_arrays_and_what_is_not_finite_become_plain(found: Diagnosis) -> None:
+    step = step_of(
+        chosen=Candidate("payload", None, "shank_link", np.float64(0.5), np.float64(np.inf), 10),
+        parameters={"mass": np.float64(0.4), "com": np.array([0.0, 0.1, 0.2]), "inertia": (1e-3,) * 6},
+        standard_error={"mass": 0.01, "com": np.array([0.1, np.nan, 0.2]), "inertia": None},
+        significance=np.inf,
+    )
+    (written,) = report_of(replace(found, steps=(step,)))["steps"]
+    assert written["parameters"]["com"] == [0.0, 0.1, 0.2]
+    assert written["standard_error"] == {"mass": 0.01, "com": [0.1, None, 0.2], "inertia": None}
+    assert written["evidence"]["standard_error"] is None
+    assert written["evidence"]["significance"] is None
+    assert written["units"] == {"mass": "kg", "com": "m", "inertia": "kg·m²"}
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "parameters", "units"),
+    [
+        ("stribeck_friction", "hip", ("stribeck", "velocity"), ("N·m", "rad/s")),
+        ("stribeck_friction", "knee", ("stribeck", "velocity"), ("N", "m/s")),
+        ("encoder_offset", "hip", ("offset",), ("rad",)),
+        ("torque_offset", "hip", ("offset",), ("N·m",)),
+        ("torque_offset", "knee", ("offset",), ("N",)),
+        ("rotor_inertia", "knee", ("inertia",), ("kg",)),
+        ("torque_gain", "hip", ("gain",), (None,)),
+        ("torque_ripple", "hip", ("amplitude", "periods", "phase"), ("N·m", "per turn", "rad")),
+        ("time_delay", None, ("delay",), ("s",)),
+    ],
+)
+def test_units_are_those_of_the_joint(
+    found: Diagnosis, effect: str, joint: str | None, parameters: tuple[str, ...], units: tuple[str | None, ...]
+) -> None:
+    report = report_of(sliding(found, effect, joint, dict.fromkeys(parameters, 1.0)))
+    assert report["units"]["knee"] == "N"
+    assert tuple(report["steps"][0]["units"].values()) == units
+    assert "N·m and N together" in report["summary"]
+
+
+def sliding(found: Diagnosis, effect: str, joint: str | None, parameters: dict[str, Any]) -> Diagnosis:
+    """An effect on a leg whose knee slides."""
+    step = step_of(chosen=candidate(effect, joint), parameters=parameters, standard_error={})
+    model = found.last.experiment.model
+    *others, knee = model.joints
+    model = replace(model, joints=(*others, replace(knee, kind="prismatic")))
+    last = replace(found.last, experiment=replace(found.last.experiment, model=model))
+    return replace(found, last=last, steps=(step,))
+
+
+@pytest.mark.parametrize(
+    ("joint", "source", "unit"), [("hip", "knee", "m"), ("knee", "hip", "1/m"), ("hip", "abad", None)]
+)
+def test_a_coupling_of_unlike_joints_has_a_unit(found: Diagnosis, joint: str, source: str, unit: str | None) -> None:
+    parameters = {"source": source, "coefficient": 0.1}
+    (step,) = report_of(sliding(found, "transmission_coupling", joint, parameters))["steps"]
+    assert step["parameters"] == parameters
+    assert step["units"] == {"source": None, "coefficient": unit}
+
+
+def test_the_share_of_the_gap_that_is_closed() -> None:
+    before, floor = (
+        {"a": 1.0, "b": 1.0, "c": 1.02, "d": 2.0, "e": 0.9},
+        dict.fromkeys("abcde", 1.0) | {"a": 0.5, "b": 0.5},
+    )
+    after = {"a": 0.6, "b": 0.4, "c": 1.0, "d": 2.5, "e": 0.8}
+    closed = gap_closed(before, after, floor)
+    assert closed["a"] == pytest.approx(0.8)  # (1 − 0.6) / (1 − 0.5)
+    assert closed["b"] == 1.0  # below the floor: all of it
+    assert closed["c"] is None  # no gap to speak of
+    assert closed["d"] == pytest.approx(-0.5)  # it has grown
+    assert closed["e"] is None
+
+
+def test_there_is_no_gap_where_model_and_data_do_not_disagree(leg: tuple[Fit, Fit]) -> None:
+    report = report_of(diagnosis_of(*leg))
+    assert set(report["gap_closed"].values()) == {None}
+    assert "do not disagree" in report["summary"]
+    assert "Nothing was added" in report["summary"]
+    assert report["next"] == report["steps"] == []
+
+
+@pytest.mark.parametrize(
+    ("torque", "before", "after", "worse"),
+    [
+        (0.6, 0.03, 0.04, [*JOINTS, "overall"]),
+        (0.6, 0.03, 0.0303, []),  # by one part in a hundred: no news
+        (1.3, 0.03, 0.04, []),  # the torque is no better either
+        (0.6, 0.03, np.inf, [*JOINTS, "overall"]),  # they ran away
+        (0.6, np.nan, 0.04, []),  # they ran away before
+        (0.6, None, None, []),
+    ],
+)
+def test_rollouts_that_got_worse_while_torque_got_better(
+    found: Diagnosis, torque: float, before: float | None, after: float | None, worse: list[str]
+) -> None:
+    levels = (level(0.2, 1.3, 0.4, simulated=before), level(0.2, torque, 0.4, simulated=after))
+    step = step_of(before=levels[0], after=levels[1])
+    diagnosis = replace(found, steps=(step,), before=levels[0], after=levels[1])
+    report = report_of(diagnosis)
+    assert report["steps"][0]["evidence"]["rollout_worse"] == report["rollout_worse"] == worse
+    red = "\x1b[1;31m   its rollouts got worse while the torque got better: abad 0.0300 → "
+    assert (red in said(diagnosis, color=True)) == bool(worse)
+    assert any("Do not simulate" in text for text in report["next"]) == bool(worse)
+
+
+def test_without_held_out_data_the_training_error_stands_in(found: Diagnosis) -> None:
+    def trained(of: Level) -> Level:
+        return replace(of, validation=None)
+
+    step = step_of(before=trained(found.before), after=trained(found.after))
+    report = report_of(replace(found, before=step.before, after=step.after, steps=(step,)))
+    assert report["before"]["validation"] is None
+    assert report["steps"][0]["validation_rms_before"] == report["before"]["train"]
+    assert report["gap_closed"]["hip"] == pytest.approx((1.3 - 0.6) / (1.3 - 0.5))
+    assert "training torque error" in report["summary"]
+
+
+def test_the_verdict_in_words(found: Diagnosis) -> None:
+    text = report_of(found)["summary"]
+    assert text.startswith("The model lacks Stribeck friction on hip (or load-dependent friction on hip). With that, ")
+    assert "from 0.873 to 0.475 N·m RMS, the noise floor being 0.387 N·m: 82 % of the gap is closed." in text
+    partly = report_of(faulty(found))["summary"]
+    assert partly.endswith("What is left is unknown, on knee.")
+    alone = replace(faulty(found), steps=faulty(found).steps[-1:], after=found.before, verdict="unexplained")
+    text = report_of(alone)["summary"]
+    assert text.startswith("Model and data disagree, and no known effect explains it: unknown, on knee.")
+
+
+def test_what_to_do_next(found: Diagnosis) -> None:
+    first, second, third = report_of(faulty(found))["next"]
+    assert first.startswith("Correct the data first")
+    wanted = "To tell Stribeck friction on hip from load-dependent friction on hip: slow strokes of the hip"
+    assert second.startswith(wanted)
+    assert "on knee" in third
+    assert "near the upper end of its travel" in third
+
+
+def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:
+    lines = said(found).splitlines()
+    assert lines[0].startswith("The model lacks Stribeck friction on hip")
+    (row,) = [line for line in lines if line.startswith("1 ")]
+    for cell in ("stribeck_friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"):
+        assert cell in row
+    for cell in ("0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load_dependent_friction hip"):
+        assert cell in row
+    assert "1. hip: friction rises below 0.15 rad/s" in lines
+    (hip,) = [line.split() for line in lines if line.startswith("hip ")]
+    assert hip == ["hip", "1.43", "0.660", "0.500", "83", "%", "0.0300", "0.0120"]
+    assert "why not" not in said(found)
+    assert "within two standard errors of zero" in said(found, explain=True)
+    assert lines[-1] == "written: out/diagnosis.json, diagnosis.html"
+
+
+def test_the_terminal_says_faults_first_and_shows_names_as_they_are(found: Diagnosis) -> None:
+    step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"))
+    text = said(faulty(replace(found, steps=(step,))))
+    assert text.startswith(f"fault of the data: hip: velocity lag: {BEHIND}\nThe model lacks")
+    assert "[bold]hip[/bold]" in next(line for line in text.splitlines() if line.startswith("1 "))
+    assert f"taken out again: {BEHIND}" in text
+    assert f"note: {BEHIND}" in text
+    assert "3. " not in text
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What `idtool diagnose` asked for."""
+
+    inertia: str
+    effects: tuple[str, ...] | None
+    most: int
+    assumed: tuple[tuple[str, str | None], ...]
+    simulated: bool
+
+
+@pytest.fixture
+def asked(found: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
+    """The command with a made-up diagnosis in place of a real one."""
+    options: list[Asked] = []
+
+    def diagnose(experiment: Any, given: Asked, progress: Any) -> Diagnosis:
+        options.append(given)
+        return found
+
+    monkeypatch.setitem(sys.modules, "idtool.diagnosis.diagnose", SimpleNamespace(Options=Asked, diagnose=diagnose))
+    return options
+
+
+LOG = LEG.with_name("leg_train.mcap")
+
+
+def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
+    tmp_path: Path, asked: list[Asked]
+) -> None:
+    done = idtool("diagnose", LEG, LOG, "--out", tmp_path / "out", "--json")
+    assert done.code == 0
+    assert set(files(tmp_path / "out")) == {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
+    assert strict_json((tmp_path / "out" / "diagnosis.json").read_text()) == done.json
+    assert "The model lacks Stribeck friction on hip" in done.err
+    assert asked == [Asked("refit", None, 8, (), True)]
+    entry, late = yaml.safe_load((tmp_path / "out" / "model.yaml").read_text())["effects"]
+    assert (entry["effect"], entry["joint"]) == ("stribeck_friction", "hip")
+    assert set(entry["parameters"]["stribeck"]) == {"value", "standard_error"}
+    assert late == {"effect": "time_delay", "parameters": {"delay": 0.005}}
+    again = idtool(
+        "validate", tmp_path / "out" / "identified.urdf", LOG, "--out", tmp_path, "--no-simulation", "--json"
+    )
+    assert again.code == 0  # the model is one that the other commands read
+
+
+def test_the_commands_options(tmp_path: Path, asked: list[Asked]) -> None:
+    options = ["--inertia", "fixed", "--effects", "torque_ripple, end_stop", "--max-effects", "2", "--no-simulation"]
+    options += ["--assume", "time_delay", "--assume", "end_stop:knee", "--assume", "payload:shank_link"]
+    done = idtool("diagnose", LEG, LOG, *options, "--report-only", "--quiet", "--explain", "--out", tmp_path)
+    assert (done.code, done.out, done.err) == (0, "", "")
+    assert set(files(tmp_path)) == {"diagnosis.json", "diagnosis.html"}
+    assumed = (("time_delay", None), ("end_stop", "knee"), ("payload", "shank_link"))
+    assert asked == [Asked("fixed", ("torque_ripple", "end_stop"), 2, assumed, False)]
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["--effects", "torque_ripple,stribek"], "--effects: stribek is no effect; did you mean stribeck_friction?"),
+        (["--effects", ""], "--effects: nothing is no effect; there are: "),
+        (["--effects", "unknown"], "--effects: unknown is no effect; "),
+        (["--assume", "endstop:knee"], "--assume: endstop is no effect; did you mean end_stop?"),
+        (["--assume", "end_stop:kne"], "--assume: kne is no joint of the model; did you mean knee?"),
+        (["--assume", "end_stop"], "--assume: end_stop acts on a joint; give end_stop:JOINT"),
+        (["--assume", "payload:knee"], "--assume: knee is no link of the model; "),
+        (["--max-effects", "0"], "command: invalid value for '--max-effects'"),
+        (["--inertia", "free"], "command: invalid value for '--inertia'"),
+    ],
+)
+def test_options_that_cannot_be(tmp_path: Path, asked: list[Asked], options: list[str], error: str) -> None:
+    done = idtool("diagnose", LEG, LOG, *options, folder=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"error: {error}")
+    assert done.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == asked == []
+
+
+def test_nothing_is_written_where_a_file_cannot_be(tmp_path: Path, asked: list[Asked]) -> None:
+    (tmp_path / "model.yaml").mkdir()
+    (tmp_path / "diagnosis.json").write_text("the former one")
+    done = idtool("diagnose", LEG, LOG, "--out", tmp_path)
+    assert done.code == 2
+    assert files(tmp_path) == {"diagnosis.json": b"the former one"}

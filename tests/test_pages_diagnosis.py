@@ -1,0 +1,270 @@
+"""diagnosis.html: well-formed, complete in itself, safe from the names in it, and true to the results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import JOINTS
+from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
+from pages import SCRIPT, Page, complete, evaluation_of
+from replays import experiment_of, replay_of
+
+from idtool.diagnosis.records import Diagnosis, Level, Where
+from idtool.diagnosis_report import diagnosis_report
+from idtool.fit import Fit
+from idtool.pages import diagnosis_page, number
+from idtool.pages.diagnosis import parameter_texts
+
+
+@pytest.fixture(scope="module")
+def leg(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Fit]:
+    return fits(tmp_path_factory.mktemp("leg"))
+
+
+@pytest.fixture
+def found(leg: tuple[Fit, Fit]) -> Diagnosis:
+    """Stribeck friction on the hip, then a delay."""
+    second = step_of(
+        chosen=candidate("time_delay", None, score=0.3),
+        parameters={"delay": 0.0051},
+        standard_error={"delay": 0.0002},
+        where=Where((), (), ""),
+        before=step_of().after,
+        after=level(0.2, 0.55, 0.35, simulated=0.011),
+        sentence="all joints: the torque is 5.1 ms late",
+        pair=False,
+        alternatives=(),
+        rejected=(),
+    )
+    return diagnosis_of(*leg, step_of(), second)
+
+
+def page_of(diagnosis: Diagnosis, command: str = "idtool diagnose leg.urdf", **changes: Any) -> Page:
+    return Page(diagnosis_page(diagnosis, {**diagnosis_report(diagnosis, "refit"), **changes}, command))
+
+
+def test_the_page_is_complete_in_itself(found: Diagnosis) -> None:
+    complete(page_of(found))
+    complete(page_of(faulty(found)))
+
+
+def test_names_and_texts_stay_text(found: Diagnosis) -> None:
+    step = step_of(
+        chosen=candidate(SCRIPT, SCRIPT),
+        parameters={SCRIPT: SCRIPT},
+        where=Where((SCRIPT,), (), SCRIPT),
+        separate=SCRIPT,
+        sentence=SCRIPT,
+        alternatives=(candidate(SCRIPT, SCRIPT, reason=SCRIPT),),
+        rejected=(candidate(BEHIND, BEHIND, reason=BEHIND),),
+    )
+    page = page_of(faulty(replace(found, steps=(step,))), f"idtool diagnose {SCRIPT} \udcff", warnings=["a\udcff"])
+    assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3
+    assert "<" not in page.scripts[1]
+    for text in (f"idtool diagnose {SCRIPT} ?", "a?", BEHIND, f"{SCRIPT}: {SCRIPT}"):
+        assert text in page.text
+
+
+def test_the_findings_say_how_far_to_trust_them(found: Diagnosis) -> None:
+    page = page_of(found)
+    assert page.levels[:4] == ["good", "note", "good", "good"]  # the verdict, a pair, the delay, the rollouts
+    assert "The model lacks Stribeck friction on hip (or load-dependent friction on hip) and a time delay" in page.plain
+    assert "The data cannot tell it from load-dependent friction on hip." in page.plain
+    assert "Its gain in held-out data is 21 times its standard error." in page.plain
+    assert "positions are 0.0110 rad RMS from the measured ones; without the effects, 0.0300 rad." in page.plain
+    page = page_of(faulty(found))
+    assert page.levels[:5] == ["bad", "note", "note", "good", "bad"]  # the fault first; the unknown
+    assert f"velocity lag: {BEHIND}" in page.plain
+    assert "Taken out again" in page.plain
+
+
+def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
+    worse = level(0.2, 0.55, 0.35, simulated=0.04)
+    first, second = found.steps
+    page = page_of(replace(found, steps=(first, replace(second, after=worse)), after=worse))
+    assert page.levels[:4] == ["good", "note", "note", "bad"]
+    assert "Do not simulate with this model." in page.plain
+    assert (
+        "With it, the torque is predicted better, but the rollouts got worse: abad, hip, knee, overall." in page.plain
+    )
+    assert page.tags.count(("td", {"class": "bad"})) == 1 + len(JOINTS) + 1  # of the step, and of all joints
+    assert ("td", {"class": "bad"}) not in page_of(found).tags
+
+
+def test_the_gap_is_drawn_step_by_step(found: Diagnosis) -> None:
+    gap = page_of(found).data["gap"]
+    assert gap["names"] == ["the model given", "1: Stribeck friction on hip", "2: time delay on all joints"]
+    assert [joint["name"] for joint in gap["joints"]] == ["all joints", *JOINTS]
+    hip = gap["joints"][2]
+    assert hip["torque"]["values"] == pytest.approx([1.43, 0.66, 0.605])
+    assert (hip["torque"]["unit"], hip["torque"]["floor"]) == ("N·m", 0.5)
+    assert hip["rollout"] == {"unit": "rad", "values": [0.03, 0.012, 0.011]}
+    left = faulty(found)
+    assert page_of(left).data["gap"] == gap  # what is unknown moves nothing
+    ended = replace(found, after=level(0.2, 0.52, 0.35, simulated=0.011))
+    gap = page_of(ended).data["gap"]
+    assert gap["names"][-1] == "in the end"
+    assert gap["joints"][2]["torque"]["values"][-1] == pytest.approx(0.572)
+
+
+def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
+    page = page_of(found)
+    hip = next(row for row in page.rows if row[0] == "hip" and len(row) == 8)
+    assert hip == ["hip", "1.43", "0.605", "0.500", "89 %", "0.550", "0.0300", "0.0110"]
+    step = next(row for row in page.rows if row[0] == "1. Stribeck friction on hip")
+    assert step[1:3] == ["stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"]
+    assert step[3:] == ["0.0300 → 0.0120", "load-dependent friction on hip"]
+    words = {row[0]: row[1] for row in page.rows if len(row) == 2}
+    assert words["where"] == "all joints"  # the last of equal heads: of the delay
+    assert "64.0 ± 3.0 % of the disagreement's power" in page.plain
+    assert "1.250 to 2.500 s, 4.000 to 4.500 s" in page.plain
+    assert ["backlash", "hip", "10.0 ± 3.0 %", "2", "within two standard errors of zero"] in page.rows
+
+
+def test_residuals_are_drawn_before_and_after(found: Diagnosis) -> None:
+    drawn = page_of(found).data["residuals"]
+    assert [joint["name"] for joint in drawn] == list(JOINTS)
+    views = drawn[1]["views"]
+    titles = ["position [rad]", "velocity [rad/s]", "torque [N·m]", "time [s]", "frequency [Hz]", "periods per turn"]
+    assert [view["x"] for view in views] == titles
+    np.testing.assert_allclose(views[0]["before"]["mean"], views[0]["before"]["at"], rtol=1e-3)
+    np.testing.assert_allclose(views[0]["after"]["rms"], 0.2 * np.abs(views[0]["after"]["at"]), rtol=2e-3)
+
+
+def test_no_line_of_a_spectrum_is_lost_in_drawing(found: Diagnosis) -> None:
+    maps = {joint: residual(1.0, lines=50_000) for joint in JOINTS}
+    for view in page_of(replace(found, maps_before=maps)).data["residuals"][0]["views"][4:]:
+        assert len(view["before"]["rms"]) <= 200
+        assert max(view["before"]["rms"]) == 1.0
+        at = view["before"]["at"][int(np.argmax(view["before"]["rms"]))]
+        assert at == pytest.approx(maps["hip"].frequency[50_000 // 3], rel=1e-3)
+
+
+def test_the_torque_of_both_models_is_drawn(found: Diagnosis) -> None:
+    (log,) = page_of(found).data["logs"]
+    curves = {}
+    for name, fitted in (("predicted", found.last), ("prior", found.first)):
+        drawn = curves[name] = np.array([joint[name] for joint in log["joints"]], dtype=float)
+        wanted = fitted.validation.traces[0].curves["identified"]
+        pairs = (np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted))
+        np.testing.assert_allclose(*pairs, atol=1e-3)
+    assert np.nanmax(np.abs(curves["prior"] - curves["predicted"])) > 0.01
+
+
+def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
+    page = page_of(found)
+    assert found.first.simulation is not None
+    (log,) = page.data["simulation"]["logs"]
+    drawn = np.array([joint["prior"] for joint in log["joints"]], dtype=float)
+    wanted = found.first.simulation.traces[0].curves["identified"]
+    np.testing.assert_allclose(*(np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted)), atol=1e-3)
+    assert "Prior: the model given, fitted without them." in page.text
+    (hip,) = [row for row in page.rows if row[0] == "hip" and len(row) == 7]
+    for column, fitted in ((1, found.last), (2, found.first)):
+        assert fitted.simulation is not None
+        assert hip[column] == number(fitted.simulation.departures["identified"].rmse(JOINTS, "position")["hip"])
+    assert hip[1] != hip[2]
+
+
+def test_a_page_without_rollouts_or_held_out_data(found: Diagnosis) -> None:
+    def poor(of: Level) -> Level:
+        return Level(of.train, None, None)
+
+    steps = tuple(replace(step, before=poor(step.before), after=poor(step.after)) for step in found.steps)
+    last, first = (replace(fit, simulation=None) for fit in (found.last, found.first))
+    page = page_of(
+        replace(found, steps=steps, last=last, first=first, before=poor(found.before), after=poor(found.after))
+    )
+    complete(page)
+    assert "Simulation" not in page.text
+    assert "Nothing was held out" in page.plain
+    assert "Rollouts" not in page.text
+    assert page.data["gap"]["joints"][0]["rollout"] is None
+    assert page.data["gap"]["joints"][2]["torque"]["values"] == pytest.approx([1.3, 0.6, 0.55])
+
+
+def test_a_model_of_which_one_runs_away_still_has_its_page(found: Diagnosis) -> None:
+    assert found.first.simulation is not None
+    assert found.last.simulation is not None
+    for fit, shown in ((found.first, True), (found.last, False)):
+        assert fit.simulation is not None
+        failed = replace(fit, simulation=replace(fit.simulation, failed={"identified": "no"}, departures={}))
+        changed = replace(found, first=failed) if fit is found.first else replace(found, last=failed)
+        page = page_of(changed)
+        complete(page)
+        assert ("Simulation" in page.text) == shown
+
+
+def test_clean_data(leg: tuple[Fit, Fit]) -> None:
+    page = page_of(diagnosis_of(leg[0], leg[0]))
+    complete(page)
+    assert page.levels[0] == "good"
+    assert "Model and data do not disagree" in page.plain
+    assert "Nothing was added." in page.plain
+    assert page.data["gap"]["names"] == ["the model given"]
+    assert "The steps" not in page.text
+    assert not [attrs for _, attrs in page.tags if "data-gap" in attrs]
+    assert len([attrs for _, attrs in page_of(diagnosis_of(*leg, step_of())).tags if "data-gap" in attrs]) == 4
+
+
+def test_the_worst_joint_is_the_one_that_is_open(found: Diagnosis) -> None:
+    html = page_of(found).html
+    where = html.index("Where the torque error lives")
+    assert html.index("<details open>", where) < html.index("<summary>hip</summary>", where)
+    assert html.index("<details open>", where) > html.index("<summary>abad</summary>", where)
+
+
+@pytest.mark.parametrize(
+    ("values", "errors", "text"),
+    [
+        ({"com": [0.01, 0.2]}, {"com": [0.001, None]}, "com [0.0100 ± 0.0010, 0.2000] m"),
+        ({"windows": [[1.0, 2.0], [3.0, 4.0]]}, {}, "windows [[1.000, 2.000], [3.000, 4.000]] m"),
+        ({"source": "knee"}, {"source": None}, "source knee"),
+        ({"gain": None}, {}, "gain –"),
+    ],
+)
+def test_parameters_in_words(values: dict[str, Any], errors: dict[str, Any], text: str) -> None:
+    units = {name: "m" if isinstance(value, list) else None for name, value in values.items()}
+    assert parameter_texts({"parameters": values, "standard_error": errors, "units": units}) == [text]
+
+
+def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.random.Generator) -> None:
+    """Twelve joints, eight steps and some hundred candidates each."""
+    joints = [f"joint number {j}" for j in range(12)]
+    units = dict.fromkeys(joints, "N·m")
+    report = diagnosis_report(found, "refit")
+    for key in ("noise_floor", "gap_closed", "friction", "friction_intervals"):
+        report[key] = dict.fromkeys([*joints, "overall"], next(iter(report[key].values())))
+    rms = dict.fromkeys([*joints, "overall"], 0.5)
+    report["before"] = report["after"] = dict.fromkeys(("train", "validation", "simulation"), rms)
+    other = diagnosis_report(
+        replace(found, steps=(step_of(rejected=(candidate("backlash", reason="x" * 80),) * 200),)), ""
+    )
+    step = {**other["steps"][0], "validation_rms_before": rms, "validation_rms_after": rms}
+    step["evidence"] = {**step["evidence"], "simulation_before": rms, "simulation_after": rms}
+    body = next(iter(report["bodies"].values()))
+    report |= {"joints": joints, "units": units, "steps": [step] * 8, "bodies": {f"body {i}": body for i in range(30)}}
+    curves = {name: rng.normal(size=(12, 4000)) for name in ("measured", "identified")}
+    fit = SimpleNamespace(
+        validation=evaluation_of(curves, logs=6), simulation=replay_of(curves), experiment=experiment_of(units)
+    )
+    many = residual(1 / 3, points=500, lines=50_000)
+    maps = dict.fromkeys(joints, replace(many, mean={name: rng.normal(size=500) for name in many.mean}))
+    large: Any = replace(found, first=fit, last=fit, maps_before=maps, maps_after=maps)  # type: ignore[arg-type]
+    page = Page(diagnosis_page(large, report, "idtool diagnose"))
+    complete(page)
+    assert len(page.data["residuals"]) == 12
+    assert "diagnosis.json holds them" in page.text
+
+
+def test_what_is_left_is_said_even_where_nothing_was_found(leg: tuple[Fit, Fit]) -> None:
+    before = level(0.2, 0.6, 1.4)
+    page = page_of(diagnosis_of(*leg, unknown_of(before), verdict="unexplained"))
+    complete(page)
+    assert page.levels[:2] == ["bad", "bad"]
+    assert "no known effect explains it: unknown, on knee." in page.plain
+    assert "near the upper end of its travel" in page.plain
