@@ -28,8 +28,13 @@ _STEP = 1e-5  # rad, rad/s: of a difference; the torque is linear in a
 class Equation(Protocol):
     """A torque equation; see `LinearModel`."""
 
-    joints: tuple[str, ...]
-    effects: tuple[Effect, ...]
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The terms."""
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:

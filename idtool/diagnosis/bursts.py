@@ -1,5 +1,4 @@
-"""Stretches of time in which something acts on the robot that does not otherwise: what is left of the torque comes at
-once, stays, and goes at once.
+"""Stretches of time in which something acts on the robot that does not otherwise.
 
 A model fitted to data with a contact is bent by it, and leaves something everywhere; so what is left is that of a fit
 which does not heed the contact. A contact is told from friction, gears and the rest by its shape: its torque comes
@@ -79,7 +78,12 @@ def bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tu
 def _normalised(
     experiment: Experiment, theta: Array, progress: Progress
 ) -> tuple[Array, Array, NDArray[np.bool_], list[int]]:
-    """Times, what a fit leaves that does not heed bursts, (nv, n), in units of each joint's noise, what counts, starts."""
+    """What a fit leaves that does not heed bursts, in units of each joint's noise.
+
+    Returns
+    -------
+    Times [s], shape (n,), what is left, shape (nv, n), which of it counts, shape (nv, n), and where stretches begin.
+    """
     model = (experiment.equation, robust(experiment, theta, progress))
     found, starts, count, torque, seconds = [], [], 0, np.zeros(len(experiment.equation.joints)), 0
     for piece in pieces(experiment, [model], progress, "looking for contacts"):
@@ -89,8 +93,8 @@ def _normalised(
         found.append((piece.t, piece.left[0], piece.kept))
     t, left, kept = (np.concatenate(x, axis=-1) for x in zip(*found, strict=True))
     noise = [1.4826 * float(np.median(np.abs(x[k]))) if k.any() else 0.0 for x, k in zip(left, kept, strict=True)]
-    noise = np.maximum(np.maximum(noise, _SMALL * np.sqrt(torque / max(seconds, 1))), 1e-300)
-    return t, left / noise[:, None], kept, starts
+    least = np.maximum(_SMALL * np.sqrt(torque / max(seconds, 1)), 1e-300)
+    return t, left / np.maximum(noise, least)[:, None], kept, starts
 
 
 def _levels(r: Array, kept: NDArray[np.bool_]) -> Array:
@@ -102,7 +106,7 @@ def _levels(r: Array, kept: NDArray[np.bool_]) -> Array:
     level = np.sqrt(np.square(r * kept).sum(axis=0) / np.maximum(count, 1))
     after = np.minimum(np.searchsorted(known, np.arange(len(level))), len(known) - 1)
     before = np.maximum(after - 1, 0)
-    return np.where(count > 0, level, np.minimum(level[known[before]], level[known[after]]))
+    return np.asarray(np.where(count > 0, level, np.minimum(level[known[before]], level[known[after]])))
 
 
 @dataclass(frozen=True)
@@ -157,9 +161,9 @@ class _Stretch:
         total, count = (np.cumsum(np.insert(x, 0, 0.0, axis=1), axis=1) for x in (self.r * self.kept, self.kept * 1.0))
         i = np.arange(m, n + 1 - m)
         before, after = count[:, i] - count[:, i - m], count[:, i + m] - count[:, i]
-        change = (total[:, i + m] - total[:, i]) / np.maximum(after, 1) - (
-            total[:, i] - total[:, i - m]
-        ) / np.maximum(before, 1)
+        change = (total[:, i + m] - total[:, i]) / np.maximum(after, 1) - (total[:, i] - total[:, i - m]) / np.maximum(
+            before, 1
+        )
         known = np.minimum(before, after) >= m / 3
         jumps[i] = np.sqrt((np.square(change) * known).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
         return jumps

@@ -85,17 +85,13 @@ def course(experiment: Experiment, models: Models, progress: Progress, stage: st
     for piece in found:
         starts += [count] * len(piece.starts)
         count += len(piece.t)
-    joined = (
-        np.concatenate([getattr(piece, name) for piece in found], axis=-1)
-        for name in ("t", "step", "q", "v", "a", "tau", "left", "kept")
-    )
-    return Course(*joined, starts=tuple(starts))
+    names = ("t", "step", "q", "v", "a", "tau", "left", "kept")
+    joined = {name: np.concatenate([getattr(piece, name) for piece in found], axis=-1) for name in names}
+    return Course(**joined, starts=tuple(starts))
 
 
-def pieces(
-    experiment: Experiment, models: Models, progress: Progress, stage: str, every: int = 1
-) -> Iterator[Course]:
-    """The same in pieces of bounded size, of which one of ``every`` is kept; ``starts`` is empty in one that goes on."""
+def pieces(experiment: Experiment, models: Models, progress: Progress, stage: str, every: int = 1) -> Iterator[Course]:
+    """The same in pieces of bounded size, one of ``every``; ``starts`` is empty in a piece that goes on."""
     first = 0.0
     for run in experiment.runs:
         signals = run.signals

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from idtool.config import EffectEntry
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.floor import Floor, noise_floor
-from idtool.diagnosis.ground import Ground, ground
+from idtool.diagnosis.ground import ground
 from idtool.diagnosis.level import level
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict, Where
 from idtool.diagnosis.screen import screened
@@ -122,9 +122,7 @@ def _of(one: Fit) -> Level:
     held_out = one.validation.errors["identified"]
     run = one.simulation
     moved = None if run is None or "identified" in run.failed else run.departures["identified"].rmse(joints, "position")
-    return Level(
-        one.train.errors["identified"].rms(joints), held_out.rms(joints) if held_out.samples else None, moved
-    )
+    return Level(one.train.errors["identified"].rms(joints), held_out.rms(joints) if held_out.samples else None, moved)
 
 
 class _Search:
@@ -204,9 +202,8 @@ class _Search:
                 continue
             out = self.added.pop(i)
             by = self.added[-1].chosen
-            self.removed.append(
-                f"{out.chosen.effect} on {out.chosen.on} was taken out again: with {by.effect} on {by.on} it pays no more"
-            )
+            what = f"{out.chosen.effect} on {out.chosen.on} was taken out again"
+            self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
             self._settle(entries)
 
     def _needed(self, one: _Added, others: Sequence[EffectEntry]) -> bool:

@@ -27,16 +27,15 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_SUSPICIOUS = 0.01  # u above which mistakes are looked for
+_SUSPICIOUS = 0.005  # u above which mistakes are looked for
 _GAIN = 1.5  # what the sum over the joints of log u has to fall by; without a mistake none of 200 logs gained 0.5
-_LESS = 0.3  # to which the mean of u has to fall
+_LESS = 0.35  # to which the mean of u has to fall
 _LEFT = 0.15  # mean of u above which nothing is believed in the end
 _ALIKE = 0.7  # of the same: of two that differ by less the former is believed
 _ROUNDS = 4
 _STAGE = "looking for wrong channels"
 _ORDER = 2.0  # what another order of the torques has to promise, of the same
 _RANGES = 10.0  # of the URDF that a joint can't cover, whatever the torque says
-_NEUTRAL = 0.5  # of the sum: what the fit does not mind
 _TURNS = 8 * np.pi  # rad that a joint without limits may be taken to cover
 _UNIT = 0.25  # log of v over dq/dt that is no calibration
 
@@ -83,7 +82,7 @@ class ChannelSearch:
         u = self._posed.unexplained(self.T)
         if u is not None:
             yield from self._mistakes(u)
-        yield from self._beyond()
+            yield from self._beyond(u)
         yield from self._velocities()
 
     def _mistakes(self, u: Array) -> Iterator[Fault]:
@@ -156,6 +155,8 @@ class ChannelSearch:
         for group in self.fit.groups:
             suspicious = max(u[group]) > _SUSPICIOUS
             own = trials(list(map(int, group)), self.joints, turned, outside, self.fit.excess) if suspicious else []
+            if any(j in outside and self._names[j] in self.computed for j in group):
+                own = []  # the torque is computed from what can't be, and tells nothing
             lists.append([trial for trial in own if trial.position or self._hope(u, trial, group) > _GAIN])
         return lists
 
@@ -177,6 +178,7 @@ class ChannelSearch:
     def _outside(self) -> set[int]:
         """Joints whose q lies beyond their limits by more than their range, or of many turns."""
         found = set()
+        known = {j for trial in self.accepted if trial.fault == "wrong_unit" for j in trial.joints}
         for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
             range_ = joint.upper - joint.lower
             if 0 < range_ < np.inf:
@@ -185,15 +187,18 @@ class ChannelSearch:
                 beyond = joint.kind != "prismatic" and high - low > _TURNS
             if beyond:
                 found.add(j)
-        return found
+        return found - known
 
-    def _beyond(self) -> Iterator[Fault]:
-        """Positions that can't be, where the torque does not mind the unit."""
+    def _beyond(self, u: Array) -> Iterator[Fault]:
+        """Positions that can't be, where the torque does not mind their unit or, being computed from them, can't tell."""
         known = {j for trial in self.accepted if trial.fault == "wrong_unit" for j in trial.joints}
+        outside = self._outside()
         for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
             range_ = joint.upper - joint.lower
-            if j not in known and 0 < range_ < np.inf and high - low > max(_RANGES * range_, np.pi):
-                what = f"q covers {high - low:.4g}, {(high - low) / range_:.0f} times its range in the URDF"
+            spoilt = j in outside and joint.name in self.computed and u[j] > _LEFT
+            far = 0 < range_ < np.inf and high - low > max(_RANGES * range_, np.pi)
+            if j not in known and (far or spoilt):
+                what = f"q goes from {low:.4g} to {high:.4g}, by the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
                 yield Fault("wrong_unit", joint.name, f"{what}, as degrees, mm or counts do: set its `log.scale`")
 
     def _velocities(self) -> Iterator[Fault]:

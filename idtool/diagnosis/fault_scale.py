@@ -20,9 +20,9 @@ from idtool.reduction import Factor
 
 Array = NDArray[np.float64]
 
-_SHARE = 0.3  # of a torque's power that weight or inertia must make up to tell the unit
+_WEIGHT, _INERTIA = 0.03, 0.3  # share of a torque's power that either must make up to tell the unit
 _EXPLAINED = 0.7  # of it that they and friction must explain together
-_SEVERAL, _ONE, _INERTIA = 5.0, 10.0, 30.0  # factors: by the weight of several joints, of one, by inertia alone
+_SEVERAL, _ONE, _HEAVY = 5.0, 10.0, 30.0  # factors: by the weight of several joints, of one, by inertia alone
 _BEYOND = 3.0  # standard errors, and
 _BEYOND_SHARE = 0.01  # of the extreme, that the torque must go on beyond it
 
@@ -41,7 +41,7 @@ def torque_unit(fit: FaultFit, change: Change, T: Array) -> Iterator[Fault]:
     """
     weight, inertia = _factors(fit, change, T)
     factors = weight or inertia
-    limit = (_SEVERAL if len(weight) > 1 else _ONE) if weight else _INERTIA
+    limit = (_SEVERAL if len(weight) > 1 else _ONE) if weight else _HEAVY
     logs = np.log(list(factors.values()))
     if not len(logs) or not (np.all(logs > np.log(limit)) or np.all(logs < -np.log(limit))):
         return
@@ -73,8 +73,8 @@ def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float],
         share, rest = nnls(x[:-1].T, x[-1])
         if rest**2 / x.shape[1] > 1 - _EXPLAINED:
             continue
-        for found, k in ((weight, 0), (inertia, 1)):
-            if share[k] ** 2 > _SHARE:
+        for found, k, least in ((weight, 0, _WEIGHT), (inertia, 1, _INERTIA)):
+            if share[k] ** 2 > least:
                 found[name] = float(share[k] * size[-1] / size[k])
     return weight, inertia
 

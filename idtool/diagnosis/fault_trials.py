@@ -89,9 +89,8 @@ def trials(
     """
     names, nv = [joint.name for joint in joints], len(joints)
     pairs = list(itertools.combinations(group, 2))
-    found = [_turned_position(j, nv) for j in group if j in turned]
-    found += [_position_unit(tuple(sorted(outside & set(group))), joints)] if outside & set(group) else []
-    found += [_position_unit((j,), joints) for j in group if j in outside and len(outside & set(group)) > 1]
+    found = [_position_unit(which, joints) for which in reversed(_subsets(sorted(outside & set(group))))]
+    found += [_turned_position(j, nv) for j in group if j in turned]
     found += [_turned_torque(which, nv) for which in _subsets(group)]
     found += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
     found += [_turned_position(j, nv) for j in group if j not in turned]

@@ -73,7 +73,7 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress) -> Flo
     low_pass, dt = experiment.runs[0].signals.low_pass, experiment.runs[0].signals.log.dt
     sums = _Sums(*np.zeros((4, len(experiment.equation.joints))))
     powers: list[list[Array]] = [[] for _ in experiment.equation.joints]
-    f = np.fft.rfftfreq(_SAMPLES, dt * low_pass.stride)
+    f: Array = np.fft.rfftfreq(_SAMPLES, dt * low_pass.stride).astype(np.float64)
     for run in experiment.runs:
         parts = run.held_out if held_out else run.train
         for batch in tracked(run.signals.batches(parts), parts, progress, "looking for the noise floor"):

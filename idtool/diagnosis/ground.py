@@ -13,6 +13,7 @@ Letters: p coefficients theta; r directions y; F blocks of time; sigma_j noise o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,20 +86,23 @@ class Ground:
 
     def left(self) -> Array:
         """Squared residuals of each block under the model fitted to the others, shape (F,)."""
-        y = self.without()
+        return self._left
+
+    @cached_property
+    def _left(self) -> Array:
+        y = self.without
         return np.asarray(
             self.s.sum(axis=1) - 2 * np.einsum("fi,fi->f", y, self.g) + np.einsum("fi,fij,fj->f", y, self.B, y)
         )
 
+    @cached_property
     def without(self) -> Array:
         """How y changes when a block is left out, shape (F, r)."""
         total = self.B.sum(axis=0) + self.held
         return np.stack([np.linalg.solve(total - B, -g) for B, g in zip(self.B, self.g, strict=True)])
 
 
-def ground(
-    experiment: Experiment, progress: Progress, like: Ground | None = None, own_rows: bool = False
-) -> Ground:
+def ground(experiment: Experiment, progress: Progress, like: Ground | None = None, own_rows: bool = False) -> Ground:
     """Fit a model, and see what it leaves.
 
     Parameters
@@ -108,9 +112,9 @@ def ground(
     progress
         Told the stage and how far it has come.
     like
-        Whose rows count, and whose noise they are measured in, so that the two compare; default: what a fit without constraints
-        leaves. Where torque sensors differ, in units of what each takes for the true torque, or "scale it to nothing"
-        would leave least.
+        Whose rows count, and whose noise they are measured in, so that the two compare; default: what a fit without
+        constraints leaves. Where torque sensors differ, in units of what each takes for the true torque, or "scale it
+        to nothing" would leave least.
     own_rows
         Whether those rows count that the model itself knows its columns at.
 
@@ -120,7 +124,9 @@ def ground(
         If there are fewer samples than it takes, or the problem could not be solved.
     """
     length = fold_rows(experiment)
-    blocks = _blocks(experiment, length, progress, like.experiment.equation if like and not own_rows else experiment.equation)
+    blocks = _blocks(
+        experiment, length, progress, like.experiment.equation if like and not own_rows else experiment.equation
+    )
     equation, config = experiment.equation, experiment.config
     reduction = experiment.checked(together([log.total for log in blocks]))
     known = experiment.known
@@ -169,7 +175,7 @@ def fold_rows(experiment: Experiment) -> int:
     low_pass = experiment.runs[0].signals.low_pass
     count = sum((part.stop - part.start) // low_pass.stride for run in experiment.runs for part in run.train)
     least = int(_SHORTEST / (low_pass.stride * experiment.runs[0].signals.log.dt))
-    return max(-(-count // _FOLDS), least, 1)
+    return int(max(-(-count // _FOLDS), least, 1))
 
 
 def _blocks(experiment: Experiment, length: int, progress: Progress, counting: LinearModel) -> list[Blocks]:
@@ -179,7 +185,8 @@ def _blocks(experiment: Experiment, length: int, progress: Progress, counting: L
         low_pass = run.signals.low_pass
         batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
         rows = (
-            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.kept(batch)) for batch in batches
+            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.kept(batch))
+            for batch in batches
         )
         parts = tuple(cut(rows, length, low_pass.redundancy))
         if parts:

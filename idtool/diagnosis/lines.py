@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 SECONDS = 4.0  # that a stretch lasts of which a spectrum is taken
 _PERIODS = 300.0  # per turn, at the most
@@ -25,7 +26,9 @@ _BINS = 1 << 20  # at the most
 _SLOW = 0.25  # of the samples, of which the band must hold a ripple
 
 
-def density(x: Array, kept: NDArray[np.bool_], step: float, stretches: Sequence[slice], band: float) -> tuple[Array, Array]:
+def density(
+    x: Array, kept: NDArray[np.bool_], step: Array, stretches: Sequence[slice], band: float
+) -> tuple[Array, Array]:
     """Power density over frequency, one-sided.
 
     Parameters
@@ -33,11 +36,11 @@ def density(x: Array, kept: NDArray[np.bool_], step: float, stretches: Sequence[
     x
         Samples, shape (n,).
     kept
-        Which of them count; the others are taken as zero.
+        Which of them count, shape (n,); the others are taken as zero.
     step
-        Time between them [s].
+        Time from each to the next [s], shape (n,).
     stretches
-        Those without a gap.
+        Those without a gap, each of one step.
     band
         Highest frequency [Hz].
 
@@ -45,21 +48,25 @@ def density(x: Array, kept: NDArray[np.bool_], step: float, stretches: Sequence[
     -------
     Frequencies [Hz], shape (f,), and the density [(unit of x)²/Hz], shape (f,).
     """
-    length = max(round(SECONDS / step), 2)
-    count = min(int(band * length * step), length // 2)
-    window = np.hanning(length + 2)[1:-1]
+    lengths = [max(round(SECONDS / float(step[part.start])), 2) for part in stretches]
+    count = min([int(band * SECONDS), *(length // 2 for length in lengths)])
     power, size = np.zeros(count), 0.0
     known = np.where(kept, x, 0.0)
-    for part in stretches:
-        n = part.stop - part.start
-        pieces = max(-(-2 * n // length) - 1, 1)
-        for first in np.linspace(part.start, max(part.stop - length, part.start), pieces).astype(int):
+    for part, length in zip(stretches, lengths, strict=True):
+        window = np.hanning(length + 2)[1:-1]
+        for first in _starts(part, length):
             last = min(first + length, part.stop)
             own = window[: last - first]
-            power += np.square(np.abs(fft.rfft(known[first:last] * own, length)))[1 : count + 1]
+            lines = fft.rfft(known[first:last] * own, length)[1 : count + 1]
+            power += 2 * float(step[part.start]) * np.square(np.abs(lines))
             size += float(np.square(own) @ kept[first:last])
-    frequency = np.arange(1, count + 1) / (length * step)
-    return frequency, power * (2 * step / size if size else 0.0)
+    return np.arange(1, count + 1) / SECONDS, power / size if size else power
+
+
+def _starts(part: slice, length: int) -> NDArray[np.intp]:
+    """Where windows begin that cover a stretch, each half over the next."""
+    count = max(-(-2 * (part.stop - part.start) // length) - 1, 1)
+    return np.linspace(part.start, max(part.stop - length, part.start), count).astype(np.intp)
 
 
 def ripple(x: Array, q: Array, v: Array, band: float) -> tuple[Array, Array]:
@@ -91,11 +98,12 @@ def ripple(x: Array, q: Array, v: Array, band: float) -> tuple[Array, Array]:
     size = fft.next_fast_len(_FINE * bins, real=True)
     of_count, of_total = (np.conj(fft.rfft(y, size)) for y in (count, total))  # Σ y exp(i n q)
     k = np.arange(_FINE, min(int(most * size * width / (2 * np.pi)), (len(of_count) - 1) // 2) + 1)
-    return k * (2 * np.pi / (size * width)), _amplitude(len(x), of_count[k], of_count[2 * k], of_total[k])
+    n = np.asarray(k * (2 * np.pi / (size * width)))
+    return n, _amplitude(len(x), of_count[k], of_count[2 * k], of_total[k])
 
 
-def _amplitude(n: int, one: Array, two: Array, with_x: Array) -> Array:
-    """Of the least-squares fit of c cos + s sin + constant, by the sums of exp(i n q), exp(2 i n q) and x exp(i n q)."""
+def _amplitude(n: int, one: Complex, two: Complex, with_x: Complex) -> Array:
+    """Of c cos + s sin + constant fitted to x, by the sums of exp(i n q), exp(2 i n q) and x exp(i n q)."""
     c, s = one.real / n, one.imag / n
     cc, ss, cs = (1 + two.real / n) / 2 - c * c, (1 - two.real / n) / 2 - s * s, two.imag / (2 * n) - c * s
     det = cc * ss - cs * cs

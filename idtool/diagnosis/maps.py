@@ -48,7 +48,7 @@ def _residual(found: Course, j: int, band: float) -> Residual:
     }
     binned = {name: _binned(at, edges, x) for name, (at, edges) in views.items()}
     against, mean, rms = ({name: three[i] for name, three in binned.items()} for i in range(3))
-    spectrum = density(left, kept, float(found.step[0]), found.stretches, band)
+    spectrum = density(left, kept, found.step, found.stretches, band)
     return Residual(against, mean, rms, spectrum[0], np.sqrt(spectrum[1]), *ripple(x, q, v, band))
 
 

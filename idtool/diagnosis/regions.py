@@ -23,6 +23,7 @@ Mask = NDArray[np.bool_]
 _MOST = 0.3  # by which the share of energy exceeds that of time, or the region says nothing
 _HOLDS = 0.5  # of the energy, at least
 _TWO_BOUNDS = 0.1  # by which a region with two bounds must be better than one with one
+_WINDOW = 0.03  # by which each window of time must be worth more than a bound
 _SECOND = 0.35  # as `_MOST`, of a second clause within the first
 _PERIODS = 3.0  # that a ripple has over the travel, at least
 _LINE = 2  # points of a spectrum to each side that belong to a line
@@ -101,10 +102,11 @@ def in_words(scene: Scene, windows: Sequence[tuple[float, float]]) -> str:
     found = [*_bounded(scene, kept), *_timed(scene, kept, windows), *_lines(scene, kept)]
     best = max(found, key=lambda region: region.score, default=None)
     if best is None or best.score < _MOST:
-        return "all along"
+        return _in_stretches(windows) if windows else "all along"
     if best.kind in ("angle", "frequency", "windows"):
         return best.words
-    rest = [region for region in _bounded(scene, best.within) if region.kind != best.kind]
+    told = {best.kind} | ({"speed", "reversal"} if best.kind in ("speed", "reversal") else set())
+    rest = [region for region in _bounded(scene, best.within) if region.kind not in told]
     second = max(rest, key=lambda region: region.score, default=None)
     if second is None or second.score < _SECOND:
         return best.words
@@ -224,13 +226,16 @@ def _timed(scene: Scene, among: Mask, windows: Sequence[tuple[float, float]]) ->
         within = among & inside(course.t, windows)
         energy, time = scene.energy, course.step
         score = energy[within].sum() / energy[among].sum() - time[within].sum() / time[among].sum()
-        count = "a stretch" if len(windows) == 1 else f"{len(windows)} stretches"
-        yield Region(min(score, 1.0) - 0.02 * len(windows), "windows", f"in {count} of the log", within)
+        yield Region(min(float(score), 1.0) - _WINDOW * len(windows), "windows", _in_stretches(windows), within)
+
+
+def _in_stretches(windows: Sequence[tuple[float, float]]) -> str:
+    return f"in {'a stretch' if len(windows) == 1 else f'{len(windows)} stretches'} of the log"
 
 
 def inside(t: Array, windows: Sequence[tuple[float, float]]) -> Mask:
     """Which times lie in windows."""
-    return np.logical_or.reduce([(t >= first) & (t <= last) for first, last in windows])
+    return np.asarray(np.logical_or.reduce([(t >= first) & (t <= last) for first, last in windows]))
 
 
 def _lines(scene: Scene, kept: Mask) -> Iterator[Region]:
@@ -239,13 +244,14 @@ def _lines(scene: Scene, kept: Mask) -> Iterator[Region]:
     total = float(scene.energy[kept].sum() / course.step[kept].sum())
     if total <= 0:
         return
-    step, by = float(course.step[0]), f" of {scene.names[j]}" if scene.several else ""
+    step, by = course.step, f" of {scene.names[j]}" if scene.several else ""
     f, power = density(scene.torque, kept, step, course.stretches, scene.band)
-    moved = density(course.tau[j], kept, step, course.stretches, scene.band)[1]
+    motion = (density(x[j], kept, step, course.stretches, scene.band)[1] for x in (course.tau, course.v, course.a))
     if len(f) > 2 * _LINE:
         k = int(np.argmax(power))
         line = slice(max(k - _LINE, 0), k + _LINE + 1)
-        share = min(power[line].sum() * (f[1] - f[0]) / total, 1.0) - moved[line].sum() / max(moved.sum(), 1e-300)
+        share = min(power[line].sum() * (f[1] - f[0]) / total, 1.0)
+        share -= max(moved[line].sum() / max(moved.sum(), 1e-300) for moved in motion)
         yield Region(share, "frequency", f"at {f[line] @ power[line] / power[line].sum():.2g} Hz{by}", kept)
     n, amplitude = ripple(scene.torque[kept], course.q[j, kept], course.v[j, kept], scene.band)
     seen = n >= _PERIODS * 2 * np.pi / max(float(np.ptp(course.q[j, kept])), 1e-12)

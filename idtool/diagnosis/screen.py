@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from idtool.config import EffectEntry
 from idtool.diagnosis.ground import Ground
-from idtool.present import PresentModel
 from idtool.effects.probe import Probe
 from idtool.experiment import Progress, tracked
+from idtool.present import PresentModel
 from idtool.signals import Batch
 
 Array = NDArray[np.float64]
@@ -112,7 +112,9 @@ class _Sums:
     C: Array
 
 
-def screened(ground: Ground, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes") -> list[Found]:
+def screened(
+    ground: Ground, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
+) -> list[Found]:
     """Try probes.
 
     Parameters
@@ -166,9 +168,7 @@ def _beside(X: Array, index: NDArray[np.intp], starts: NDArray[np.intp], d: int)
     return np.asarray(X[np.minimum(at, len(index) - 1)] * there[:, None])
 
 
-def along(
-    ground: Ground, progress: Progress, stage: str
-) -> Iterator[tuple[Batch, PresentModel, NDArray[np.intp]]]:
+def along(ground: Ground, progress: Progress, stage: str) -> Iterator[tuple[Batch, PresentModel, NDArray[np.intp]]]:
     """The training data: batches, the model along each, and the block that each filtered sample is in."""
     first = 0
     for run in (run for run in ground.experiment.runs if run.train):
@@ -227,26 +227,27 @@ def _judged(ground: Ground, probes: Sequence[Probe], sums: _Sums) -> list[Found]
 
 def _of_size(ground: Ground, probes: Sequence[Probe], index: NDArray[np.intp], sums: _Sums) -> list[Found]:
     """The probes of k coefficients each."""
-    k, F = index.shape[1], ground.folds
+    F = ground.folds
     local = [i for i, probe in enumerate(probes) if probe.local]
-    P, h, C = sums.P[:, :, index], sums.h[:, index], sums.C[:, index, :k]  # (F, r, i, k), (F, i, k), (F, i, k, k)
+    parts = sums.P[:, :, index], sums.h[:, index], sums.C[:, index, : index.shape[1]]  # (F, r, i, k), (F, i, k), …
+    P, h, C = (x.sum(axis=0) for x in parts)
     whole = ground.B.sum(axis=0) + ground.held
-    y0 = ground.without()
-    c, S = _solved(whole, P.sum(axis=0), h.sum(axis=0), C.sum(axis=0), np.zeros(len(whole)))[::2]
+    c, _, S = _solved(whole, P, h, C, np.zeros(len(whole)))
     left, gains = np.empty((F, *c.shape)), np.empty((F, len(c)))
     for f in range(F):
-        cf, X, _ = _solved(whole - ground.B[f], P.sum(axis=0) - P[f], h.sum(axis=0) - h[f], C.sum(axis=0) - C[f], y0[f])
+        y0, B = ground.without[f], ground.B[f]
+        Pf, hf, Cf = (x[f] for x in parts)
+        cf, X, _ = _solved(whole - B, P - Pf, h - hf, C - Cf, y0)
         cf = np.where(_allowed(probes, cf)[:, None], cf, 0.0)
         cf[local] = c[local]
         left[f] = cf
         dy = -np.einsum("rik,ik->ri", X, cf)  # what the model gives way by
-        slope = ground.g[f] - ground.B[f] @ y0[f]
-        of_c = h[f] - np.einsum("rik,r->ik", P[f], y0[f])
+        of_c = hf - np.einsum("rik,r->ik", Pf, y0)
+        along = np.einsum("rik,ik->ri", Pf, cf)
         gains[f] = (
-            2 * (dy * slope[:, None]).sum(axis=0) + 2 * (cf * of_c).sum(axis=1)
-            - np.einsum("ri,rs,si->i", dy, ground.B[f], dy, optimize=True)
-            - 2 * np.einsum("ri,rik,ik->i", dy, P[f], cf)
-            - np.einsum("ik,ikl,il->i", cf, C[f], cf)
+            2 * (dy * (ground.g[f] - B @ y0)[:, None]).sum(axis=0) + 2 * (cf * of_c).sum(axis=1)
+            - (dy * (B @ dy)).sum(axis=0) - 2 * (dy * along).sum(axis=0)
+            - np.einsum("ik,ikl,il->i", cf, Cf, cf)
         )  # fmt: skip
     away = left - left.mean(axis=0)
     covariance = (F - 1) / F * np.einsum("fik,fil->ikl", away, away)
@@ -260,7 +261,7 @@ def _of_size(ground: Ground, probes: Sequence[Probe], index: NDArray[np.intp], s
 def _solved(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, Array, Array]:
     """Coefficients, (i, k), what the model gives way by for each, (r, i, k), and the Schur complement, (i, k, k)."""
     r, i, k = P.shape
-    X = np.linalg.solve(A, P.reshape(r, i * k)).reshape(r, i, k)
+    X: Array = np.asarray(np.linalg.solve(A, P.reshape(r, i * k)).reshape(r, i, k), dtype=np.float64)
     S = C - np.einsum("rik,ril->ikl", P, X)
     squares = np.einsum("ikk->ik", C)
     size = np.sqrt(np.where(squares > _NOTHING, squares, np.inf))

@@ -7,7 +7,7 @@ other, so it takes ``inflation`` times more of it than of independent rows.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,7 +161,9 @@ def _place(probe: Probe) -> tuple[str, ...]:
     return (*probe.on, *(f"{probe.shape[name]:g}" for name in ("source",) if name in probe.shape))
 
 
-def _best(found: Iterable[Found], so_far: Mapping[tuple[str, ...], Found] | None = None) -> dict[tuple[str, ...], Found]:
+def _best(
+    found: Iterable[Found], so_far: Mapping[tuple[str, ...], Found] | None = None
+) -> dict[tuple[str, ...], Found]:
     """The best by effect and place, of those that physics allows."""
     best = dict(so_far or {})
     for one in found:
@@ -236,7 +238,7 @@ def saved(before: Ground, after: Ground) -> Array:
 
 def share(gain: float, here: Ground, joints: int) -> float:
     """A gain as a share of the squared residual of so many joints."""
-    return gain / float(here.left().sum()) * here.s.shape[1] / joints
+    return float(gain / here.left().sum() * here.s.shape[1] / joints)
 
 
 def _chosen(
@@ -337,13 +339,21 @@ def _named(probe: Probe) -> tuple[str, str]:
 def _record(one: Found, here: Ground, reason: str) -> Candidate:
     """A candidate that was only screened, for the record."""
     probe = one.probe
-    scores = (share(x, here, 1 if probe.joint else here.s.shape[1]) for x in (one.gain, one.standard_error))
-    return Candidate(probe.effect, probe.joint, probe.link, *scores, probe.parameters, reason)
+    score, error = _scores(one.gain, one.standard_error, probe, here)
+    return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.parameters, reason)
 
 
-def candidate(one: Contender, here: Ground, reason: str = "") -> Candidate:
+def _scores(gain: float, error: float, probe: Probe, here: Ground) -> tuple[float, float]:
+    """A gain and its standard error as shares of what is left of the joints that it reaches, 1 at the most."""
+    joints = 1 if probe.joint else here.s.shape[1]
+    parts = share(gain, here, joints), share(error, here, joints)
+    most = max(parts[0], 1.0)
+    return parts[0] / most, parts[1] / most
+
+
+def candidate(one: Contender, here: Ground) -> Candidate:
     """A contender for the record."""
-    probe, joints = one.found.probe, 1 if one.found.probe.joint else here.s.shape[1]
+    probe = one.found.probe
     error = float(np.sqrt(len(one.gains)) * one.gains.std(ddof=1))
-    scores = share(one.gain, here, joints), share(error, here, joints)
-    return replace(Candidate(probe.effect, probe.joint, probe.link, *scores, probe.parameters), reason=reason)
+    score, error = _scores(one.gain, error, probe, here)
+    return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.parameters)

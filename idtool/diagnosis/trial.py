@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from idtool.config import EffectEntry
 from idtool.diagnosis.ground import Ground, ground
-from idtool.present import PresentModel
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
 from idtool.effects import build_effects, known_effects
@@ -25,6 +24,7 @@ from idtool.exceptions import IdtoolError
 from idtool.experiment import Experiment, Progress
 from idtool.inertia import SIZE
 from idtool.knowledge import Fact, knowledge
+from idtool.present import PresentModel
 from idtool.regressor import LinearModel
 from idtool.signals import Motion
 
@@ -75,9 +75,7 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
     if theta is not None:
         now = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
     equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), now)
-    changed = replace(
-        experiment, config=config, equation=equation, known=knowledge(config, experiment.model, equation)
-    )
+    changed = replace(experiment, config=config, equation=equation, known=knowledge(config, experiment.model, equation))
     return with_fixed_inertia(changed) if is_fixed(experiment) else changed
 
 
@@ -212,12 +210,10 @@ def _difference(here: Ground, names: Sequence[tuple[int, str]], values: Sequence
         others.append(with_effects(here.experiment, entries, here.theta).equation)
 
     def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
-        assert isinstance(present, PresentModel)
-        own = present.residual
         change = [
-            (own - PresentModel(other, here.theta, present.measured).residual) / step
+            (present.residual - PresentModel(other, here.theta, present.measured).residual) / step
             for other, step in zip(others, steps, strict=True)
         ]
-        return {j: np.stack([rows[j] for rows in change]) for j in range(len(own))}
+        return {j: np.stack([rows[j] for rows in change]) for j in range(len(motion.q))}
 
     return Probe("shape", None, None, columns, len(names), lambda c, information: None)

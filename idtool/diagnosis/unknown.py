@@ -1,6 +1,6 @@
 """What is structured in a residual and has no name: functions of state, and lines in time, of any form.
 
-Each is a `Probe` as any effect is, so that it is judged by what it explains on blocks of time that it was not fitted to.
+Each is a `Probe` as any effect is, judged by what it explains on blocks of time that it was not fitted to.
 """
 
 from __future__ import annotations

@@ -26,8 +26,9 @@ _MOST = 0.8  # of the energy that windows hold
 _LITTLE = 0.45  # of the time, at the most
 _CELL = 0.1  # s, of which windows are made
 _CELLS = 600  # at the most
-_APART = 0.3  # s between windows, at least
+_APART = 0.5  # s between windows, at least
 _WINDOWS = 12  # at the most
+_WORTH = 0.02  # of the energy, that a window holds at least
 
 
 def located(
@@ -118,8 +119,9 @@ def windows_of(found: Course, energy: Array, kept: NDArray[np.bool_]) -> tuple[t
     chosen = _merged(chosen, max(round(_APART / cell), 1))
     if spent[chosen].sum() > _LITTLE * spent.sum():
         return ()
-    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)
-    return tuple((first + i * cell, min(first + j * cell, last)) for i, j in edges.tolist())
+    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2).tolist()
+    worth = [(i, j) for i, j in edges if held[i:j].sum() > _WORTH * held.sum()]
+    return tuple((first + i * cell, min(first + j * cell, last)) for i, j in worth)
 
 
 def _merged(chosen: NDArray[np.bool_], apart: int) -> NDArray[np.bool_]:

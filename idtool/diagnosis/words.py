@@ -25,7 +25,9 @@ def sentence(step: Step, units: Mapping[str, str]) -> str:
         region = f" ({step.where.region})" if step.where.region else ""
         return f"{chosen.on}: what is left has structure{region} that none of the effects explains"
     means = known_effects()[chosen.effect].means
-    figures = ", ".join(_figure(name, x, step.standard_error.get(name)) for name, x in list(step.parameters.items())[:_SHOWN])
+    figures = ", ".join(
+        _figure(name, x, step.standard_error.get(name)) for name, x in list(step.parameters.items())[:_SHOWN]
+    )
     region = "" if step.where.region in ("", "all along") else f" {step.where.region}"
     return f"{chosen.on}:{region} {means} ({chosen.effect}: {figures}): {_shrinks(step, units)}"
 

@@ -19,6 +19,7 @@ from idtool.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _DAMPING = 0.5  # of what is critical
 _NARROW, _WIDE, _TRIED = 3e-4, 0.12, 12  # rad or m
@@ -115,8 +116,8 @@ def _travel(motion: Motion, joint: int, width: float, present: Present) -> Array
 def _places(closing: Array, width: float, dt: float) -> Array:
     """Where the motor is within the play, shape (N,): the mean over widths about the one given.
 
-    Teeth give when they meet, two lags of 2 ms together, as those of `join` do. When they meet is known no better than to some milliseconds, and a blip that comes too early or too late explains
-    less than none.
+    Teeth give when they meet: two lags of 2 ms, as good as the spring of `join`. When they meet is known no better
+    than to some milliseconds, and a blip that comes too early or too late explains less than none.
     """
     outwards = np.flatnonzero(closing[:-1] > 0), np.flatnonzero(closing[:-1] < 0)
     place = np.mean([_place(closing, outwards, share * width, dt) for share in _BLUR], axis=0)
@@ -126,7 +127,7 @@ def _places(closing: Array, width: float, dt: float) -> Array:
     return np.asarray(place)
 
 
-def _place(closing: Array, outwards: tuple[Array, Array], width: float, dt: float) -> Array:
+def _place(closing: Array, outwards: tuple[Indices, Indices], width: float, dt: float) -> Array:
     """Where the motor is within a play, in [−width/2, width/2], driven by an acceleration, shape (N,).
 
     ``outwards`` are the samples at which it is driven up, and down.

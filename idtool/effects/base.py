@@ -106,7 +106,7 @@ class Effect(ABC):
             What it is added to.
         """
 
-    def refer(self, model: Callable[[Motion], Present]) -> None:
+    def refer(self, model: Callable[[Motion], Present]) -> None:  # noqa: B027
         """Take note of the model without it, for effects whose columns depend on what a joint carries."""
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:

@@ -74,7 +74,7 @@ class ExternalContact(LinkEffect):
 
     @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:
-        """See `NamedEffect.probes`: one wrench in all stretches of time in which the residual is out of the ordinary."""
+        """See `NamedEffect.probes`: one wrench whenever the residual is out of the ordinary."""
         if survey.bursts:
             for body in survey.model.bodies:
                 if body.kind == "link":
@@ -85,7 +85,8 @@ class ExternalContact(LinkEffect):
         """Of the six components by themselves."""
         windows = [[float(a), float(b)] for a, b in survey.bursts]
         entries = [
-            EffectEntry(effect=cls.id, link=link, parameters={"windows": windows, "wrench": one}) for one in np.eye(6).tolist()
+            EffectEntry(effect=cls.id, link=link, parameters={"windows": windows, "wrench": one})
+            for one in np.eye(6).tolist()
         ]
         pushes = [cls.of(one, survey.model) for one in entries]
 

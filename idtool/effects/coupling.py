@@ -35,7 +35,7 @@ class TransmissionCoupling(JointTerm):
     @classmethod
     def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
         """See `JointEffect.tried`: each of the other joints."""
-        for source, other in enumerate(survey.model.names):
+        for source in range(len(survey.model.names)):
             if source != joint and (cls.id, survey.model.names[joint], float(source)) not in survey.taken:
                 yield {"source": float(source)}
 

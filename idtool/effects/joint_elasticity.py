@@ -37,8 +37,9 @@ class JointElasticity(HeldJointEffect):
     `rotor_inertia` on the joint.
 
     In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
-    torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz. What the rotors take more than they would if
-    they turned with the link is known then too. That of a `rotor_inertia` is not: give a heavy rotor under `rotors`.
+    torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz. What
+    the rotors take more than they would if they turned with the link is known then too. That of a `rotor_inertia` is
+    not: give a heavy rotor under `rotors`.
     """
 
     id = "joint_elasticity"
@@ -111,13 +112,13 @@ def _band(tau: Array, dt: float) -> float:
     """Up to which frequency a torque stands above its noise [Hz]: beyond, its second derivative is mostly noise."""
     # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
     f, power = welch(tau, 1 / dt, nperseg=min(_SPECTRUM, len(tau)))
-    tops = [*_BANDS, *(_BANDS[-1] * 2 ** np.arange(1, 5))]
+    tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
     octaves = [power[(f > top / 2) & (f <= top)] for top in tops if top < 0.5 / dt]
     noise = min((np.median(octave) for octave in octaves if octave.size), default=0.0)
     clear = [np.mean(octave) > _CLEAR * noise if octave.size else False for octave in octaves]
     for band, above in reversed(list(zip(_BANDS, clear, strict=False))[1:]):
         if above and band < _OF_RATE / dt:
-            return band
+            return float(band)
     return _BANDS[0]
 
 

@@ -65,12 +65,15 @@ def realizable(c: Array, information: Array) -> Array | None:
         L[lower] = x
         return from_pseudo_inertia(L @ L.T)
 
+    def off(x: Array) -> Array:
+        return np.asarray(root @ (body(x) - c))
+
     com = c[1:4] / c[0]
     com *= min(1.0, _FAR / np.linalg.norm(com)) if com.any() else 1.0
     start = from_mass_com_inertia(float(c[0]), com, np.eye(3) * _COMPACT * float(c[0]))
     x = np.linalg.cholesky(pseudo_inertia(start))[lower]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        found = least_squares(lambda x: root @ (body(x) - c), x, method="lm")
+        found = least_squares(off, x, method="lm")
     pi = body(found.x)
     return pi if pi[0] > 0 else None
 
@@ -124,7 +127,9 @@ class Payload(LinkEffect):
     @classmethod
     def _probe(cls, model: Model, link: str) -> Probe:
         """Of the ten parameters in the link's frame, each by itself."""
-        nothing = EffectEntry(effect=cls.id, link=link, parameters={"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6})
+        nothing = EffectEntry(
+            effect=cls.id, link=link, parameters={"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
+        )
         loads = [replaced(cls.of(nothing, model), pi) for pi in np.eye(SIZE)]
 
         def columns(motion: Motion, present: Present) -> Mapping[int, Array]:

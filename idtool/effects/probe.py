@@ -64,8 +64,7 @@ class Probe:
 
     def at(self, shape: Mapping[str, float]) -> Probe:
         """The same with other values of what is searched by trying."""
-        assert self.again is not None
-        return self.again(shape)
+        return self.again(shape) if self.again else self
 
     @property
     def parameters(self) -> int:

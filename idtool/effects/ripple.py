@@ -17,9 +17,9 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_FINE = 0.35  # of a period over the travel, between the n that are tried
+_FINE = 0.42  # of a period over the travel, between the n that are tried
 _FEWEST = 1.2  # periods over the travel: fewer pass for springs and stops
-_MOST = 300  # n that are tried
+_MOST = 220  # n that are tried
 _SLOW = 0.3  # of the rms speed, at which a wave must stay within the band to be seen
 
 

@@ -15,7 +15,15 @@ Array = NDArray[np.float64]
 
 
 class Present(Protocol):
-    """The model that is there, with its coefficients."""
+    """The model that is there, with its coefficients, along a motion."""
+
+    @property
+    def measured(self) -> Motion:
+        """The motion, as sensors gave it."""
+
+    @property
+    def residual(self) -> Array:
+        """Measured torque less the model's, unfiltered, shape (nv, N)."""
 
     def predicted(self, motion: Motion) -> Array:
         """Torque that it predicts, shape (nv, N)."""
@@ -53,6 +61,8 @@ class Survey:
         Greatest torque, shape (nv,).
     still
         Speed at which the sign of a velocity is lost in its noise, shape (nv,).
+    dt
+        Sample time [s].
     seconds
         Of the longest log.
     band_hz
@@ -70,6 +80,7 @@ class Survey:
     speed: Array
     torque: Array
     still: Array
+    dt: float
     seconds: float
     band_hz: float
     bursts: tuple[tuple[float, float], ...] = ()

@@ -22,7 +22,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_LEAST = 5e-4  # s: less is how the samples of a period were taken
+_LEAST = 0.9  # samples: what is commanded acts until the next sample, so that half of one is in every log
 _SHIFT = 0.1  # s: no more than that is looked for
 _LONGEST = 1.0  # s: what is later belongs to another motion
 
@@ -67,10 +67,10 @@ class TimeDelay(HeldEffect):
         """See `NamedEffect.probes`: of all joints together, and of each."""
         names = survey.model.names
         if not survey.has(cls.id, "all joints"):
-            yield _probe(None, range(len(names)))
+            yield _probe(None, range(len(names)), survey.dt)
             for j, name in enumerate(names):
                 if not survey.has(cls.id, name) and len(names) > 1:
-                    yield _probe(name, [j])
+                    yield _probe(name, [j], survey.dt)
 
     @classmethod
     def shapes(cls) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ class TimeDelay(HeldEffect):
         return tau
 
 
-def _probe(joint: str | None, which: Sequence[int]) -> Probe:
+def _probe(joint: str | None, which: Sequence[int], dt: float) -> Probe:
     """The torque of some joints late, to first order."""
 
     def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
@@ -124,6 +124,6 @@ def _probe(joint: str | None, which: Sequence[int]) -> Probe:
 
     def entry(c: Array, information: Array) -> EffectEntry | None:
         late = {"delay": float(c[0])}
-        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if _LEAST < abs(c[0]) < _SHIFT else None
+        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if _LEAST * dt < abs(c[0]) < _SHIFT else None
 
     return Probe(TimeDelay.id, joint, None, columns, 1, entry)
