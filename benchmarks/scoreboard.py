@@ -113,6 +113,11 @@ class Outcome:
         """Whether something was called unknown at a joint where something unknown is hidden."""
         return bool({step.key for step in self.steps} & {key for key in self.truth if key[0] == "unknown"})
 
+    @property
+    def failed(self) -> bool:
+        """Whether there is no diagnosis."""
+        return self.verdict.startswith(("failed", "timeout"))
+
     def line(self) -> str:
         """The case in a line."""
         steps = [_text(step.key) + (f" or {_text(step.other)}" if step.other else "") for step in self.steps]
@@ -193,7 +198,7 @@ def print_confusion(outcomes: Sequence[Outcome]) -> None:
     table: dict[str, Counter[str]] = {}
     for one in outcomes:
         (effect, place), *_ = one.truth or (("clean", None),)
-        found = one.steps[0].key if one.steps else ("none", None)
+        found = one.steps[0].key if one.steps else ("failed" if one.failed else "none", None)
         elsewhere = found[0] == effect and found[1] != place
         table.setdefault(effect, Counter())[f"{found[0]} elsewhere" if elsewhere else found[0]] += 1
     print("\nhidden effect: how often which was named first")
@@ -206,9 +211,10 @@ def print_summary(kind: str, outcomes: Sequence[Outcome]) -> None:
     """The figures of a kind of cases."""
     print(f"\n{kind}: {len(outcomes)} cases")
     if kind == "clean":
-        print(f"  something invented: {share([bool(one.named) for one in outcomes])}")
-        print(f"  called unknown: {share([any(step.key[0] == 'unknown' for step in one.steps) for one in outcomes])}")
-        print(f"  no_disagreement: {share([one.verdict == 'no_disagreement' for one in outcomes])}")
+        made = [one for one in outcomes if not one.failed]
+        print(f"  something invented: {share([bool(one.named) for one in made])}")
+        print(f"  called unknown: {share([any(step.key[0] == 'unknown' for step in one.steps) for one in made])}")
+        print(f"  no_disagreement: {share([one.verdict == 'no_disagreement' for one in made])}")
     for size in ("plain", *MAGNITUDES) if kind != "clean" else ():
         sizes = PLAIN if size == "plain" else (size,)
         some = [one for one in outcomes if {each.magnitude for each in one.case.hidden} <= set(sizes)]
@@ -227,14 +233,8 @@ def print_summary(kind: str, outcomes: Sequence[Outcome]) -> None:
             low, middle = np.quantile(closed, (0.25, 0.5))
             print(f"  closed {where}: median {middle:.2f}, a quarter below {low:.2f}, of {len(closed)}")
     seconds = [one.seconds for one in outcomes]
-    print(
-        f"  data faults: {sum(bool(one.faults) for one in outcomes)}; failed: {sum(_failed(one) for one in outcomes)}"
-    )
+    print(f"  data faults: {sum(bool(one.faults) for one in outcomes)}; failed: {sum(one.failed for one in outcomes)}")
     print(f"  time: median {np.median(seconds):.0f} s, longest {max(seconds):.0f} s")
-
-
-def _failed(outcome: Outcome) -> bool:
-    return outcome.verdict.startswith(("failed", "timeout"))
 
 
 def listed(text: str) -> list[str]:

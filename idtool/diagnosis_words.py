@@ -87,11 +87,10 @@ def next_steps(report: Mapping[str, Any]) -> list[str]:
         if step["evidence"]["pair"] and step["alternatives"]:
             told = f"To tell {_named_alone(step)} from {_named_alone(step['alternatives'][0])}"
             said.append(f"{told}: {step['evidence']['separate']}")
-        if step["effect"] == UNKNOWN:
-            place = step["where"]["region"] or "see the residual maps"
-            said.append(
-                f"What is left on {on(step)} has a cause that is none of the effects known; it lives here: {place}"
-            )
+    if left := [on(step) for step in report["steps"] if step["effect"] == UNKNOWN]:
+        said.append(
+            f"What is left on {_listed(left)} has a cause that is none of the effects known: see the residual maps."
+        )
     if "overall" in report["rollout_worse"]:
         said.append("Do not simulate with this model yet: its rollouts are worse than those of the model given.")
     return said

@@ -47,12 +47,15 @@ class LinearModel:
             effect.refer(self._without(effect))
 
     def _without(self, effect: Effect) -> Callable[[Motion], Present]:
-        """The model without an effect, along a motion."""
+        """The model without effects of its kind, along a motion."""
+        kept: list[PresentModel] = []  # the last: several ask about one motion
 
         def along(motion: Motion) -> Present:
-            others = LinearModel(self.joints, tuple(x for x in self.effects if type(x) is not type(effect)))
-            theta = np.array([self.reference.get(c.key, c.prior) for c in others.coefficients])
-            return PresentModel(others, theta, motion)
+            if not kept or kept[0].measured is not motion:
+                others = LinearModel(self.joints, tuple(x for x in self.effects if type(x) is not type(effect)))
+                theta = np.array([self.reference.get(c.key, c.prior) for c in others.coefficients])
+                kept[:] = [PresentModel(others, theta, motion)]
+            return kept[0]
 
         return along
 

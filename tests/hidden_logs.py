@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from hidden_effects import Channels, Hidden, act
 from hidden_motion import Motion, nominal_torque
-from hidden_plant import RATE, Plant, needed
+from hidden_plant import RATE, Physics, Plant, needed
 from hidden_robots import Robot, Truth, rotor
 from numpy.typing import NDArray
 
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _BANDWIDTH = 60.0  # rad/s of the position loop
 _DAMPING = 0.8
 _TUNED = (0.9, 1.1)  # friction in the feed-forward, of the true one
+_CALM = 200.0  # 1/s, the damping of a motor by itself
 _LOST = 0.6  # rad from the command
 _STEPS, _FINE = 4, 10  # steps a sample; with gears that give way or bristles
 
@@ -81,7 +82,8 @@ def record(
     fine = physics.gears or any(one.effect == "presliding_hysteresis" for one in hidden)
     steps = _FINE if fine else _STEPS
     plant = Plant(robot, truth, physics, 1 / (RATE * steps), motion.q[:, 0] + channels.offset, motion.v[:, 0])
-    true, q, v = _run(plant, robot, motion, fed, channels, sensors, steps)
+    gains = _gains(robot, motion, physics)
+    true, q, v = _run(plant, robot, motion, fed, gains, channels, sensors, steps)
     tau = _measured(true, channels)
     noise = sensors.noise * np.sqrt(np.mean(np.square(tau), axis=0))
     t = motion.t + sensors.jitter / RATE * rng.normal(size=len(motion.t))
@@ -89,12 +91,19 @@ def record(
 
 
 def _run(
-    plant: Plant, robot: Robot, motion: Motion, fed: Array, channels: Channels, sensors: Sensors, steps: int
+    plant: Plant,
+    robot: Robot,
+    motion: Motion,
+    fed: Array,
+    gains: tuple[Array, Array],
+    channels: Channels,
+    sensors: Sensors,
+    steps: int,
 ) -> tuple[Array, Array, Array]:
     """The true torque, position and velocity as read."""
     step = 2 * np.pi / 2 ** (sensors.bits or robot.bits)
     keep = 1 / (0.5 + sensors.lag * RATE)
-    kp, kd = _gains(robot, motion)
+    kp, kd = gains
     limit = np.array([joint.effort for joint in robot.joints])
     q_cmd, v_cmd = motion.q.T, motion.v.T
     tau, q, v = np.zeros((3, *q_cmd.shape))
@@ -116,14 +125,20 @@ def _run(
     return tau, q, v
 
 
-def _gains(robot: Robot, motion: Motion) -> tuple[Array, Array]:
-    """Of the PD controller, by what each joint moves in the middle of its travel, (n,)."""
+def _gains(robot: Robot, motion: Motion, physics: Physics) -> tuple[Array, Array]:
+    """Of the PD controller, by what each joint moves in the middle of its travel, (n,).
+
+    Less where the motor can move without its link, lest it chatter.
+    """
     n = len(robot.joints)
     middle = np.repeat(np.median(motion.q, axis=1)[:, None], n + 1, axis=1)
     rotors = {joint.name: rotor(joint) for joint in robot.joints}
     torque = needed(robot, robot.links, rotors, middle, np.zeros((n, n + 1)), np.eye(n, n + 1))
     inertia = np.diag(torque[:, :n] - torque[:, n:])
-    return _BANDWIDTH**2 * inertia, 2 * _DAMPING * _BANDWIDTH * inertia
+    bandwidth = np.full(n, _BANDWIDTH)
+    for j in physics.gears:
+        bandwidth[j] = min(_BANDWIDTH, _CALM * robot.joints[j].reflected / (2 * _DAMPING * inertia[j]))
+    return bandwidth**2 * inertia, 2 * _DAMPING * bandwidth * inertia
 
 
 def _measured(true: Array, channels: Channels) -> Array:

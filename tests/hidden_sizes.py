@@ -169,7 +169,7 @@ def _elasticity(d: Draw) -> Parameters:
 def _backlash(d: Draw) -> Parameters:
     stiff = (2 * np.pi * 150) ** 2
     gear = _gear(d, lambda motor, link: stiff * motor * link / (motor + link), 0.3)
-    return {"width": d.of(0.03, 0.01, 0.002) * _PLAYS[d.robot.name], **gear}
+    return {"width": d.of(0.02, 0.006, 0.0012) * _PLAYS[d.robot.name], **gear}
 
 
 def _tilt(d: Draw) -> Parameters:

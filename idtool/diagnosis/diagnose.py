@@ -95,8 +95,9 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     search.run()
     first = fit(experiment, progress, options.simulated)
     last = fit(search.final(), progress, options.simulated) if search.added else first
-    floor = noise_floor(last.experiment, last.estimate.theta, progress)
-    steps = [*_steps(search, first), *_unknown(search, floor, first, last)]
+    structure = _structure(search)
+    floor = noise_floor(last.experiment, last.estimate.theta, progress).less(np.array([one.score for one in structure]))
+    steps = [*_steps(search, first), *_unknown(search, structure, floor, last)]
     joints = experiment.equation.joints
     before, after = (_of(one) for one in (first, last))
     return Diagnosis(
@@ -283,28 +284,33 @@ def _value(given: object) -> object:
     return given["value"] if isinstance(given, Mapping) else given
 
 
-def _unknown(search: _Search, floor: Floor, first: Fit, last: Fit) -> list[Step]:
-    """What is structured and has no name, a step a joint."""
+def _structure(search: _Search) -> list[Candidate]:
+    """What a function of any form explains of what is left, by joint; a share of 0 where it is no more than chance."""
     here = search.here
-    joints = here.experiment.equation.joints
     inflation = search.last.inflation if search.last is not None else 1.0
     found = screened(here, list(unnamed(survey(here))), search.progress, "looking for what has no name")
-    rms = dict(zip(joints, floor.rms.tolist(), strict=True))
-    steps = []
-    for j, name in enumerate(joints):
+    said = []
+    for name in here.experiment.equation.joints:
         best = max((one for one in found if one.probe.joint == name), key=lambda one: one.gain)
-        part = share(best.gain, here, 1)
-        structured = part > _STRUCTURED and best.gain > SURE**2 * inflation
-        if not structured and not (floor.slow[j] > _SLOW and floor.residual[j] > _NEAR * floor.noise[j]):
-            continue
-        where = unexplained(last.experiment, last.estimate.theta, rms, search.progress)
-        error = share(best.standard_error, here, 1)
-        chosen = Candidate(UNKNOWN, name, None, part, error, 0)
-        step = Step(
-            chosen, None, {}, {}, replace(where, joints=(name,)), part / max(error, 1e-12), False, "", (),
-            search.last.lost if search.last is not None else (), _of(last), _of(last), "",
-        )  # fmt: skip
-        steps.append(replace(step, sentence=sentence(step, first.experiment.model.units)))
+        sure = best.gain > SURE**2 * inflation
+        part, error = (share(x, here, 1) if sure else 0.0 for x in (best.gain, best.standard_error))
+        said.append(Candidate(UNKNOWN, name, None, min(part, 1.0), error, 0))
+    return said
+
+
+def _unknown(search: _Search, structure: Sequence[Candidate], floor: Floor, last: Fit) -> list[Step]:
+    """What is structured and has no name, a step a joint."""
+    rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
+    units, steps = last.experiment.model.units, []
+    for j, chosen in enumerate(structure):
+        slow = floor.slow[j] > _SLOW and floor.residual[j] > _NEAR * floor.noise[j]
+        if chosen.score > _STRUCTURED or slow:
+            where = unexplained(last.experiment, last.estimate.theta, rms, search.progress)
+            step = Step(
+                chosen, None, {}, {}, replace(where, joints=(chosen.on,)), chosen.score / max(chosen.standard_error, 1e-12),
+                False, "", (), search.last.lost if search.last is not None else (), _of(last), _of(last), "",
+            )  # fmt: skip
+            steps.append(replace(step, sentence=sentence(step, units)))
     return steps
 
 

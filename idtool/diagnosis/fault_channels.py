@@ -124,7 +124,7 @@ class ChannelSearch:
     def _tried(self, more: list[Trial]) -> Array | None:
         T, position = self._with(more)
         posed = self._posed if position is self.position else self.fit.posed(position)
-        return posed.unexplained(T)
+        return posed.unexplained(T) if np.array_equal(posed.mute, self._posed.mute) else None
 
     def _best(self, u: Array) -> dict[int | None, Trial]:
         """By independent part of the robot, the mistake that is best undone next, with those that do as well."""
@@ -190,7 +190,7 @@ class ChannelSearch:
         return found - known
 
     def _beyond(self, u: Array) -> Iterator[Fault]:
-        """Positions that can't be, where the torque does not mind their unit or, being computed from them, can't tell."""
+        """Positions that can't be, where the torque does not mind or, being computed from them, can't tell."""
         known = {j for trial in self.accepted if trial.fault == "wrong_unit" for j in trial.joints}
         outside = self._outside()
         for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
@@ -204,7 +204,7 @@ class ChannelSearch:
     def _velocities(self) -> Iterator[Fault]:
         """Velocities that have another sign or unit than their positions, where it is not the positions' fault."""
         gains = {name: gain for name, gain in self.gains.items() if abs(np.log(abs(gain))) > _UNIT}
-        put_right = {(trial.fault, j) for trial in self.accepted for j in trial.joints}
+        put_right = {(trial.fault, j) for trial in self.accepted if trial.position for j in trial.joints}
         for j, joint in enumerate(self.joints):
             gain = self.gains.get(joint.name, 1.0)
             if gain < 0 and ("wrong_sign", j) not in put_right:

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Change = Callable[[Motion], Motion]
 
 _PARTS, _ROWS = 8, 384  # stretches of the logs, and samples in the band of each
+_MOST = 64  # stretches, where gaps make them shorter
 EXPLAINED = 1e-3  # of a torque's power: what less is left is no better explained
 _QUIET = 1e-6  # of a torque's power that its noise is taken to have at least
 _FEWEST = 4.0  # rows for each coefficient, for a joint to have a say
@@ -139,7 +140,7 @@ class Posed:
 
         Returns
         -------
-        u, at least 1e-3, shape (nv,), 1 for a joint that tells nothing; None where no fit was found.
+        u, at least 1e-3, shape (nv,), and so for a joint that tells nothing; None where no fit was found.
         """
         if not self.factors:
             return None
@@ -155,7 +156,14 @@ class Posed:
             theta = identify(fit.equation, fit.bodies, data, fit.sets, Regularization(), noise=noise).theta
         except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
             return None
-        return np.array([_share(f, theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)])
+        left = [f.squares(theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)]
+        u = np.array([_quotient(x, float(np.square(f.R[:, -1]).sum())) for x, f in zip(left, data, strict=True)])
+        return np.where(self.mute, EXPLAINED, np.maximum(u, EXPLAINED))
+
+    @property
+    def mute(self) -> NDArray[np.bool_]:
+        """Joints that move too little to tell anything, shape (nv,)."""
+        return np.array([factor.rows < _FEWEST * factor.R.shape[1] for factor in self.factors])
 
     def free(self, T: Array) -> Array:
         """What any coefficients whatever leave of each torque, each joint by itself: u can't be less; shape (nv,)."""
@@ -185,14 +193,6 @@ def _quotient(left: float, power: float) -> float:
     return max(float(left / power), _QUIET) if power > 0 else 1.0
 
 
-def _share(factor: Factor, theta: Array) -> float:
-    """Share of a joint's torque that coefficients leave."""
-    power = float(np.square(factor.R[:, -1]).sum())
-    if factor.rows < _FEWEST * len(theta) or power == 0:
-        return 1.0
-    return max(factor.squares(theta) / power, EXPLAINED)
-
-
 def _generous(config: Config, joints: tuple[str, ...]) -> Config:
     """The configuration with all plain effects on every joint."""
     present = {(entry.effect, entry.joint) for entry in config.effects}
@@ -207,14 +207,16 @@ def _generous(config: Config, joints: tuple[str, ...]) -> Config:
 
 def _spread(experiment: Experiment) -> Iterator[Batch]:
     """Stretches evenly spread over all logs, of bounded length in all."""
-    pieces = []
+    pieces, wanted = [], 0.0
     for run in experiment.runs:
         length = _ROWS * run.signals.low_pass.stride
         for whole in run.signals.ranges:
             starts = range(whole.start, whole.stop, length)
             pieces += [(run.signals, slice(start, min(start + length, whole.stop))) for start in starts]
-    chosen = np.linspace(0, len(pieces) - 1, min(_PARTS, len(pieces))).astype(int)
-    for signals, part in (pieces[i] for i in chosen):
+            wanted += (whole.stop - whole.start) / length
+    count = min(len(pieces), max(_PARTS, round(_PARTS * len(pieces) / max(wanted, 1.0))), _MOST)
+    for i in np.linspace(0, len(pieces) - 1, count).astype(int):
+        signals, part = pieces[i]
         yield from signals.batches([part])
 
 

@@ -21,6 +21,7 @@ from idtool.reduction import Factor
 Array = NDArray[np.float64]
 
 _WEIGHT, _INERTIA = 0.03, 0.3  # share of a torque's power that either must make up to tell the unit
+_NONE = 1e-3  # of weight and inertia that one of them is, below which it is rounding
 _EXPLAINED = 0.7  # of it that they and friction must explain together
 _SEVERAL, _ONE, _HEAVY = 5.0, 10.0, 30.0  # factors: by the weight of several joints, of one, by inertia alone
 _BEYOND = 3.0  # standard errors, and
@@ -53,7 +54,7 @@ def torque_unit(fit: FaultFit, change: Change, T: Array) -> Iterator[Fault]:
 
 def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:
     """By joint, what to multiply weight and inertia with, where they tell."""
-    rows: list[list[Array]] = [[] for _ in fit.equation.joints]
+    rows: list[list[Array]] = [[np.zeros((5, 0))] for _ in fit.equation.joints]
     for motion in map(change, fit.motions):
         still = replace(motion, v=0 * motion.v, a=0 * motion.a)
         moved, held = (fit.equation.columns(m) for m in (motion, still))
@@ -66,15 +67,14 @@ def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float],
     inertia: dict[str, float] = {}
     for name, parts in zip(fit.equation.joints, rows, strict=True):
         x = np.concatenate(parts, axis=1)
-        size = np.sqrt(np.mean(np.square(x), axis=1))
+        size = np.linalg.norm(x, axis=1)
         if not size[-1] > 0:
             continue
-        x = x / np.where(size > 0, size, 1.0)[:, None]
-        share, rest = nnls(x[:-1].T, x[-1])
-        if rest**2 / x.shape[1] > 1 - _EXPLAINED:
+        share, rest = nnls((x[:-1] / np.where(size[:-1] > 0, size[:-1], 1.0)[:, None]).T, x[-1] / size[-1])
+        if rest**2 > 1 - _EXPLAINED:
             continue
         for found, k, least in ((weight, 0, _WEIGHT), (inertia, 1, _INERTIA)):
-            if share[k] ** 2 > least:
+            if share[k] ** 2 > least and size[k] > _NONE * size[:2].max():
                 found[name] = float(share[k] * size[-1] / size[k])
     return weight, inertia
 

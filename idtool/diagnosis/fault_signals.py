@@ -33,6 +33,7 @@ _BY_CHANCE = 0.01  # share of repeats elsewhere below which many in a row are no
 _NOISY = 1e-4  # noise of a channel, of its deviation, above which it cannot repeat a value
 _LEAP = 8.0  # usual changes by which a channel that is no longer frozen catches up
 _MOVES = 0.1  # of the joint's rms speed
+_TURN, _JUMP = 0.5, 20.0  # rad off a full turn, and times what nine steps in ten stay below, that a jump may be and is
 _BLOCK = 1 << 16  # samples looked at together
 _TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 _SLOWEST = 0.2  # s from sample to sample, with which no log of a motion is made
@@ -53,7 +54,6 @@ def signal_faults(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> 
         Those of the model.
     """
     yield from _clock(inspection)
-    yield from _time_unit(log, inspection, joints)
     for name in joints:
         joint = inspection.joints[name]
         if not joint.moves:
@@ -62,9 +62,7 @@ def signal_faults(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> 
         yield from _clipped(name, joint)
         yield from _stale(name, joint)
         yield from _frozen(log, name, joint)
-        if joint.wraps:
-            what = f"q jumps by about a full turn {joint.jumps} times"
-            yield Fault("wrapped_position", name, f"{what}: unwrap it before it is logged, or cut the log there")
+        yield from _wrapped(log, name)
 
 
 def _clock(inspection: Inspection) -> Iterator[Fault]:
@@ -85,8 +83,18 @@ def _clock(inspection: Inspection) -> Iterator[Fault]:
         yield Fault("dropped_samples", None, lost)
 
 
-def _time_unit(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> Iterator[Fault]:
-    """Stamps so far apart that they are in another unit, to which the velocity agrees where there is one."""
+def time_unit(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> Iterator[Fault]:
+    """Stamps so far apart that they are in another unit, to which the velocity agrees where there is one.
+
+    Parameters
+    ----------
+    log
+        The log.
+    inspection
+        Of it.
+    joints
+        Those of the model.
+    """
     if inspection.dt < _SLOWEST:
         return
     unit, factor = next(((u, f) for u, f in _TIME_UNITS.items() if inspection.dt * f < _SLOWEST), ("", 0.0))
@@ -145,7 +153,7 @@ def _stale(name: str, joint: Joint) -> Iterator[Fault]:
         if x.constant and signal != "q":
             do = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
             yield Fault("stale", name, f"{signal} is {x.minimum:.4g} throughout while q moves: {do}")
-        elif (x.stale or 0.0) > _HELD and not x.stuck > STUCK:
+        elif (x.stale or 0.0) > _HELD:
             what = f"{x.stale:.0%} of {signal}'s samples repeat the one before while it changes"
             yield Fault("stale", name, f"{what}, so that it is late by half its period: read it at the log's rate")
 
@@ -169,6 +177,21 @@ def _frozen(log: Log, name: str, joint: Joint) -> Iterator[Fault]:
             since = float(log.t[found[0][0]] - log.t[0])
             what = f"{signal} keeps one value for {seconds:.3g} s in all while the joint moves, first {since:.3f} s in"
             yield Fault("stale", name, f"{what}: leave those stretches out of the log")
+
+
+def _wrapped(log: Log, name: str) -> Iterator[Fault]:
+    """A position that jumps by full turns, which its other steps do not come near."""
+    i, jumps = log.joints.index(name), 0
+    for segment in log.segments:
+        for start in range(segment.start, segment.stop, _BLOCK):
+            step = np.abs(np.diff(log.signals["q"][start : min(start + _BLOCK + 1, segment.stop), i]))
+            if len(step):
+                jumps += int(
+                    np.count_nonzero((np.abs(step - 2 * np.pi) < _TURN) & (step > _JUMP * np.percentile(step, 90)))
+                )
+    if jumps:
+        what = f"q jumps by about a full turn {jumps} times"
+        yield Fault("wrapped_position", name, f"{what}: unwrap it, or cut the log there")
 
 
 def _path(log: Log, i: int, part: slice, by: str) -> Array:
@@ -224,7 +247,17 @@ def _held(x: Array, path: Array, figures: Signal, dt: float, leaps: bool) -> lis
 
 
 def exchanged_velocities(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> Iterator[Fault]:
-    """Velocities that are another joint's."""
+    """Velocities that are another joint's.
+
+    Parameters
+    ----------
+    log
+        The log.
+    inspection
+        Of it.
+    joints
+        Those of the model.
+    """
     velocities = {name: inspection.joints[name].velocity for name in joints}
     strange = [name for name, v in velocities.items() if v is not None and v.agreement < UNRELATED]
     if len(strange) < 2:

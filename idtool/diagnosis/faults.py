@@ -29,7 +29,7 @@ from idtool.diagnosis.fault_channels import ChannelSearch
 from idtool.diagnosis.fault_fit import FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_scale import cut_off, torque_unit
-from idtool.diagnosis.fault_signals import exchanged_velocities, signal_faults
+from idtool.diagnosis.fault_signals import exchanged_velocities, signal_faults, time_unit
 from idtool.experiment import Experiment, Progress
 from idtool.inspection import Inspection, inspect_log
 from idtool.inspection.findings import DISAGREEMENT, STUCK
@@ -75,10 +75,12 @@ def faults(experiment: Experiment, progress: Progress) -> tuple[Fault, ...]:
     for k, log in enumerate(logs):
         progress("inspecting the logs", k / len(logs))
         inspections.append(inspect_log(log))
+        unit = list(time_unit(log, inspections[-1], joints))
+        if unit:  # with it, all derivatives are wrong
+            return tuple(unit)
         own = [*signal_faults(log, inspections[-1], joints), *exchanged_velocities(log, inspections[-1], joints)]
         found += [(log.path.name, fault) for fault in own]
-    fit = FaultFit(experiment)
-    found += [("", fault) for fault in _model_faults(experiment, fit, inspections, progress)]
+    found += [("", fault) for fault in _model_faults(experiment, FaultFit(experiment), inspections, progress)]
     return _merged(found, len(logs))
 
 

@@ -8,7 +8,7 @@ the power density above the motion's, in the quieter moments, is fitted with N0 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,12 @@ class Floor:
     noise: Array
     residual: Array
     slow: Array
+
+    def less(self, shares: Array) -> Floor:
+        """The same where shares of the residual's power, shape (nv,), are known to be structure."""
+        noise = np.minimum(self.noise, self.residual * np.sqrt(np.clip(1 - shares, 0.0, 1.0)))
+        rms = np.sqrt(np.maximum(np.square(self.rms) - np.square(self.noise) + np.square(noise), 0.0))
+        return replace(self, noise=noise, rms=rms)
 
 
 @dataclass

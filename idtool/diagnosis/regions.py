@@ -26,6 +26,7 @@ _TWO_BOUNDS = 0.1  # by which a region with two bounds must be better than one w
 _WINDOW = 0.03  # by which each window of time must be worth more than a bound
 _SECOND = 0.35  # as `_MOST`, of a second clause within the first
 _PERIODS = 3.0  # that a ripple has over the travel, at least
+_EARLY_LATE = "at the start of the log, up to {:.2g} s", "at the end of the log, from {:.2g} s"
 _LINE = 2  # points of a spectrum to each side that belong to a line
 
 
@@ -53,6 +54,8 @@ class Scene:
         What the disagreement is made of, shape (n,).
     several
         Whether it is not the only joint that disagrees, so that a region has to name it.
+    one_log
+        Whether there is one log, which begins and ends once.
     """
 
     course: Course
@@ -64,6 +67,7 @@ class Scene:
     energy: Array
     torque: Array
     several: bool
+    one_log: bool
 
 
 @dataclass(frozen=True)
@@ -220,8 +224,8 @@ class _Ordered:
 def _timed(scene: Scene, among: Mask, windows: Sequence[tuple[float, float]]) -> Iterator[Region]:
     """Parts of the log."""
     course = scene.course
-    early, late = "at the start of the log, up to {:.2g} s", "at the end of the log, from {:.2g} s"
-    yield from _one(scene, among, "time", course.t, early, late)
+    if scene.one_log:
+        yield from _one(scene, among, "time", course.t, *_EARLY_LATE)
     if windows:
         within = among & inside(course.t, windows)
         energy, time = scene.energy, course.step
@@ -247,7 +251,7 @@ def _lines(scene: Scene, kept: Mask) -> Iterator[Region]:
     step, by = course.step, f" of {scene.names[j]}" if scene.several else ""
     f, power = density(scene.torque, kept, step, course.stretches, scene.band)
     motion = (density(x[j], kept, step, course.stretches, scene.band)[1] for x in (course.tau, course.v, course.a))
-    if len(f) > 2 * _LINE:
+    if len(f) > 2 * _LINE and power.any():
         k = int(np.argmax(power))
         line = slice(max(k - _LINE, 0), k + _LINE + 1)
         share = min(power[line].sum() * (f[1] - f[0]) / total, 1.0)

@@ -29,7 +29,7 @@ from idtool.signals import Batch
 
 Array = NDArray[np.float64]
 
-_MEMORY = 3e7  # numbers that are held at once
+_MEMORY = 1e7  # numbers that are held at once
 _AT_ONCE = 128  # columns that are filtered together
 _NOTHING = 1e-18  # of a column, squared and in units of the noise: rounding
 _NEW = 1e-5  # share of a column that the model cannot make: with less it says nothing new

@@ -35,4 +35,17 @@ def survey(ground: Ground, bursts: tuple[tuple[float, float], ...] = (), fixed: 
     taken = frozenset(e.key for e in experiment.equation.effects if isinstance(e, NamedEffect))
     speed = np.sqrt(squares / max(count, 1))
     band = experiment.band_hz
-    return Survey(experiment.model, taken, low, high, speed, torque, still, experiment.runs[0].signals.log.dt, seconds, band, bursts, fixed)
+    return Survey(
+        experiment.model,
+        taken,
+        low,
+        high,
+        speed,
+        torque,
+        still,
+        experiment.runs[0].signals.log.dt,
+        seconds,
+        band,
+        bursts,
+        fixed,
+    )

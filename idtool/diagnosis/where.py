@@ -85,8 +85,8 @@ def _where(experiment: Experiment, found: Course, saved: Array, square: Array, t
     j = int(np.argmax(np.where(concerned, relative, -np.inf)))
     still = np.max([run.signals.still for run in experiment.runs], axis=0)
     forces = tuple(experiment.model.units[name] == "N" for name in joints)
-    several = int(concerned.sum()) > 1
-    scene = Scene(found, j, joints, forces, still, experiment.band_hz, saved[j], torque[j], several)
+    several, one_log = int(concerned.sum()) > 1, len(experiment.runs) == 1
+    scene = Scene(found, j, joints, forces, still, experiment.band_hz, saved[j], torque[j], several, one_log)
     return Where(tuple(n for n, c in zip(joints, concerned, strict=True) if c), windows, in_words(scene, windows))
 
 
@@ -112,10 +112,12 @@ def windows_of(found: Course, energy: Array, kept: NDArray[np.bool_]) -> tuple[t
     cell = max(_CELL, (last - first) / _CELLS)
     index = ((found.t - first) / cell).astype(int)
     held, spent = np.bincount(index, energy), np.bincount(index, found.step * kept)
-    order = np.argsort(-held)
-    enough = int(np.searchsorted(np.cumsum(held[order]), _MOST * held.sum())) + 1
+    density = held / np.maximum(spent, cell / 2)
+    order = np.argsort(-density)
+    most = int(np.searchsorted(np.cumsum(held[order]), _MOST * held.sum())) + 1
+    dense = int(np.count_nonzero(density > held.sum() / spent.sum()))
     chosen = np.zeros(len(held), dtype=bool)
-    chosen[order[:enough]] = True
+    chosen[order[: max(most, dense)]] = True
     chosen = _merged(chosen, max(round(_APART / cell), 1))
     if spent[chosen].sum() > _LITTLE * spent.sum():
         return ()

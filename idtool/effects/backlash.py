@@ -26,6 +26,7 @@ _NARROW, _WIDE, _TRIED = 3e-4, 0.12, 12  # rad or m
 _LEAST, _MOST = 0.25, 3.0  # of the change that the width makes
 _BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # of the width
 _COUNTS = 0.6  # of a blip, where its time is known to milliseconds: leaves least of it on average
+_STAYS = 1e-3  # of the width a sample: slower, and the teeth have met
 _DIES = 0.02  # s
 _GIVES = 2e-3  # s
 _LIGHT = 1e-9  # kg·m² or kg
@@ -90,7 +91,7 @@ class Backlash(HeldJointEffect):
         if self._along is None:
             return {}
         place = _travel(motion, self.joint, self.shape["width"], self._along(motion))
-        apart = np.abs(np.gradient(place)) > 0
+        apart = np.abs(np.gradient(place)) > _STAYS * self.shape["width"]
         reach = max(round(_DIES / motion.dt), 1)
         return dict.fromkeys(range(len(motion.q)), ndimage.binary_dilation(apart, iterations=reach))
 

@@ -34,9 +34,9 @@ class TransmissionCoupling(JointTerm):
 
     @classmethod
     def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
-        """See `JointEffect.tried`: each of the other joints."""
-        for source in range(len(survey.model.names)):
-            if source != joint and (cls.id, survey.model.names[joint], float(source)) not in survey.taken:
+        """See `JointEffect.tried`: the joints before and behind it, whose cables and belts may be led past it."""
+        for source in _beside(survey.model, joint):
+            if (cls.id, survey.model.names[joint], float(source)) not in survey.taken:
                 yield {"source": float(source)}
 
     def unit_in(self, model: Model, joint: int) -> str:
@@ -48,3 +48,21 @@ class TransmissionCoupling(JointTerm):
         """The source's torque, the other way."""
         source = np.reshape(self.shape["source"], np.shape(self.joint)).astype(np.intp)
         return -motion.tau[source]
+
+
+def _beside(model: Model, joint: int) -> list[int]:
+    """Joints that move some body together with a joint: those before it and behind it."""
+    moved = [set(np.flatnonzero(body.ratios)) | _above(model, i) for i, body in enumerate(model.bodies)]
+    found: set[int] = set()
+    for chain in moved:
+        if joint in chain:
+            found |= chain
+    return sorted(int(j) for j in found - {joint})
+
+
+def _above(model: Model, i: int) -> set[np.intp]:
+    """Joints that a body hangs on."""
+    found: set[np.intp] = set()
+    while (i := model.bodies[i].mount.body) >= 0:
+        found |= set(np.flatnonzero(model.bodies[i].ratios))
+    return found

@@ -124,6 +124,8 @@ def _probe(joint: str | None, which: Sequence[int], dt: float) -> Probe:
 
     def entry(c: Array, information: Array) -> EffectEntry | None:
         late = {"delay": float(c[0])}
-        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if _LEAST * dt < abs(c[0]) < _SHIFT else None
+        return (
+            EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if _LEAST * dt < abs(c[0]) < _SHIFT else None
+        )
 
     return Probe(TimeDelay.id, joint, None, columns, 1, entry)

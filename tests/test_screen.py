@@ -1,0 +1,233 @@
+"""What candidates explain, against least squares with their columns appended, a block left out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from imposed import Stacked, imposed, silent, stacked, with_noise, with_torque
+from numpy.typing import NDArray
+from spatial_arm import experiment, written
+
+from idtool.config import EffectEntry, parse_config
+from idtool.diagnosis import screen
+from idtool.diagnosis.ground import Ground, ground
+from idtool.diagnosis.screen import Found, screened
+from idtool.diagnosis.survey import survey
+from idtool.effects import known_effects
+from idtool.effects.probe import Columns, Probe
+from idtool.effects.survey import Present
+from idtool.experiment import prepare
+from idtool.present import PresentModel
+from idtool.robot import read_robot
+from idtool.signals import Motion
+
+Array = NDArray[np.float64]
+
+STIFFNESS, REST, LATE = 1.5, 0.3, 0.004  # N·m/rad, rad, s
+CONFIG: dict[str, Any] = {
+    "constraints": "none",
+    "regularization": {"kind": "none"},
+    "friction": {
+        "turn": {"viscous": True, "coulomb": True, "offset": True},
+        "lift": {"viscous": True, "coulomb": False, "offset": False},
+        "roll": {"viscous": True, "coulomb": False, "offset": True},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Ground:
+    """An arm with friction, a spring on its lift, and torque that comes late."""
+    log = imposed(6.0)
+    log = with_torque(log, 0, 1.2 * np.sign(log["v"][:, 0]) + 1.0 * log["v"][:, 0])
+    log = with_torque(log, 1, STIFFNESS * (log["q"][:, 1] - REST) + 0.8 * log["v"][:, 1])
+    log = with_torque(log, 2, 0.6 * log["v"][:, 2])
+    late = [np.interp(log["t"] - LATE, log["t"], row) for row in log["tau"].T]
+    log = with_noise({**log, "tau": np.array(late).T}, 0.05)
+    tried = experiment(*written(tmp_path_factory.mktemp("arm"), log), fitted=True, **CONFIG)
+    return ground(tried, silent)
+
+
+@pytest.fixture(scope="module")
+def rows(here: Ground) -> Stacked:
+    """Its rows."""
+    return stacked(here.experiment, here.noise, here.length)
+
+
+def appended(here: Ground, probe: Probe) -> list[Array]:
+    """A probe's columns beside `rows`."""
+    found: list[Array] = []
+    for batch in (batch for run in here.experiment.runs for batch in run.signals.batches(run.train)):
+        present = PresentModel(here.experiment.equation, here.theta, batch.motion)
+        made, kept = probe.columns(present.true, present), here.experiment.equation.kept(batch)
+        for j, keep in enumerate(kept):
+            own = batch.filter(made.get(j, np.zeros((probe.size, len(batch.motion.t)))))
+            found.append(own[:, keep] / here.noise[j])
+    return list(np.concatenate(found, axis=1))
+
+
+def made(columns: Columns, size: int = 1, **options: Any) -> Probe:
+    """A probe that makes an entry of whatever it finds."""
+    return Probe("any", None, None, columns, size, lambda c, information: EffectEntry(effect="any"), **options)
+
+
+def bump(motion: Motion, present: Present) -> Mapping[int, Array]:
+    """Something that no model has, on two joints."""
+    x = np.exp(-20 * (motion.q[1] - 0.1) ** 2)
+    return {0: 0.3 * x[None], 2: np.cos(motion.t)[None]}
+
+
+def waves(motion: Motion, present: Present) -> Mapping[int, Array]:
+    """Four columns."""
+    return {1: np.sin(np.outer([3, 5, 7, 9], motion.q[1]))}
+
+
+def of(here: Ground, effect: str, joint: int | None) -> Probe:
+    """An effect's first probe, on a joint or on all."""
+    name = None if joint is None else here.experiment.equation.joints[joint]
+    return next(probe for probe in known_effects()[effect].probes(survey(here)) if probe.joint == name)
+
+
+def probes(here: Ground) -> list[Probe]:
+    """Of all sizes and on several joints, some with shape values."""
+    found = [made(bump), of(here, "parallel_spring", 1), made(waves, 4), of(here, "time_delay", None)]
+    return [*found, of(here, "time_delay", 2), of(here, "stribeck_friction", 0), of(here, "parallel_spring", 0)]
+
+
+def free(probe: Probe) -> Probe:
+    """The same without bounds."""
+    return replace(probe, lower=(), upper=())
+
+
+def assert_same(found: Found, expected: Found, rtol: float = 1e-9) -> None:
+    """The same probe, coefficients and gains."""
+    size = np.abs(expected.gains).max() + 1e-9
+    np.testing.assert_allclose(found.c, expected.c, rtol=rtol, atol=1e-12)
+    np.testing.assert_allclose(found.gains, expected.gains, rtol=0, atol=rtol * size)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=rtol, atol=1e-15)
+    np.testing.assert_allclose(found.information, expected.information, rtol=rtol, atol=rtol)
+
+
+@pytest.mark.parametrize("index", range(7))
+def test_a_probe_is_least_squares_with_its_columns(here: Ground, rows: Stacked, index: int) -> None:
+    """Gains and coefficients, their jackknife covariance, and the information that the model's columns leave."""
+    probe = free(probes(here)[index])
+    (found,) = screened(here, [probe], silent)
+    columns = appended(here, probe)
+    squares, c = rows.left(*columns)
+    gains = rows.left()[0] - squares
+    np.testing.assert_allclose(found.gains, gains, rtol=0, atol=2e-3 * np.abs(gains).max())
+    every = Stacked(
+        np.vstack([rows.Y, np.zeros_like(rows.Y[:1])]), np.append(rows.tau, 0), np.append(rows.block * 0 + 1, 0)
+    )
+    whole = every.left(*(np.append(column, 0.0) for column in columns))[1][0]
+    np.testing.assert_allclose(found.c, whole, atol=2e-3 * np.abs(whole).max())
+    folds = len(c)
+    jackknife = (folds - 1) ** 2 / folds * np.atleast_2d(np.cov(c.T))
+    np.testing.assert_allclose(found.covariance, jackknife, atol=5e-3 * np.abs(jackknife).max())
+    size = np.linalg.norm(rows.Y, axis=0)
+    Y, C = rows.Y[:, size > 0] / size[size > 0], np.column_stack(columns)
+    beside = C - Y @ np.linalg.lstsq(Y, C, rcond=1e-9)[0]
+    np.testing.assert_allclose(found.information, C.T @ beside, rtol=1e-3, atol=1e-3 * np.abs(C.T @ beside).max())
+
+
+def test_several_logs_are_one_row_of_blocks(tmp_path: Path) -> None:
+    logs = [with_noise(imposed(seconds, seed=seed), 0.3, seed) for seed, seconds in enumerate((2.3, 4.0))]
+    paths = [written(tmp_path / str(i), log) for i, log in enumerate(logs)]
+    config = parse_config({**CONFIG, "friction": {"viscous": False, "coulomb": False}}, "")
+    both = ground(prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0), silent)
+    rows = stacked(both.experiment, both.noise, both.length)
+    (found,) = screened(both, [made(bump)], silent)
+    gains = rows.left()[0] - rows.left(*appended(both, made(bump)))[0]
+    assert len(gains) == both.folds
+    np.testing.assert_allclose(found.gains, gains, rtol=0, atol=2e-3 * np.abs(gains).max())
+
+
+def test_what_is_there_is_found_to_its_size(here: Ground) -> None:
+    """The spring with what else is there; the delay, most of what is left."""
+    spring, late = screened(here, [of(here, "parallel_spring", 1), of(here, "time_delay", None)], silent)
+    assert spring.allowed
+    assert late.allowed
+    assert spring.c[0] == pytest.approx(STIFFNESS, abs=4 * np.sqrt(spring.covariance[0, 0]))
+    assert late.c[0] == pytest.approx(LATE, abs=4 * np.sqrt(late.covariance[0, 0]))
+    assert late.entry is not None
+    assert late.entry.parameters["delay"] == pytest.approx(late.c[0])
+    for found in (spring, late):
+        assert found.sureness > 4
+        assert found.gain > 2 * found.standard_error > 0
+    nothing = screened(here, [made(bump)], silent)[0]
+    assert nothing.gain < 0.05 * late.gain
+
+
+def viscous(motion: Motion, present: Present) -> Mapping[int, Array]:
+    """What the model has."""
+    return {2: 3 * motion.v[2][None]}
+
+
+def twice(motion: Motion, present: Present) -> Mapping[int, Array]:
+    """A column that is new, one that is its copy, one that the model has, one that is nothing."""
+    new = np.cos(3 * motion.q[1])
+    return {1: np.stack([new, -2 * new, motion.v[1], 0 * new])}
+
+
+def test_what_the_model_can_make_itself_says_nothing(here: Ground) -> None:
+    found = screened(here, [made(viscous), made(twice, 4), made(lambda m, p: {1: np.cos(3 * m.q[1])[None]})], silent)
+    said, several, alone = found
+    np.testing.assert_array_equal(said.c, 0)
+    np.testing.assert_array_equal(said.gains, 0)
+    assert said.sureness == 0
+    np.testing.assert_allclose(several.gains, alone.gains, atol=2e-3 * np.abs(alone.gains).max())
+    assert several.c[0] - 2 * several.c[1] == pytest.approx(alone.c[0], rel=1e-3)
+    assert several.c[3] == 0
+
+
+def test_what_physics_forbids_explains_nothing(here: Ground) -> None:
+    """A spring with its sign turned round would have the same gain."""
+    probe = of(here, "parallel_spring", 1)
+    turned = replace(probe, columns=lambda m, p: {j: -x for j, x in probe.columns(m, p).items()})
+    right, wrong, free_of_bounds = screened(here, [probe, turned, free(turned)], silent)
+    np.testing.assert_allclose(wrong.c, -right.c, rtol=1e-6)
+    assert right.allowed
+    assert not wrong.allowed
+    np.testing.assert_array_equal(wrong.gains, 0)
+    np.testing.assert_allclose(free_of_bounds.gains, right.gains, rtol=1e-6, atol=1e-6)
+    assert right.gain > 100
+    assert not replace(free_of_bounds, probe=replace(turned, lower=(), entry=lambda c, information: None)).allowed
+
+
+def test_what_acts_in_its_own_time_is_fitted_to_that(here: Ground) -> None:
+    """A column in one block alone: other blocks know nothing of it, and only one that is local is believed."""
+    begin, end = (here.length * k * 6e-3 + 0.1 for k in (4, 5))
+
+    def window(motion: Motion, present: Present) -> Mapping[int, Array]:
+        return {1: ((motion.t > begin) & (motion.t < end) & (motion.q[1] < 9)).astype(float)[None]}
+
+    apart, together = screened(here, [made(window), made(window, local=True)], silent)
+    np.testing.assert_allclose(apart.c, together.c)
+    assert together.gain > max(apart.gain, 0) + 1
+
+
+@pytest.mark.parametrize(("name", "value"), [("_MEMORY", 1.0), ("_MEMORY", 3000.0), ("_AT_ONCE", 1)])
+def test_however_many_at_once(here: Ground, monkeypatch: pytest.MonkeyPatch, name: str, value: float) -> None:
+    every = probes(here)
+    expected = screened(here, every, silent)
+    calls: list[Sequence[Probe]] = []
+    inner = screen._summed
+
+    def counted(*arguments: Any) -> Any:
+        calls.append(arguments[1])
+        return inner(*arguments)
+
+    monkeypatch.setattr(screen, "_summed", counted)
+    monkeypatch.setattr(screen, name, value)
+    found = screened(here, every, silent)
+    assert [one.probe for one in found] == every
+    assert sum(len(some) for some in calls) == len(every)
+    assert len(calls) > 1 or name == "_AT_ONCE"
+    for one, other in zip(found, expected, strict=True):
+        assert_same(one, other, 1e-6)

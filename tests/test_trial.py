@@ -1,0 +1,153 @@
+"""A model with an effect in it, whose shape values move to where the data have them: Pinocchio and closed forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from arms import PENDULUM
+from imposed import Log, imposed, silent, with_noise, with_torque
+from numpy.typing import NDArray
+from spatial_arm import experiment, written
+
+from idtool.config import EffectEntry
+from idtool.diagnosis.ground import Ground, ground
+from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of, with_effects, with_fixed_inertia
+from idtool.experiment import Experiment
+
+Array = NDArray[np.float64]
+
+HINGE = ("hinge",)
+NOISE = 0.05  # N·m
+STRIBECK, VELOCITY = 0.8, 0.25  # N·m, rad/s
+STIFFNESS, STOP = 15.0, 0.55  # N·m/rad, rad
+FRICTION = {"viscous": False, "coulomb": True, "offset": False}
+
+
+def entry(effect: str, **parameters: float) -> EffectEntry:
+    """On the hinge."""
+    return EffectEntry(effect=effect, joint="hinge", parameters=parameters)
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    """A pendulum with Stribeck friction and a stop, without noise."""
+    plain = imposed(8.0, PENDULUM)
+    q, v = plain["q"][:, 0], plain["v"][:, 0]
+    friction = np.sign(v) * (1.0 + STRIBECK * np.exp(-np.square(v / VELOCITY)))
+    return with_torque(plain, 0, friction + STIFFNESS * np.maximum(q - STOP, 0))
+
+
+def grounded(folder: Path, log: Log, seed: int = 0, **config: Any) -> Ground:
+    """A fit of the pendulum without the effects."""
+    paths = written(folder, with_noise(log, NOISE, seed), HINGE, text=PENDULUM)
+    return ground(experiment(*paths, fitted=True, **{"friction": FRICTION, **config}), silent)
+
+
+def found(here: Ground, steps: int = 3, off: float = 0.8) -> Trial:
+    """Both effects, from values that are off."""
+    entries = [
+        entry("stribeck_friction", stribeck=0.0, velocity=off * VELOCITY),
+        entry("end_stop", stiffness=0.0, position=off * STOP),
+    ]
+    done = tried(here, entries, (0, 1), silent, steps)
+    assert done is not None
+    return done
+
+
+def values(done: Trial) -> Array:
+    """The Stribeck velocity and the stop's position."""
+    return np.array([value_of(done.entries[0], "velocity"), value_of(done.entries[1], "position")], dtype=float)
+
+
+KEYS = ((0, "velocity"), (1, "position"))
+
+
+def errors(done: Trial) -> Array:
+    """Their standard errors."""
+    return np.array([done.errors[key] for key in KEYS])
+
+
+def named(here: Ground) -> dict[str, float]:
+    """The fit's coefficients beside the inertia."""
+    pairs = zip(here.experiment.equation.coefficients, here.estimate.theta, strict=True)
+    return {c.name: float(x) for c, x in pairs if c.effect != "rigid_body"}
+
+
+@pytest.mark.parametrize("off", [0.8, 1.2])
+def test_shape_values_are_found_from_a_fifth_off(tmp_path: Path, log: Log, off: float) -> None:
+    here = grounded(tmp_path, log)
+    done = found(here, 4, off)
+    assert (np.abs(values(done) - [VELOCITY, STOP]) < 4 * errors(done)).all()
+    assert (errors(done) < [0.05 * VELOCITY, 0.01 * STOP]).all()
+    assert done.ground.left().sum() < 1e-3 * here.left().sum()
+    expected = {"coulomb": 1.0, "stribeck": STRIBECK, "stiffness": STIFFNESS}
+    assert named(done.ground) == pytest.approx(expected, rel=0.02)
+    assert np.sqrt(here.left().sum() / here.rows.sum()) > 10 * NOISE / here.noise[0]
+
+
+def test_standard_errors_are_what_other_noise_does(tmp_path: Path, log: Log) -> None:
+    every = [found(grounded(tmp_path, log, seed), off=0.95) for seed in range(8)]
+    scatter = np.std([values(done) for done in every], axis=0, ddof=1)
+    said = np.sqrt(np.mean([np.square(errors(done)) for done in every], axis=0))
+    ratio = said / scatter
+    assert ((ratio > 0.5) & (ratio < 2)).all(), ratio
+    bias = np.mean([values(done) for done in every], axis=0) - [VELOCITY, STOP]
+    assert (np.abs(bias) < 1.5 * scatter).all()
+
+
+def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: Path, log: Log) -> None:
+    here = grounded(tmp_path, log)
+    right = found(here, 1, 1.0)
+    assert (np.abs(values(right) - [VELOCITY, STOP]) < 4 * errors(right)).all()
+    entries = [
+        entry("stribeck_friction", stribeck=0.0, velocity=0.8 * VELOCITY),
+        entry("end_stop", stiffness=0.0, position=STOP),
+    ]
+    done = tried(here, entries, [0], silent, 3)
+    assert done is not None
+    assert values(done)[0] == pytest.approx(VELOCITY, rel=0.03)
+    assert values(done)[1] == STOP
+    assert set(done.errors) == {KEYS[0]}
+    fixed = tried(here, entries, [0], silent, 0)
+    assert fixed is not None
+    assert fixed.errors == {}
+    assert fixed.ground.left().sum() > done.ground.left().sum()
+
+
+def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
+    here = grounded(tmp_path, log)
+    assert tried(here, [entry("stribeck_friction", stribeck=0.0, velocity=-1.0)], [0], silent) is None
+
+
+def fitted(tried: Experiment) -> Ground:
+    """A fit."""
+    return ground(tried, silent)
+
+
+def test_fixed_inertia_is_the_urdfs_whatever_the_data_say(tmp_path: Path, log: Log) -> None:
+    """The data ask for another mass; friction is free, and so it stays when effects join and leave."""
+    heavy = with_torque(log, 0, 0.5 * np.sin(log["q"][:, 0]))
+    free = grounded(tmp_path, heavy).experiment
+    prior = free.equation.prior[:10]
+    assert not is_fixed(free)
+    assert np.abs(fitted(free).estimate.theta[:10] - prior).max() > 1e-2
+    here = with_fixed_inertia(free)
+    more = with_effects(here, [entry("stribeck_friction", stribeck=0.0, velocity=VELOCITY)])
+    for one in (here, more, with_effects(more, [])):
+        assert is_fixed(one)
+        done = fitted(one)
+        for theta in (done.theta, done.estimate.theta):
+            np.testing.assert_allclose(theta[:10], prior, rtol=0, atol=1e-6)
+        assert 0.8 < named(done)["coulomb"] < 1.6
+        assert done.ways[:10] == pytest.approx(0, abs=1e-6 * np.abs(done.ways).max())
+    assert not is_fixed(with_effects(free, []))
+
+
+def test_what_else_is_known_is_kept(tmp_path: Path, log: Log) -> None:
+    """A mass that was weighed would contradict the URDF's, friction is no part of that."""
+    known = {"mass": {"bob": {"value": 3.0}}}
+    here = with_fixed_inertia(grounded(tmp_path, log, known=known).experiment)
+    np.testing.assert_allclose(fitted(here).estimate.theta[:10], here.equation.prior[:10], rtol=0, atol=1e-6)
