@@ -5,7 +5,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 JOBS ?= 2
 
-.PHONY: demo test test-slow benchmarks coverage samples lock clean
+.PHONY: demo test test-slow benchmarks coverage scoreboard samples lock clean
 
 demo: $(READY)  ## the main job on the sample logs
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
@@ -27,6 +27,9 @@ benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured i
 
 coverage: $(READY)  ## how often the 95 % intervals cover the truth, on 260 simulated logs; takes minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/coverage.py --jobs $(JOBS)
+
+scoreboard: $(READY)  ## what `idtool diagnose` names of what is hidden in simulated robots; takes hours
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/scoreboard.py --jobs $(JOBS)
 
 samples: $(READY)  ## make the sample logs anew in MuJoCo
 	$(BIN)/python sample_logs/make.py

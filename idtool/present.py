@@ -99,9 +99,9 @@ class PresentModel:
 
     def carried(self, motion: Motion, joint: int) -> tuple[Array, Array]:
         """See `Present.carried`."""
-        rotor = float(self._spin[joint, joint]) + self._further(joint)
+        rotors = self._spin[joint] @ self.true.a + self._further(joint) * motion.a[joint]
         inertia = self._between(self._slopes[2][joint][joint, None])[0] - self._spin[joint, joint]
-        return self.predicted(motion)[joint] - rotor * motion.a[joint], inertia
+        return self.predicted(motion)[joint] - rotors, inertia
 
     @cached_property
     def _spin(self) -> Array:

@@ -24,6 +24,7 @@ _WEIGHT, _INERTIA = 0.03, 0.3  # share of a torque's power that either must make
 _NONE = 1e-3  # of weight and inertia that one of them is, below which it is rounding
 _EXPLAINED = 0.7  # of it that they and friction must explain together
 _SEVERAL, _ONE, _HEAVY = 5.0, 10.0, 30.0  # factors: by the weight of several joints, of one, by inertia alone
+_LIGHT = 0.02  # kg: links lighter than that move nothing that is measured
 _BEYOND = 3.0  # standard errors, and
 _BEYOND_SHARE = 0.01  # of the extreme, that the torque must go on beyond it
 
@@ -46,10 +47,18 @@ def torque_unit(fit: FaultFit, change: Change, T: Array) -> Iterator[Fault]:
     logs = np.log(list(factors.values()))
     if not len(logs) or not (np.all(logs > np.log(limit)) or np.all(logs < -np.log(limit))):
         return
+    if logs[0] > 0 and _place_holders(fit):
+        return
     factor = float(np.exp(np.median(logs)))
     what = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
     do = "if it is a motor's torque, a current, mN·m or the like set its `log.scale`; else the URDF's masses are wrong"
     yield Fault("wrong_unit", None, f"{what} at {some(list(factors))}: {do}")
+
+
+def _place_holders(fit: FaultFit) -> bool:
+    """Whether the URDF's masses only hold a place: next to none, or the same for three links and more."""
+    masses = np.array([body.pi[0] for body in fit.bodies if body.kind == "link"])
+    return bool(np.median(masses) < _LIGHT or (len(masses) > 2 and np.ptp(masses) == 0))
 
 
 def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:

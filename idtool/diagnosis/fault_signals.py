@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _LOST = 0.002  # share of the time that is lost
 _SKIPPED = 0.01  # share of steps that took the time of two: a few are hiccups
 _HELD = 0.05  # share of samples that repeat the one before: fewer are hiccups of a bus
+_OFTEN = 0.3  # the same of one that also sits at its extremes, on the way to which it may repeat values
 _FROZEN = 0.1  # s
 _LONG = 0.03, 10  # s and samples that a frozen stretch lasts at least
 _MOSTLY = 0.5  # share of samples in such stretches above which a channel is not frozen but slow, or made of steps
@@ -59,7 +60,7 @@ def signal_faults(log: Log, inspection: Inspection, joints: tuple[str, ...]) -> 
         if not joint.moves:
             continue
         yield from _late(name, joint, inspection.dt)
-        yield from _clipped(name, joint)
+        yield from _clipped(log, name, joint)
         yield from _stale(name, joint)
         yield from _frozen(log, name, joint)
         yield from _wrapped(log, name)
@@ -137,12 +138,20 @@ def _late(name: str, joint: Joint, dt: float) -> Iterator[Fault]:
         yield Fault("velocity_lag", name, f"{what}: idtool undoes it, nothing is to be done", True)
 
 
-def _clipped(name: str, joint: Joint) -> Iterator[Fault]:
-    """A velocity that is cut off; of a torque, see `fault_limits`."""
-    v = joint.signals.get("v")
-    if v is not None and not v.constant and v.stuck > STUCK:
+def _clipped(log: Log, name: str, joint: Joint) -> Iterator[Fault]:
+    """A velocity that is cut off, or a position while the velocity goes on; of a torque, see `fault_scale.cut_off`."""
+    q, v = joint.signals["q"], joint.signals.get("v")
+    if v is None or v.constant:
+        return
+    if v.stuck > STUCK:
         what = f"v is cut off at {v.minimum:.4g} or {v.maximum:.4g} in {v.stuck:.1%} of the samples while q moves on"
         yield Fault("clipped", name, f"{what}: set `velocity: differentiated`, or raise the limit")
+    if q.stuck > STUCK:
+        x, speed = (log.signals[signal][:, log.joints.index(name)] for signal in ("q", "v"))
+        extreme = (x == q.minimum) | (x == q.maximum)
+        if np.nanmedian(np.abs(speed[extreme])) > _MOVES * joint.speed_rms:
+            what = f"q is cut off at {q.minimum:.4g} or {q.maximum:.4g} in {q.stuck:.1%} of the samples while v goes on"
+            yield Fault("clipped", name, f"{what}: keep the joint in the encoder's range")
 
 
 def _stale(name: str, joint: Joint) -> Iterator[Fault]:
@@ -153,7 +162,7 @@ def _stale(name: str, joint: Joint) -> Iterator[Fault]:
         if x.constant and signal != "q":
             do = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
             yield Fault("stale", name, f"{signal} is {x.minimum:.4g} throughout while q moves: {do}")
-        elif (x.stale or 0.0) > _HELD:
+        elif (x.stale or 0.0) > (_OFTEN if x.stuck > STUCK else _HELD):
             what = f"{x.stale:.0%} of {signal}'s samples repeat the one before while it changes"
             yield Fault("stale", name, f"{what}, so that it is late by half its period: read it at the log's rate")
 
@@ -186,9 +195,8 @@ def _wrapped(log: Log, name: str) -> Iterator[Fault]:
         for start in range(segment.start, segment.stop, _BLOCK):
             step = np.abs(np.diff(log.signals["q"][start : min(start + _BLOCK + 1, segment.stop), i]))
             if len(step):
-                jumps += int(
-                    np.count_nonzero((np.abs(step - 2 * np.pi) < _TURN) & (step > _JUMP * np.percentile(step, 90)))
-                )
+                jump = (np.abs(step - 2 * np.pi) < _TURN) & (step > _JUMP * np.percentile(step, 90))
+                jumps += int(np.count_nonzero(jump))
     if jumps:
         what = f"q jumps by about a full turn {jumps} times"
         yield Fault("wrapped_position", name, f"{what}: unwrap it, or cut the log there")

@@ -36,8 +36,12 @@ class Trial:
         Per joint that it concerns, what it is and what to do, one sentence of two parts.
     joints
         Indices of these joints.
-    change
-        The channels with the mistake undone.
+    T
+        Torques with the mistake undone from those that were logged, shape (nv, nv).
+    position
+        Position and its derivatives with the mistake undone; None: they are as they were logged.
+    others
+        Mistakes that the data can't tell from it.
     """
 
     fault: str

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,8 +126,8 @@ def _merged(found: Sequence[tuple[str, Fault]], logs: int) -> tuple[Fault, ...]:
     for log, fault in found:
         same[fault.fault, fault.joint].append((log, fault))
     merged = []
-    for (kind, joint), entries in same.items():
+    for entries in same.values():
         log, fault = entries[0]
-        detail = f"{fault.detail} ({log}, and {len(entries) - 1} more logs)" if log and logs > 1 else fault.detail
-        merged.append(Fault(kind, joint, detail))
+        where = f" ({log} and {len(entries) - 1} more logs)" if log and logs > 1 else ""
+        merged.append(replace(fault, detail=fault.detail + where))
     return tuple(sorted(merged, key=lambda fault: KINDS.index(fault.fault)))

@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 _MOST = 0.3  # by which the share of energy exceeds that of time, or the region says nothing
 _HOLDS = 0.5  # of the energy, at least
 _TWO_BOUNDS = 0.1  # by which a region with two bounds must be better than one with one
-_WINDOW = 0.03  # by which each window of time must be worth more than a bound
+_WINDOW = 0.05  # by which each window of time must be worth more than a bound
 _SECOND = 0.35  # as `_MOST`, of a second clause within the first
 _PERIODS = 3.0  # that a ripple has over the travel, at least
 _EARLY_LATE = "at the start of the log, up to {:.2g} s", "at the end of the log, from {:.2g} s"
@@ -222,15 +222,16 @@ class _Ordered:
 
 
 def _timed(scene: Scene, among: Mask, windows: Sequence[tuple[float, float]]) -> Iterator[Region]:
-    """Parts of the log."""
-    course = scene.course
-    if scene.one_log:
-        yield from _one(scene, among, "time", course.t, *_EARLY_LATE)
+    """Parts of the log: its windows, and its start or end if these say next to as much."""
+    course, energy, time = scene.course, scene.energy, scene.course.step
+    score = -np.inf
     if windows:
         within = among & inside(course.t, windows)
-        energy, time = scene.energy, course.step
-        score = energy[within].sum() / energy[among].sum() - time[within].sum() / time[among].sum()
-        yield Region(min(float(score), 1.0) - _WINDOW * len(windows), "windows", _in_stretches(windows), within)
+        score = float(energy[within].sum() / energy[among].sum() - time[within].sum() / time[among].sum())
+        yield Region(min(score, 1.0) - _WINDOW * len(windows), "windows", _in_stretches(windows), within)
+    if scene.one_log:
+        ends = _one(scene, among, "time", course.t, *_EARLY_LATE)
+        yield from (region for region in ends if region.score > score - _TWO_BOUNDS)
 
 
 def _in_stretches(windows: Sequence[tuple[float, float]]) -> str:

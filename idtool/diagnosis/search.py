@@ -132,9 +132,10 @@ def searched(
     best = _best(found)
     contenders = sorted(best.values(), key=lambda one: -one.gain)[:_CONTENDERS]
     best |= _best(screened(here, list(_finer(contenders, found)), progress, "looking closer"), best)
+    if forced:
+        return Choice(here, _forced(here, found, progress), (), (), (), inflation)
     ranked = sorted(best.values(), key=lambda one: -one.gain)
-    most = ranked[0].gain if ranked else 0.0
-    least = max(_NEAR * most, 0.0 if forced else SURE**2 * inflation)
+    least = max(_NEAR * ranked[0].gain if ranked else 0.0, SURE**2 * inflation)
     finalists = [one for one in ranked if one.gain >= least][:_FINALISTS]
     fitted, failed = [], []
     for one in finalists:
@@ -144,9 +145,18 @@ def searched(
         else:
             failed.append(_record(one, here, reason))
     fitted.sort(key=lambda one: -one.gain)
-    if forced:
-        return Choice(here, fitted[0] if fitted else None, (), tuple(fitted[1:]), (), inflation)
     return _chosen(here, fitted, failed, found, inflation, progress)
+
+
+def _forced(here: Ground, found: Iterable[Found], progress: Progress) -> Contender | None:
+    """The best of those that can be at all, whatever it explains."""
+    for one in sorted(found, key=lambda one: (not one.allowed, -one.gain)):
+        if one.entry is not None:
+            entries = (*here.experiment.config.effects, one.entry)
+            trial = tried(here, entries, [len(entries) - 1], progress)
+            if trial is not None:
+                return Contender(one, trial, saved(here, trial.ground))
+    return None
 
 
 def _inflation(here: Ground, found: Iterable[Found]) -> float:

@@ -48,7 +48,7 @@ def located(
     models = [(before.equation, theta_before), (after.equation, theta_after)]
     found = course(before, models, progress, "locating what was explained")
     first, last = np.square(found.left)
-    return _where(before, found, first - last, first, found.left[0] - found.left[1])
+    return _where(before, found, first - last, first, found.left[0] - found.left[1], at_least_one=True)
 
 
 def unexplained(experiment: Experiment, theta: Array, floor: Mapping[str, float], progress: Progress) -> Where:
@@ -71,13 +71,17 @@ def unexplained(experiment: Experiment, theta: Array, floor: Mapping[str, float]
     return _where(experiment, found, square - np.square(_FLOOR * noise), square, found.left[0])
 
 
-def _where(experiment: Experiment, found: Course, saved: Array, square: Array, torque: Array) -> Where:
+def _where(
+    experiment: Experiment, found: Course, saved: Array, square: Array, torque: Array, at_least_one: bool = False
+) -> Where:
     """By squares saved of those that there were, and the torque that made the difference; shape (nv, n) each."""
     time = found.step * found.kept
     saved, all_of_it = saved * time, np.maximum((square * time).sum(axis=1), 1e-300)
     relative = saved.sum(axis=1) / all_of_it
     sure = saved.sum(axis=1) > _SURE * _chance(saved)
     concerned = sure & (relative > _SHARE * max(relative.max(), 0.0))
+    if at_least_one and not concerned.any():
+        concerned = (relative > 0) & (relative == relative.max())
     if not concerned.any():
         return Where((), (), "")
     joints = experiment.equation.joints
