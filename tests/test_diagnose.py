@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commands import Result, idtool
+from commands import idtool
 from hidden_cases import Case, Hidden, Written, write_case
 
 SECONDS = 12.0
@@ -24,10 +24,10 @@ def logged(folder: Path, *hidden: Hidden, inertia: str = "refit") -> Written:
     return write_case(Case(name, "planar2", hidden, 0, inertia, SECONDS), folder / name)
 
 
-def diagnosed(files: Written, out: Path, *options: str) -> tuple[Result, dict[str, Any]]:
+def diagnosed(files: Written, out: Path, *options: str) -> dict[str, Any]:
     done = idtool("diagnose", files.urdf, files.log, "--config", files.config, "--out", out, "--json", *options)
     assert done.code == 0, done.err
-    return done, done.json
+    return done.json
 
 
 def truth(files: Written) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def stribeck(folder: Path) -> Written:
 
 
 def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: Written, folder: Path) -> None:
-    done, report = diagnosed(stribeck, folder / "out")
+    report = diagnosed(stribeck, folder / "out")
     assert {path.name for path in (folder / "out").iterdir()} == OUT
     assert named(report) == [("stribeck_friction", "shoulder")]
     assert report["verdict"] == "explained"
@@ -70,7 +70,7 @@ def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: 
 
 def test_what_is_written_is_the_model_that_was_found(stribeck: Written, folder: Path) -> None:
     out = folder / "again"
-    _, report = diagnosed(stribeck, out, "--no-simulation")
+    report = diagnosed(stribeck, out, "--no-simulation")
     config = yaml.safe_load((out / "model.yaml").read_text())
     (entry,) = config["effects"]
     (step,) = report["steps"]
@@ -90,7 +90,7 @@ PARTS = {"train": 0.7, "validation": 0.3}
 
 
 def test_nothing_is_found_where_nothing_is_hidden(folder: Path) -> None:
-    _, report = diagnosed(logged(folder), folder / "clean", "--no-simulation")
+    report = diagnosed(logged(folder), folder / "clean", "--no-simulation")
     assert named(report) == []
     assert report["verdict"] == "no_disagreement"
     assert report["after"] == report["before"]
@@ -98,7 +98,7 @@ def test_nothing_is_found_where_nothing_is_hidden(folder: Path) -> None:
 
 def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
     files = logged(folder, Hidden("payload", None, "lower", "strong"), inertia="fixed")
-    _, report = diagnosed(files, folder / "payload", "--no-simulation", "--inertia", "fixed")
+    report = diagnosed(files, folder / "payload", "--no-simulation", "--inertia", "fixed")
     assert named(report) == [("payload", "lower")]
     found, true = report["steps"][0]["parameters"], truth(files)
     assert found["mass"] == pytest.approx(true["mass"], rel=0.02)
@@ -108,14 +108,14 @@ def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
 
 def test_what_is_in_no_library_is_unknown(folder: Path) -> None:
     files = logged(folder, Hidden("unknown", "elbow", None, "strong", {"form": "friction_by_position"}))
-    _, report = diagnosed(files, folder / "unknown", "--no-simulation")
+    report = diagnosed(files, folder / "unknown", "--no-simulation")
     assert ("unknown", "elbow") in named(report)
     assert report["verdict"] in ("unexplained", "partly_explained")
 
 
 def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: Written, folder: Path) -> None:
     options = ("--no-simulation", "--report-only", "--effects", "quadratic_drag", "--assume", "torque_offset:elbow")
-    done, report = diagnosed(stribeck, folder / "only", *options)
+    report = diagnosed(stribeck, folder / "only", *options)
     assert {path.name for path in (folder / "only").iterdir()} == {"diagnosis.json", "diagnosis.html"}
     assert named(report)[0] == ("torque_offset", "elbow")
     assert set(named(report)[1:]) <= {("quadratic_drag", "shoulder"), ("unknown", "shoulder"), ("unknown", "elbow")}

@@ -53,13 +53,14 @@ def test_links_keep_their_distance(tmp_path: Path, iterations: int) -> None:
     assert clearance.min() >= 0.03 - 1e-4  # between the instants looked at
     assert report["clearance"]["links"] == ["base", "fore"]
     assert report["clearance"]["distance"] == pytest.approx(clearance.min(), abs=1e-3)
-    free, _ = excited(tmp_path / "free", FOLDING.replace(ball(BALL), ""), "--iterations", "60", "--margin", "0", "--duration", "30")
+    free, _ = excited(tmp_path / "free", FOLDING.replace(ball(BALL), ""), "--iterations", "25", "--margin", "0")
     assert free["clearance"] is None
     assert any("self-collision was not checked" in note for note in free["warnings"])
 
 
 def test_without_that_care_they_would_touch(tmp_path: Path) -> None:
-    _, log = excited(tmp_path, FOLDING.replace(ball(BALL), ""), "--iterations", "60", "--margin", "0", "--duration", "30")
+    options = ("--iterations", "60", "--margin", "0", "--duration", "30")
+    _, log = excited(tmp_path, FOLDING.replace(ball(BALL), ""), *options)
     assert np.linalg.norm(tips(FOLDING, log, "fore", REACH), axis=1).min() < 2 * BALL + 0.03
 
 

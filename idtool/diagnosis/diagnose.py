@@ -301,15 +301,14 @@ def _structure(search: _Search) -> list[Candidate]:
 def _unknown(search: _Search, structure: Sequence[Candidate], floor: Floor, last: Fit) -> list[Step]:
     """What is structured and has no name, a step a joint."""
     rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    units, steps = last.experiment.model.units, []
+    lost = search.last.lost if search.last is not None else ()
+    now, units, where, steps = _of(last), last.experiment.model.units, None, []
     for j, chosen in enumerate(structure):
         slow = floor.slow[j] > _SLOW and floor.residual[j] > _NEAR * floor.noise[j]
         if chosen.score > _STRUCTURED or slow:
-            where = unexplained(last.experiment, last.estimate.theta, rms, search.progress)
-            step = Step(
-                chosen, None, {}, {}, replace(where, joints=(chosen.on,)), chosen.score / max(chosen.standard_error, 1e-12),
-                False, "", (), search.last.lost if search.last is not None else (), _of(last), _of(last), "",
-            )  # fmt: skip
+            where = where or unexplained(last.experiment, last.estimate.theta, rms, search.progress)
+            own, sure = replace(where, joints=(chosen.on,)), chosen.score / max(chosen.standard_error, 1e-12)
+            step = Step(chosen, None, {}, {}, own, sure, False, "", (), lost, now, now, "")
             steps.append(replace(step, sentence=sentence(step, units)))
     return steps
 

@@ -52,17 +52,17 @@ class TransmissionCoupling(JointTerm):
 
 def _beside(model: Model, joint: int) -> list[int]:
     """Joints that move some body together with a joint: those before it and behind it."""
-    moved = [set(np.flatnonzero(body.ratios)) | _above(model, i) for i, body in enumerate(model.bodies)]
+    moved = [set(np.flatnonzero(body.ratios).tolist()) | _above(model, i) for i, body in enumerate(model.bodies)]
     found: set[int] = set()
     for chain in moved:
         if joint in chain:
             found |= chain
-    return sorted(int(j) for j in found - {joint})
+    return sorted(found - {joint})
 
 
-def _above(model: Model, i: int) -> set[np.intp]:
+def _above(model: Model, i: int) -> set[int]:
     """Joints that a body hangs on."""
-    found: set[np.intp] = set()
+    found: set[int] = set()
     while (i := model.bodies[i].mount.body) >= 0:
-        found |= set(np.flatnonzero(model.bodies[i].ratios))
+        found |= set(np.flatnonzero(model.bodies[i].ratios).tolist())
     return found
