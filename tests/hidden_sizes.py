@@ -26,7 +26,7 @@ _SEEN, _MOST = 0.4, 3.0  # share that bodies and friction must leave; else so mu
 _EVERY = 20  # samples between those by which that is judged
 _PAYLOADS = {"planar2": 0.7, "leg3": 0.25, "arm6": 2.5}  # kg, strong
 _FORCES = {"planar2": 12.0, "leg3": 7.0, "arm6": 25.0}  # N, strong
-_PLAYS = {"planar2": 1.0, "leg3": 1.2, "arm6": 0.3}  # relative
+_PLAYS = {"planar2": 0.012, "leg3": 0.012, "arm6": 0.005}  # rad, strong, for a motor as heavy as its link
 
 
 @dataclass(frozen=True)
@@ -146,30 +146,29 @@ def _drift(d: Draw) -> Parameters:
     }
 
 
-def _gear(d: Draw, stiffness: Callable[[float, float], float], ratio: float) -> dict[str, float]:
-    """Of a stiffness that the inertias of motor and link give, damping so much of critical for the motor.
-
-    In every other one, half of the friction is on the motor's side.
-    """
-    joint = d.robot.joints[d.j]
-    n, motor = len(d.robot.joints), joint.reflected
+def _sides(d: Draw) -> tuple[float, float]:
+    """Inertia of a joint's motor, and of all that it moves beside it in the middle of the motion [kg m^2]."""
+    n, motor = len(d.robot.joints), d.robot.joints[d.j].reflected
     q = np.median(d.now.q, axis=1)[:, None]
     rotors = {one.name: rotor(one) for one in d.robot.joints}
-    column = [needed(d.robot, d.robot.links, rotors, q, 0 * q, a * np.eye(n)[:, [d.j]])[d.j, 0] for a in (1.0, 0.0)]
-    k = stiffness(motor, column[0] - column[1] - motor)
-    damping = float(2 * ratio * np.sqrt(k * motor))
-    return {"stiffness": float(k), "damping": damping, "motor_friction": float(d.rng.choice([0.0, 0.5]))}
+    pushed, still = (needed(d.robot, d.robot.links, rotors, q, 0 * q, a * np.eye(n)[:, [d.j]])[d.j, 0] for a in (1, 0))
+    return motor, float(pushed - still - motor)
+
+
+def _gear(d: Draw, stiffness: float, ratio: float) -> dict[str, float]:
+    """Damping so much of critical for the motor; in every other gear, half of the friction on the motor's side."""
+    damping = 2 * ratio * np.sqrt(stiffness * _sides(d)[0])
+    return {"stiffness": stiffness, "damping": float(damping), "motor_friction": float(d.rng.choice([0.0, 0.5]))}
 
 
 def _elasticity(d: Draw) -> Parameters:
-    frequency = 2 * np.pi * d.of(11.0, 20.0, 45.0)
-    return _gear(d, lambda motor, link: frequency**2 * link, 0.05)
+    return _gear(d, (2 * np.pi * d.of(11.0, 20.0, 45.0)) ** 2 * _sides(d)[1], 0.05)
 
 
 def _backlash(d: Draw) -> Parameters:
-    stiff = (2 * np.pi * 150) ** 2
-    gear = _gear(d, lambda motor, link: stiff * motor * link / (motor + link), 0.3)
-    return {"width": d.of(0.02, 0.006, 0.0012) * _PLAYS[d.robot.name], **gear}
+    motor, link = _sides(d)
+    gear = _gear(d, (2 * np.pi * 150) ** 2 * motor * link / (motor + link), 0.3)
+    return {"width": _PLAYS[d.robot.name] * motor / link * d.of(1.0, 0.33, 0.08), **gear}
 
 
 def _tilt(d: Draw) -> Parameters:

@@ -75,7 +75,7 @@ def bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tu
                 end = t[first + b - 1] + step / 2 if first + b < len(t) else log.t[-1] - log.t[0]
                 found.append((float(begin), float(end), strength))
     strongest = sorted(found, key=lambda one: -one[2])[:_MOST]
-    return tuple(sorted((begin, end) for begin, end, _ in strongest))
+    return tuple(sorted((round(begin, 4), round(end, 4)) for begin, end, _ in strongest))
 
 
 def _normalised(

@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 
 _POLISHES = 3  # steps of all shape values after an effect was added
 _STRUCTURED = 0.05  # of a joint's squared residual, that a function of any form explains: it has structure
-_SLOW = 5.0  # times the noise's power where the motion's is: it has structure
-_NEAR = 1.25  # of the noise floor, that a residual may be and count as noise
+_SLOW = 25.0  # times the noise's power where the motion's is: it has structure
+_NEAR = 1.5  # of the noise floor, that a residual may be and count as noise
 
 
 @dataclass(frozen=True)

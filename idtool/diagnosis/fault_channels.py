@@ -33,6 +33,7 @@ _LESS = 0.35  # to which the mean of u has to fall
 _LEFT = 0.15  # mean of u above which nothing is believed in the end
 _ALIKE = 0.7  # of the same: of two that differ by less the former is believed
 _ROUNDS = 4
+_HOPELESS = 1e9  # u where no fit is found at all
 _STAGE = "looking for wrong channels"
 _ORDER = 2.0  # what another order of the torques has to promise, of the same
 _RANGES = 10.0  # of the URDF that a joint can't cover, whatever the torque says
@@ -80,6 +81,8 @@ class ChannelSearch:
         """All faults of signs, order and units that the motion tells."""
         self.progress(_STAGE, 0.0)
         u = self._posed.unexplained(self.T)
+        if u is None and self._outside():  # units may be so wrong that no fit is found
+            u = np.full(len(self.joints), _HOPELESS)
         if u is not None:
             yield from self._mistakes(u)
             yield from self._beyond(u)
@@ -155,6 +158,8 @@ class ChannelSearch:
         for group in self.fit.groups:
             suspicious = max(u[group]) > _SUSPICIOUS
             own = trials(list(map(int, group)), self.joints, turned, outside, self.fit.excess) if suspicious else []
+            if max(u) == _HOPELESS:
+                own = [trial for trial in own if trial.fault == "wrong_unit"]
             if any(j in outside and self._names[j] in self.computed for j in group):
                 own = []  # the torque is computed from what can't be, and tells nothing
             lists.append([trial for trial in own if trial.position or self._hope(u, trial, group) > _GAIN])
@@ -167,7 +172,7 @@ class ChannelSearch:
 
     def _order(self, u: Array) -> Trial | None:
         """Another order of the torques, where the joints' own equations ask for one."""
-        if max(u) < _SUSPICIOUS or len(u) < 2:
+        if max(u) < _SUSPICIOUS or max(u) == _HOPELESS or len(u) < 2:
             return None
         cost = np.log(np.maximum(self._posed.exchanged, EXPLAINED))
         _, order = linear_sum_assignment(cost)

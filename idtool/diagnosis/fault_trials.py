@@ -93,7 +93,9 @@ def trials(
     """
     names, nv = [joint.name for joint in joints], len(joints)
     pairs = list(itertools.combinations(group, 2))
-    found = [_position_unit(which, joints) for which in reversed(_subsets(sorted(outside & set(group))))]
+    suspects = list(reversed(_subsets(sorted(outside & set(group)))))  # more before fewer: units are mostly common
+    suspects[1:1] = [tuple(group)] if suspects and len(suspects[0]) < len(group) else []
+    found = [_position_unit(which, joints) for which in suspects]
     found += [_turned_position(j, nv) for j in group if j in turned]
     found += [_turned_torque(which, nv) for which in _subsets(group)]
     found += [torque_order(_swap(nv, i, k), names) for i, k in pairs]

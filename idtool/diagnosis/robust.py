@@ -1,8 +1,8 @@
 """A fit that does not heed stretches of time of which the model makes nothing.
 
-Blocks of time count as one each: the sum of their residuals' norms is least (not of their squares), by reweighting;
-then, from there, Tukey's biweight, by which a block that is far out does not count at all (Huber 1981; Beaton & Tukey
-1974). Constraints are not heeded: it is for finding such stretches, not for a model.
+Blocks of time are weighted by Tukey's biweight of their residuals, by which one that is far out does not count at all
+(Beaton & Tukey 1974), again and again; up to half of the time may be out of the ordinary. Constraints are not heeded:
+it is for finding such stretches, not for a model.
 
 Letters: F blocks; nv joints; p coefficients; m_j of joint j's equation.
 """
@@ -19,8 +19,7 @@ from idtool.experiment import Experiment, Progress, tracked
 
 Array = NDArray[np.float64]
 
-_NORMS, _BIWEIGHT = 15, 10  # rounds
-_LEAST = 0.05  # of the median: a smaller residual weighs no more
+_ROUNDS = 15
 _OUT = 3.0  # times the median: where a block does not count
 _RIDGE = 1e-6  # of a column's squares: what the data do not say stays as it was
 
@@ -66,17 +65,14 @@ def robust(experiment: Experiment, theta: Array, progress: Progress) -> Array:
     sums = _summed(experiment, theta, progress)
     change = np.zeros(len(theta))
     squares = np.array([one.squares(change) for one in sums])
-    size = squares.mean(axis=1)
-    for i in range(_NORMS + _BIWEIGHT):
-        if i >= _NORMS:
-            size = np.median(squares, axis=1)
-        level = np.sqrt((squares / np.maximum(size, 1e-300)[:, None]).mean(axis=0))
-        usual = max(float(np.median(level)), 1e-12)
-        weight = (
-            1 / np.maximum(level, _LEAST * usual)
-            if i < _NORMS
-            else np.square(np.maximum(1 - np.square(level / (_OUT * usual)), 0.0))
+    known = np.array([one.rows > 0 for one in sums])
+    for _ in range(_ROUNDS):
+        size = np.array(
+            [max(float(np.median(s[k])), 1e-300) if k.any() else 1.0 for s, k in zip(squares, known, strict=True)]
         )
+        level = np.sqrt((squares / size[:, None]).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+        out = _OUT * max(float(np.median(level)), 1e-12)
+        weight = np.square(np.maximum(1 - np.square(level / out), 0.0))
         change = _solved(sums, weight, size, len(theta))
         squares = np.array([one.squares(change) for one in sums])
     return np.asarray(theta + change)
@@ -85,7 +81,7 @@ def robust(experiment: Experiment, theta: Array, progress: Progress) -> Array:
 def _solved(sums: list[_Sums], weight: Array, size: Array, p: int) -> Array:
     """The change of theta that weighted least squares asks for."""
     A, b = np.zeros((p, p)), np.zeros(p)
-    for one, square in zip(sums, np.maximum(size, 1e-300), strict=True):
+    for one, square in zip(sums, size, strict=True):
         A[np.ix_(one.active, one.active)] += np.tensordot(weight / square, one.B, 1)
         b[one.active] += weight / square @ one.g
     scale = np.sqrt(np.maximum(A.diagonal(), 1e-300))

@@ -127,7 +127,7 @@ def windows_of(found: Course, energy: Array, kept: NDArray[np.bool_]) -> tuple[t
         return ()
     edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2).tolist()
     worth = [(i, j) for i, j in edges if held[i:j].sum() > _WORTH * held.sum()]
-    return tuple((first + i * cell, min(first + j * cell, last)) for i, j in worth)
+    return tuple((round(first + i * cell, 3), round(min(first + j * cell, last), 3)) for i, j in worth)
 
 
 def _merged(chosen: NDArray[np.bool_], apart: int) -> NDArray[np.bool_]:

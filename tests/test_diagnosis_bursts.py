@@ -1,0 +1,63 @@
+"""Contacts are found by when they come and go; what comes and goes otherwise is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from disturbed import Array, Hidden, after_reversals, contact, experiment_of, motion, nothing, on, quiet
+
+from idtool.diagnosis.ground import ground
+from idtool.diagnosis.where import bursts
+
+WINDOWS = ((2.113, 4.207), (6.551, 7.009), (10.204, 14.498))
+
+
+def test_contacts_are_found_although_the_model_is_fitted_to_them(tmp_path: Path) -> None:
+    """To within 10 ms, in training and held-out parts, with a gap in the log, from a model that they have bent."""
+    rows = np.abs(motion()[0] - 9.0) > 0.3
+    friction = {"viscous": True, "coulomb": True}
+    experiment = experiment_of(tmp_path, contact(*WINDOWS), rows=rows, friction=friction)
+    np.testing.assert_allclose(bursts(experiment, ground(experiment, quiet).theta, quiet), WINDOWS, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "windows"), [(0.0, 2.5, ((0.0, 2.5),)), (14.0, 16.0, ((14.0, 16.0),)), (0.0, 16.0, ())]
+)
+def test_a_contact_may_be_there_from_the_start_or_to_the_end(
+    tmp_path: Path, begin: float, end: float, windows: tuple[tuple[float, float], ...]
+) -> None:
+    experiment = experiment_of(tmp_path, contact((begin, end)))
+    found = bursts(experiment, experiment.equation.prior, quiet)
+    assert len(found) == len(windows)
+    np.testing.assert_allclose(np.reshape(found, (-1, 2)), np.reshape(windows, (-1, 2)), atol=0.01)
+
+
+def ramp(t: Array) -> Array:
+    """From 5 to 8 s, come and gone within 0.3 s each."""
+    return np.clip(np.minimum(t - 5.0, 8.0 - t) / 0.3, 0.0, 1.0)
+
+
+NO_CONTACTS: dict[str, Hidden] = {
+    "nothing": nothing,
+    "friction that rises at low speed": on(0, lambda t, q, v, tau: 2 * np.exp(-np.square(v / 0.3)) * np.tanh(v / 0.01)),
+    "friction after reversals": on(0, lambda *state: 2 * after_reversals(*state)),
+    "an end stop": on(0, lambda t, q, v, tau: 10 * np.maximum(q - 0.8, 0.0)),
+    "ripple": on(0, lambda t, q, v, tau: 0.5 * np.sin(28 * q)),
+    "saturation": on(0, lambda t, q, v, tau: -0.5 * np.sign(tau) * np.maximum(np.abs(tau) - 10, 0.0)),
+    "what comes and goes slowly": on(0, lambda t, q, v, tau: 2 * ramp(t)),
+    "a kick": on(1, lambda t, q, v, tau: 5.0 * (np.abs(t - 6) < 0.05)),
+    "shaking": on(1, lambda t, q, v, tau: 2.0 * (np.abs(t - 6) < 1) * np.sin(60 * t)),
+}
+
+
+@pytest.mark.parametrize("hidden", NO_CONTACTS.values(), ids=NO_CONTACTS)
+def test_what_is_no_contact(tmp_path: Path, hidden: Hidden) -> None:
+    experiment = experiment_of(tmp_path, hidden)
+    assert bursts(experiment, experiment.equation.prior, quiet) == ()
+
+
+def test_with_several_logs_a_contact_has_no_windows(tmp_path: Path) -> None:
+    experiment = experiment_of(tmp_path, contact(WINDOWS[0]), nothing)
+    assert bursts(experiment, experiment.equation.prior, quiet) == ()
