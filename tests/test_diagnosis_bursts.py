@@ -47,6 +47,7 @@ NO_CONTACTS: dict[str, Hidden] = {
     "ripple": on(0, lambda t, q, v, tau: 0.5 * np.sin(28 * q)),
     "saturation": on(0, lambda t, q, v, tau: -0.5 * np.sign(tau) * np.maximum(np.abs(tau) - 10, 0.0)),
     "what comes and goes slowly": on(0, lambda t, q, v, tau: 2 * ramp(t)),
+    "what swings through zero": on(0, lambda t, q, v, tau: 2 * np.cos(2 * np.pi * (t - 6)) * (np.abs(t - 6.5) < 0.5)),
     "a kick": on(1, lambda t, q, v, tau: 5.0 * (np.abs(t - 6) < 0.05)),
     "shaking": on(1, lambda t, q, v, tau: 2.0 * (np.abs(t - 6) < 1) * np.sin(60 * t)),
 }
@@ -55,6 +56,14 @@ NO_CONTACTS: dict[str, Hidden] = {
 @pytest.mark.parametrize("hidden", NO_CONTACTS.values(), ids=NO_CONTACTS)
 def test_what_is_no_contact(tmp_path: Path, hidden: Hidden) -> None:
     experiment = experiment_of(tmp_path, hidden)
+    assert bursts(experiment, experiment.equation.prior, quiet) == ()
+
+
+def test_what_was_seen_neither_to_come_nor_to_go(tmp_path: Path) -> None:
+    """Between two gaps of the log."""
+    t = motion()[0]
+    rows = np.minimum(np.abs(t - 5.8), np.abs(t - 8.2)) > 0.2
+    experiment = experiment_of(tmp_path, contact((5.8, 8.2)), rows=rows)
     assert bursts(experiment, experiment.equation.prior, quiet) == ()
 
 

@@ -30,7 +30,7 @@ from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.regions import Scene, in_words
 from idtool.diagnosis.trial import with_effects
-from idtool.diagnosis.where import located, residual_maps, unexplained
+from idtool.diagnosis.where import located, residual_maps, unexplained, windows_of
 
 FLOOR = {"j1": NOISE, "j2": NOISE}
 
@@ -118,6 +118,17 @@ def test_a_contact_is_located(tmp_path: Path) -> None:
     assert not told[~near].any()
     assert told[truth].mean() > 0.7
     assert re.fullmatch(r"in \d stretches of the log", where.region)
+
+
+def test_windows_are_few_and_short_or_none() -> None:
+    """What comes again after 0.4 s is one window, unless it is there most of the time."""
+    t = np.arange(6000) * 0.01
+    none = np.zeros((2, len(t)))
+    found = Course(t, np.full(len(t), 0.01), none, none, none, none, none[None], none == 0, (0,))
+    pulses = 1.0 * (t % 0.4 < 0.1)
+    energy = pulses * ((np.abs(t - 15) < 5) | (np.abs(t - 40) < 1))
+    np.testing.assert_allclose(windows_of(found, energy, t >= 0), [[10, 20], [39, 41]], atol=0.4)
+    assert windows_of(found, pulses, t >= 0) == ()
 
 
 def test_what_a_step_explains_is_located(tmp_path: Path) -> None:

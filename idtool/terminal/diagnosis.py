@@ -36,7 +36,8 @@ def show_diagnosis(
     for fault in report["data_faults"]:
         on_joint = f"{fault['joint']}: " if fault["joint"] else ""
         terminal.say(
-            f"fault of the data: {on_joint}{fault['fault'].replace('_', ' ')}: {fault['detail']}", STYLE["problem"]
+            f"fault of the data: {on_joint}{fault['fault'].replace('_', ' ')}: {fault['detail']}",
+            STYLE["note" if fault["undone"] else "problem"],
         )
     terminal.say(report["summary"], _STYLES.get(report["verdict"], f"bold {STYLE['warning']}"))
     terminal.say("")
