@@ -87,7 +87,7 @@ def test_the_report_has_what_the_contract_promises(found: Diagnosis) -> None:
 
 def test_faults_and_what_is_unknown_are_there(found: Diagnosis) -> None:
     report = report_of(faulty(found))
-    assert report["data_faults"] == [{"fault": "velocity_lag", "joint": "hip", "detail": BEHIND}]
+    assert report["data_faults"] == [{"fault": "velocity_lag", "joint": "hip", "detail": BEHIND, "undone": False}]
     last = report["steps"][-1]
     assert (last["effect"], last["joint"], last["parameters"]) == ("unknown", "knee", {})
     assert report["removed"] == [BEHIND]
@@ -292,7 +292,7 @@ def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
     assert set(files(tmp_path / "out")) == {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
     assert strict_json((tmp_path / "out" / "diagnosis.json").read_text()) == done.json
     assert "The model lacks Stribeck friction on hip" in done.err
-    assert asked == [Asked("refit", None, 8, (), True)]
+    assert asked == [Asked("refit", None, 12, (), True)]
     entry, late = yaml.safe_load((tmp_path / "out" / "model.yaml").read_text())["effects"]
     assert (entry["effect"], entry["joint"]) == ("stribeck_friction", "hip")
     assert set(entry["parameters"]["stribeck"]) == {"value", "standard_error"}
