@@ -18,6 +18,7 @@ from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
 from idtool.effects import build_effects, known_effects
+from idtool.effects.joint_effect import JointEffect
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present
 from idtool.exceptions import IdtoolError
@@ -29,10 +30,12 @@ from idtool.regressor import LinearModel
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
+Key = tuple[int, str]  # place in the configuration's effects, and name of a parameter
 
 _STEP = 1e-3  # of a shape value, or this where it is small: of a difference
 _FAR = 0.3  # of a value that a step goes at the most
 _BETTER = 1e-4  # of the squared residual that a step must save
+_BEYOND = 2.0  # times the values tried, that a shape value may move
 _SCAN = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # of a value, that are tried
 _AS_GOOD = 0.9  # of the largest gain
 
@@ -47,10 +50,13 @@ class Trial:
         What it leaves.
     errors
         Standard errors of the shape values, by place in the configuration's effects and name.
+    ranges
+        Within which shape values were moved, by the same.
     """
 
     ground: Ground
-    errors: Mapping[tuple[int, str], float]
+    errors: Mapping[Key, float]
+    ranges: Mapping[Key, tuple[float, float]]
 
     @property
     def entries(self) -> tuple[EffectEntry, ...]:
@@ -119,7 +125,8 @@ def tried(
         here = ground(with_effects(before.experiment, entries, before.theta), progress, before)
     except IdtoolError:
         return None
-    errors: dict[tuple[int, str], float] = {}
+    errors: dict[Key, float] = {}
+    ranges = _ranges(before, entries, moving)
     for i in moving:
         for name in known_effects()[entries[i].effect].scanned():
             here, errors[i, name] = _scanned(here, i, name, progress)
@@ -127,7 +134,7 @@ def tried(
         names = [(i, name) for i in moving for name in _moved(here.experiment.config.effects[i])]
         if not names:
             break
-        there, found = _step(here, names, progress)
+        there, found = _step(here, names, ranges, progress)
         errors |= found
         if there is None:
             break
@@ -135,7 +142,22 @@ def tried(
         here = there if there.left().sum() < here.left().sum() else here
         if not better:
             break
-    return Trial(here, errors)
+    return Trial(here, errors, ranges)
+
+
+def _ranges(before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int]) -> dict[Key, tuple[float, float]]:
+    """Those about all values that a search tries, of parameters that are sizes."""
+    seen, found = survey(before), {}
+    for i in moving:
+        kind, joint = known_effects()[entries[i].effect], entries[i].joint
+        if not issubclass(kind, JointEffect) or joint is None:
+            continue
+        shapes = list(kind.tried(seen, seen.model.names.index(joint)))
+        for name in shapes[0] if shapes else ():
+            values = [shape[name] for shape in shapes]
+            if _is_positive(kind.id, name):
+                found[i, name] = (min(values) / _BEYOND, max(values) * _BEYOND)
+    return found
 
 
 def _moved(entry: EffectEntry) -> list[str]:
@@ -144,18 +166,22 @@ def _moved(entry: EffectEntry) -> list[str]:
 
 
 def value_of(entry: EffectEntry, name: str) -> object:
-    """A parameter's value, without its standard error."""
+    """A parameter's value, without its standard error; ``com.0`` is the first of the list ``com``."""
+    name, _, at = name.partition(".")
     given = entry.parameters[name]
-    return given["value"] if isinstance(given, Mapping) else given
+    given = given["value"] if isinstance(given, Mapping) else given
+    return given[int(at)] if at else given
 
 
 def _with(entry: EffectEntry, name: str, value: float) -> EffectEntry:
-    return entry.model_copy(update={"parameters": {**entry.parameters, name: value}})
+    name, _, at = name.partition(".")
+    given = [value if k == int(at) else x for k, x in enumerate(entry.parameters[name])] if at else value
+    return entry.model_copy(update={"parameters": {**entry.parameters, name: given}})
 
 
 def _step(
-    here: Ground, names: Sequence[tuple[int, str]], progress: Progress
-) -> tuple[Ground | None, dict[tuple[int, str], float]]:
+    here: Ground, names: Sequence[Key], ranges: Mapping[Key, tuple[float, float]], progress: Progress
+) -> tuple[Ground | None, dict[Key, float]]:
     """One step of all shape values together, half of it, or none; and their standard errors."""
     entries = list(here.experiment.config.effects)
     values = [float(value_of(entries[i], name)) for i, name in names]  # type: ignore[arg-type]
@@ -168,7 +194,8 @@ def _step(
             most = _FAR * max(abs(value), _STEP)
             positive = value > 0 and _is_positive(entries[i].effect, name)
             limited = float(np.clip(by, -most, most)) if positive or abs(value) > 0.1 else by
-            changed[i] = _with(changed[i], name, value + float(limited))
+            moved = np.clip(value + limited, *ranges.get((i, name), (-np.inf, np.inf)))
+            changed[i] = _with(changed[i], name, float(moved))
         try:
             there = ground(with_effects(here.experiment, changed, here.theta), progress, here)
         except IdtoolError:
@@ -200,7 +227,7 @@ def _is_positive(effect: str, name: str) -> bool:
     return any(one.name == name and one.positive for one in held)
 
 
-def _difference(here: Ground, names: Sequence[tuple[int, str]], values: Sequence[float]) -> Probe:
+def _difference(here: Ground, names: Sequence[Key], values: Sequence[float]) -> Probe:
     """The change of the residual with shape values, as a probe."""
     steps = [_STEP * max(abs(value), 0.1) for value in values]
     others = []

@@ -73,6 +73,11 @@ class ExternalContact(LinkEffect):
         return *super().key, float(self._edges[0])
 
     @classmethod
+    def shapes(cls) -> tuple[str, ...]:
+        """See `NamedEffect.shapes`."""
+        return tuple(f"wrench.{k}" for k in range(6))
+
+    @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:
         """See `NamedEffect.probes`: one wrench whenever the residual is out of the ordinary."""
         if survey.bursts:

@@ -58,20 +58,20 @@ class GravityTilt(HeldEffect):
         size = float(np.linalg.norm(gravity))
         if survey.has(cls.id, "base") or not size:
             return
-        across = np.linalg.svd(gravity[None] / size)[2][1:]
+        ways = np.linalg.svd(gravity[None] / size)[2]  # along gravity, and across
 
         def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
-            pulled = np.stack([present.pulled(motion, way) for way in across])
+            pulled = np.stack([present.pulled(motion, way) for way in ways])
             return {j: pulled[:, j] for j in range(len(motion.q))}
 
         def entry(c: Array, information: Array) -> EffectEntry | None:
-            tilted = gravity + c @ across
-            tilted *= size / np.linalg.norm(tilted)
-            if np.linalg.norm(c) > _STEEP * size:
+            away = float(np.linalg.norm(c[1:]))  # what lies along follows, the size being the same
+            if away > _STEEP * size:
                 return None
+            tilted = gravity * np.sqrt(1 - (away / size) ** 2) + c[1:] @ ways[1:]
             return EffectEntry(effect=cls.id, parameters={"gravity": [float(x) for x in tilted]})
 
-        yield Probe(cls.id, None, None, columns, 2, entry)
+        yield Probe(cls.id, None, None, columns, 3, entry, count=2)
 
     @property
     def key(self) -> tuple[str | float, ...]:

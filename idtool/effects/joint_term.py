@@ -40,8 +40,8 @@ class JointTerm(JointEffect):
         The coefficient's name (contract section 6).
     unit
         For a revolute joint, and for a prismatic one.
-    lower
-        The least value that physics allows.
+    lower, upper
+        What physics allows.
     even
         Whether the coefficient stays as it is when the joint's direction is turned round.
 
@@ -60,6 +60,7 @@ class JointTerm(JointEffect):
     name: str
     unit: tuple[str, str]
     lower: float = 0.0
+    upper: float = np.inf
     even: bool = True
 
     def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
@@ -71,6 +72,7 @@ class JointTerm(JointEffect):
             unit=self.unit_in(model, joint),
             prior=prior,
             lower=self.lower,
+            upper=self.upper,
             even=self.even,
             among=self.among,
         )

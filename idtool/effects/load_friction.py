@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_term import DryFriction
-from idtool.effects.probe import Probe
-from idtool.effects.survey import Survey
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
-
-_MOST = 0.6  # of the load: a transmission that takes more does not move by itself
 
 
 class LoadDependentFriction(DryFriction):
@@ -26,11 +19,7 @@ class LoadDependentFriction(DryFriction):
     shows = "the same slow sweep with another load"
     name = "coefficient"
     unit = ("1", "1")
-
-    @classmethod
-    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
-        """See `JointEffect.probe`."""
-        return replace(super().probe(survey, joint, shape), upper=(_MOST,))
+    upper = 0.6  # a transmission that takes more does not move by itself
 
     def level(self, motion: Motion) -> Array:
         """The torque's size."""

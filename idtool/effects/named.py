@@ -58,7 +58,7 @@ class NamedEffect(Effect):
 
     @classmethod
     def shapes(cls) -> tuple[str, ...]:
-        """Names of the parameters that are numbers and no coefficients, which a search moves from outside."""
+        """Parameters that are no coefficients and that a search moves from outside; ``com.0``: the first of a list."""
         return ()
 
     @classmethod

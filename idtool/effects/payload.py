@@ -117,6 +117,11 @@ class Payload(LinkEffect):
         return cls(model, str(entry.link), frame, from_mass_com_inertia(mass, com, inertia))
 
     @classmethod
+    def shapes(cls) -> tuple[str, ...]:
+        """See `NamedEffect.shapes`."""
+        return "mass", *(f"com.{k}" for k in range(3))
+
+    @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:
         """See `NamedEffect.probes`: on links whose inertia is taken as true; else it is the link's own."""
         if survey.fixed:

@@ -1,0 +1,174 @@
+"""Round after round: the effect that pays most is added, all is fitted anew, and what no longer pays is taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from idtool.config import EffectEntry
+from idtool.diagnosis.contest import Choice, Contender, candidate, saved, worthwhile
+from idtool.diagnosis.ground import ground
+from idtool.diagnosis.records import Candidate
+from idtool.diagnosis.search import assumed, searched
+from idtool.diagnosis.trial import tried, with_effects
+from idtool.diagnosis.where import bursts
+from idtool.exceptions import ConfigError
+from idtool.experiment import Experiment, Progress
+
+_POLISHES = 3  # steps of all shape values after an effect was added
+
+
+@dataclass
+class Added:
+    """An effect in the model, with what spoke for it.
+
+    Attributes
+    ----------
+    entry
+        As a configuration has it.
+    choice
+        The round that chose it.
+    chosen
+        It, for the record.
+    errors
+        Standard errors of its shape values, by name.
+    """
+
+    entry: EffectEntry
+    choice: Choice
+    chosen: Candidate
+    errors: dict[str, float] = field(default_factory=dict)
+
+
+class Search:
+    """Adds effects, and takes out those that later ones have made superfluous.
+
+    Attributes
+    ----------
+    here
+        The model so far.
+    added
+        The effects found, in their order.
+    removed
+        What was taken out again, a plain sentence each.
+    last
+        The round that found nothing more.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    effects
+        Ids of the effects that may be; None: all.
+    most
+        How many are added at the most.
+    progress
+        Told the stage and how far it has come.
+    """
+
+    def __init__(self, experiment: Experiment, effects: Sequence[str] | None, most: int, progress: Progress) -> None:
+        self._effects, self._most, self.progress = effects, most, progress
+        self.given = experiment.config.effects
+        self.first = self.here = ground(experiment, progress)
+        self.added: list[Added] = []
+        self.removed: list[str] = []
+        self.last: Choice | None = None
+
+    def assume(self, effect: str, on: str | None) -> None:
+        """Add an effect whatever it explains.
+
+        Raises
+        ------
+        ConfigError
+            If it cannot be there.
+        """
+        choice = assumed(self.here, self.progress, effect, on, self._bursts())
+        if choice.winner is None:
+            what = f"{effect}:{on or 'any joint'} cannot be there"
+            raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
+        self._add(choice, choice.winner)
+
+    def run(self) -> None:
+        """Add what pays, until nothing more does."""
+        seen: set[frozenset[tuple[str, str | None]]] = set()
+        while len(self.added) < self._most:
+            self.last = searched(self.here, self.first, self.progress, self._effects, self._bursts())
+            if self.last.winner is None:
+                break
+            self._add(self.last, self.last.winner)
+            self._prune()
+            state = frozenset((one.chosen.effect, one.chosen.on) for one in self.added)
+            if state in seen:
+                break
+            seen.add(state)
+
+    def _bursts(self) -> tuple[tuple[float, float], ...]:
+        if any(one.chosen.effect == "external_contact" for one in self.added):
+            return ()
+        return bursts(self.here.experiment, self.here.estimate.theta, self.progress)
+
+    def _add(self, choice: Choice, winner: Contender) -> None:
+        chosen = candidate(winner, self.here)
+        entries = winner.trial.entries
+        self.added.append(Added(entries[-1], choice, chosen))
+        self._settle([*self.given, *(one.entry for one in self.added[:-1]), entries[-1]])
+
+    def _settle(self, entries: Sequence[EffectEntry]) -> None:
+        """Fit all anew, shape values together, the joints weighed by what is left now."""
+        there = ground(with_effects(self.here.experiment, entries, self.here.theta), self.progress)
+        first = len(self.given)
+        trial = tried(there, entries, range(first, len(entries)), self.progress, _POLISHES)
+        self.here = trial.ground if trial is not None else there
+        found = self.here.experiment.config.effects[first:]
+        for i, (one, entry) in enumerate(zip(self.added, found, strict=True)):
+            one.entry = entry
+            if trial is not None:
+                one.errors = {name: x for (k, name), x in trial.errors.items() if k == first + i}
+
+    def _prune(self) -> None:
+        """Take out what no longer pays."""
+        i = 0
+        while len(self.added) > 1 and i < len(self.added) - 1:
+            others = [one.entry for k, one in enumerate(self.added) if k != i]
+            entries = [*self.given, *others]
+            if self._needed(self.added[i], entries):
+                i += 1
+                continue
+            out = self.added.pop(i)
+            by = self.added[-1].chosen
+            what = f"{out.chosen.effect} on {out.chosen.on} was taken out again"
+            self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
+            self._settle(entries)
+
+    def _needed(self, one: Added, others: Sequence[EffectEntry]) -> bool:
+        """Whether an effect still pays beside the others, on the rows that they know."""
+        theta = self.here.theta
+        without = ground(with_effects(self.here.experiment, others, theta), self.progress, self.here, own_rows=True)
+        here = ground(self.here.experiment, self.progress, without)
+        gain, of = float(saved(without, here).sum()), one.chosen
+        return worthwhile(gain, without, one.choice.inflation, of.joint is not None, of.parameters)
+
+    def entries(self, count: int) -> list[EffectEntry]:
+        """The configuration's effects with the first found, shape values with their errors."""
+        return [*self.given, *(_with_errors(one) for one in self.added[:count])]
+
+    def final(self) -> Experiment:
+        """The model with all that was found."""
+        return with_effects(self.here.experiment, self.entries(len(self.added)), self.here.estimate.theta)
+
+
+def _with_errors(one: Added) -> EffectEntry:
+    given = {name: _uncertain(one, name, value) for name, value in one.entry.parameters.items()}
+    return one.entry.model_copy(update={"parameters": given})
+
+
+def _uncertain(one: Added, name: str, value: Any) -> Any:
+    """A shape value, or a list of them, with what it may be off by."""
+    if isinstance(value, list):
+        return [_uncertain(one, f"{name}.{k}", x) for k, x in enumerate(value)]
+    error = one.errors.get(name, 0.0)
+    known = isinstance(value, float) and np.isfinite(error) and error > 0
+    return {"value": value, "standard_error": error} if known else value
