@@ -88,6 +88,12 @@ class LowPass:
         ones = np.pad(np.ones(x.shape[-1]), [short])
         return self._sums(padded)[..., kept] / self._sums(ones)[kept]
 
+    def share(self, mask: NDArray[np.bool_], before: int, after: int) -> Array:
+        """How much of each filtered sample's weight, by magnitude, comes from some of the samples; shape (n,)."""
+        weights = np.abs(self.kernel)
+        shares = signal.oaconvolve(mask.astype(float), weights / weights.sum())[self.reach :]
+        return np.asarray(shares[before : len(mask) - after : self.stride])
+
     def _sums(self, x: Array) -> Array:
         """The kernel's sums over whole blocks: block i of the output is Σ_d (block i + d of x) · taps[d]."""
         blocks = x.reshape(*x.shape[:-1], -1, self.block)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from idtool.simulation_report import simulation_notes
 from idtool.trust import Trust, trust
 from idtool.uncertainty import Uncertainty
 from idtool.validate import Evaluation, evaluate
+
+_AGAIN = 2  # fits more, where columns depend on what the coefficients are
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,9 @@ def fit(
     """
     clock = _Clock()
     found = identified(experiment, method, progress)
+    for _ in range(_AGAIN if experiment.equation.refers else 0):
+        experiment = replace(experiment, equation=experiment.equation.about(found.estimate.theta))
+        found = identified(experiment, method, progress)
     estimate = found.estimate
     warnings = [*experiment.warnings, *found.warnings, *_doubts(experiment, estimate)]
     clock.done("identify")

@@ -65,8 +65,11 @@ class PresentModel:
         self.true = motion
         for effect in equation.effects:
             self.true = effect.true(self.true)
-        self._bodies = next(effect for effect in equation.effects if isinstance(effect, RigidBodies))
         self._stride = max(1, int(1 / (_RATE * motion.dt)))
+
+    @cached_property
+    def _bodies(self) -> RigidBodies:
+        return next(effect for effect in self.equation.effects if isinstance(effect, RigidBodies))
 
     @cached_property
     def columns(self) -> list[Array]:

@@ -6,7 +6,8 @@ same low-pass. Here transposed and in one array, the torque last: (m_j + 1, n).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +23,7 @@ from idtool.signals import Batch, Motion
 Array = NDArray[np.float64]
 
 _UNDEFINED = 0.3  # share of a filtered sample's weight that may come from samples where a column is not defined
+_CLEAR = 0.03  # of its weight by magnitude, with which such samples do not show in it
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class LinearModel:
 
     def __post_init__(self) -> None:
         for effect in self.effects:
-            effect.refer(self._without(effect))
+            own = [self.reference.get(c.key, c.prior) for c in effect.coefficients]
+            effect.refer(self._without(effect), np.array(own))
 
     def _without(self, effect: Effect) -> Callable[[Motion], Present]:
         """The model without effects of its kind, along a motion."""
@@ -58,6 +61,16 @@ class LinearModel:
             return kept[0]
 
         return along
+
+    @property
+    def refers(self) -> bool:
+        """Whether columns depend on what the coefficients are."""
+        return any(type(effect).refer is not Effect.refer for effect in self.effects)
+
+    def about(self, theta: Array) -> LinearModel:
+        """The same with columns as they are by coefficients, shape (p,)."""
+        reference = {c.key: float(x) for c, x in zip(self.coefficients, theta, strict=True)}
+        return LinearModel(self.joints, tuple(copy(effect) for effect in self.effects), reference)
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -119,11 +132,26 @@ class LinearModel:
     def kept(self, batch: Batch) -> list[NDArray[np.bool_]]:
         """Per joint, whether each filtered sample counts, shape (n,)."""
         kept = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
-        for effect in self.effects:
-            for joint, mask in effect.undefined(batch.motion).items():
-                if mask.any():
-                    kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
+        for joint, mask in self._undefined(batch):
+            kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
         return kept
+
+    def clear(self, batch: Batch) -> list[NDArray[np.bool_]]:
+        """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
+
+        A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
+        long. Half of the samples are kept even where a joint turns round all the time.
+        """
+        kept = self.kept(batch)
+        for joint, mask in self._undefined(batch):
+            share = batch.low_pass.share(mask, batch.before, batch.after)
+            kept[joint] &= share <= max(_CLEAR, float(np.median(share)))
+        return kept
+
+    def _undefined(self, batch: Batch) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+        """Joints, and where a column of theirs is not defined, shape (N,)."""
+        for effect in self.effects:
+            yield from ((joint, mask) for joint, mask in effect.undefined(batch.motion).items() if mask.any())
 
     def torque(self, motion: Motion, theta: Array) -> Array:
         """The torque that the model predicts, as the sensors give it, unfiltered.

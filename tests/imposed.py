@@ -112,7 +112,8 @@ def stacked(tried: Experiment, noise: Array, length: int) -> Stacked:
     Y, tau, block, earlier = [], [], [], 0
     for run in tried.runs:
         first = 0
-        for blocks, kept in tried.rows(run, silent):
+        for batch in run.signals.batches(run.train):
+            blocks, kept = tried.equation.rows(batch)[0], tried.equation.clear(batch)
             count = blocks[0].shape[1]
             for rows, keep, active, sigma in zip(blocks, kept, tried.equation.active(), noise, strict=True):
                 own = np.zeros((count, len(tried.equation.coefficients)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,6 @@ FORMS: dict[str, tuple[dict[str, Any], Callable[[Motion], Array]]] = {
         entry("stribeck_friction", stribeck=0.7, velocity=1.5),
         lambda m: 0.7 * np.exp(-((m.v[1] / 1.5) ** 2)) * np.sign(m.v[1]),
     ),
-    "load": (
-        entry("load_dependent_friction", coefficient=0.2),
-        lambda m: 0.2 * np.abs(m.tau[1]) * np.sign(m.v[1]),
-    ),
     "drag": (entry("quadratic_drag", drag=0.3), lambda m: 0.3 * m.v[1] * np.abs(m.v[1])),
     "ripple": (
         entry("torque_ripple", amplitude=0.4, periods=7.5, phase=-2.0),
@@ -48,10 +45,6 @@ FORMS: dict[str, tuple[dict[str, Any], Callable[[Motion], Array]]] = {
         lambda m: np.where(m.q[1] < -0.4, 9.0 * (m.q[1] + 0.4), 0.0),
     ),
     "rotor": (entry("rotor_inertia", inertia=0.06), lambda m: 0.06 * m.a[1]),
-    "coupling": (
-        entry("transmission_coupling", source="shoulder", coefficient=0.1),
-        lambda m: -0.1 * m.tau[0],
-    ),
     "drift": (
         entry("friction_drift", viscous=0.5, coulomb=-0.2, time_constant=2.0),
         lambda m: (0.5 * m.v[1] - 0.2 * np.sign(m.v[1])) * (1 - np.exp(-m.t / 2.0)),
@@ -67,6 +60,31 @@ def test_the_torque_is_the_contracts_form(build: Build, given: dict[str, Any], f
     assert np.abs(form(motion)).max() > 0.05
     inner = slice(1, -1)  # the first and last mean are over half a sample
     np.testing.assert_allclose(found[1, inner], form(motion)[inner], rtol=1e-9, atol=2e-5)
+
+
+LOADED: dict[str, tuple[dict[str, Any], Callable[[Array, Motion], Array]]] = {
+    "load": (
+        entry("load_dependent_friction", coefficient=0.2),
+        lambda tau, m: 0.2 * np.abs(tau[1]) * np.sign(m.v[1]),
+    ),
+    "coupling": (entry("transmission_coupling", source="shoulder", coefficient=0.1), lambda tau, m: -0.1 * tau[0]),
+}
+
+
+@pytest.mark.parametrize(("given", "form"), LOADED.values(), ids=LOADED)
+def test_what_follows_from_torque_follows_from_the_models(
+    build: Build, given: dict[str, Any], form: Callable[[Array, Motion], Array]
+) -> None:
+    """The form is that of all the torque that the actuators give by the model, and the measured one has no say."""
+    motion = moving()
+    load = [entry("parallel_spring", joint, stiffness=7.0, rest_position=0.3) for joint in ("shoulder", "elbow")]
+    plain, found = torque(build, motion, *load), torque(build, motion, *load, given)
+    inner = slice(1, -1)  # the first and last mean are over half a sample
+    np.testing.assert_allclose(found[0], plain[0], atol=1e-12)
+    assert np.abs(found[1] - plain[1]).max() > 0.5
+    np.testing.assert_allclose((found - plain)[1, inner], form(found, motion)[inner], rtol=1e-9, atol=2e-5)
+    other = torque(build, replace(motion, tau=motion.tau + 3.0), *load, given)
+    np.testing.assert_allclose(other, found, atol=1e-12)
 
 
 @pytest.mark.parametrize("step", [1e-4, 0.003, 0.04, 0.5])
@@ -120,7 +138,7 @@ def test_units_follow_the_kinds_of_the_joints(build: Build) -> None:
 def test_where_the_joint_rests_only_what_is_dry_is_not_known(build: Build, name: str) -> None:
     motion = moving()
     motion.v[1, 100:150] = 0
-    (effect,) = effects_of(build, FORMS[name][0])
+    (effect,) = effects_of(build, (FORMS | LOADED)[name][0])
     unknown = effect.undefined(motion)
     if name == "drag":
         assert not unknown

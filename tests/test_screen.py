@@ -64,7 +64,7 @@ def appended(here: Ground, probe: Probe) -> list[Array]:
     found: list[Array] = []
     for batch in (batch for run in here.experiment.runs for batch in run.signals.batches(run.train)):
         present = PresentModel(here.experiment.equation, here.theta, batch.motion)
-        made, kept = probe.columns(present.true, present), here.experiment.equation.kept(batch)
+        made, kept = probe.columns(present.true, present), here.experiment.equation.clear(batch)
         for j, keep in enumerate(kept):
             own = batch.filter(made.get(j, np.zeros((probe.size, len(batch.motion.t)))))
             found.append(own[:, keep] / here.noise[j])

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 SURE = 5.0  # standard errors of noise that a gain must be worth: some thousand candidates compete
 _EACH = 4.0  # more for each further parameter
-WORTH = 0.05  # of the squared residual of a joint that an effect must explain
+WORTH = 0.1  # of the squared residual of a joint that an effect must explain
 _EQUAL = 2.0  # standard errors within which two gains are the same
 _AS_GOOD = 0.03  # of the best gain that a simpler explanation may lack
 _GONE = 0.5  # of what a rival explained before, that it may explain with the winner there

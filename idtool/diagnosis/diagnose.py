@@ -28,7 +28,7 @@ from idtool.fit import Fit, fit
 
 Array = NDArray[np.float64]
 
-_STRUCTURED = 0.05  # of a joint's squared residual, that a function of any form explains: it has structure
+_STRUCTURED = 0.1  # of a joint's squared residual, that a function of any form explains: it has structure
 _SLOW = 25.0  # times the noise's power where the motion's is: it has structure
 _NEAR = 1.5  # of the noise floor, that a residual may be and count as noise
 

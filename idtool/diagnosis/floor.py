@@ -84,7 +84,7 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress) -> Flo
         parts = run.held_out if held_out else run.train
         for batch in tracked(run.signals.batches(parts), parts, progress, "looking for the noise floor"):
             e = batch.filter(PresentModel(experiment.equation, theta, batch.motion).residual)
-            keep = np.array(experiment.equation.kept(batch))
+            keep = np.array(experiment.equation.clear(batch))
             sums.moving += (np.square(e) * keep).sum(axis=1)
             sums.resting += (np.square(e) * ~keep).sum(axis=1)
             sums.count, sums.rests = sums.count + keep.sum(axis=1), sums.rests + (~keep).sum(axis=1)

@@ -154,7 +154,7 @@ def held_out(ground: Ground, counting: LinearModel) -> Array:
         for batch in run.signals.batches(run.held_out):
             for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
                 e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
-                keep = counting.kept(batch)[j]
+                keep = counting.clear(batch)[j]
                 squares[j], count[j] = squares[j] + np.square(e[keep]).sum(), count[j] + keep.sum()
     with np.errstate(invalid="ignore"):
         return np.asarray(squares / count / np.square(ground.noise))
@@ -185,7 +185,7 @@ def _blocks(experiment: Experiment, length: int, progress: Progress, counting: L
         low_pass = run.signals.low_pass
         batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
         rows = (
-            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.kept(batch))
+            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.clear(batch))
             for batch in batches
         )
         parts = tuple(cut(rows, length, low_pass.redundancy))

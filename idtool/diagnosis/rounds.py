@@ -1,8 +1,12 @@
-"""Round after round: the effect that pays most is added, all is fitted anew, and what no longer pays is taken out."""
+"""Round after round: the effect that pays most is added, all is fitted anew, and what no longer pays is taken out.
+
+Torque that is held over a sample is recorded half of one early, and every log is off by as much in one way or another.
+So a delay of all joints within a sample is fitted along, without a name: left in, it looks like a soft joint.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,12 +17,14 @@ from idtool.diagnosis.contest import Choice, Contender, candidate, saved, worthw
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.search import assumed, searched
-from idtool.diagnosis.trial import tried, with_effects
+from idtool.diagnosis.trial import Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
+from idtool.effects.time_delay import WITHIN, TimeDelay
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
 
 _POLISHES = 3  # steps of all shape values after an effect was added
+_WITHIN = (EffectEntry(effect=TimeDelay.id, joint=None, parameters={"delay": 0.0}),)
 
 
 @dataclass
@@ -71,11 +77,20 @@ class Search:
 
     def __init__(self, experiment: Experiment, effects: Sequence[str] | None, most: int, progress: Progress) -> None:
         self._effects, self._most, self.progress = effects, most, progress
-        self.given = experiment.config.effects
-        self.first = self.here = ground(experiment, progress)
         self.added: list[Added] = []
         self.removed: list[str] = []
         self.last: Choice | None = None
+        self._plain = experiment.config.effects
+        self._least = WITHIN * max(run.signals.log.dt for run in experiment.runs)
+        self._within: tuple[EffectEntry, ...] = ()
+        self.here = ground(experiment, progress)
+        self._settle([])
+        self.first = self.here
+
+    @property
+    def _given(self) -> tuple[EffectEntry, ...]:
+        """What was there before anything was found."""
+        return (*self._plain, *self._within)
 
     def assume(self, effect: str, on: str | None) -> None:
         """Add an effect whatever it explains.
@@ -114,34 +129,46 @@ class Search:
         chosen = candidate(winner, self.here)
         entries = winner.trial.entries
         self.added.append(Added(entries[-1], choice, chosen))
-        self._settle([*self.given, *(one.entry for one in self.added[:-1]), entries[-1]])
+        self._settle([*(one.entry for one in self.added[:-1]), entries[-1]])
 
-    def _settle(self, entries: Sequence[EffectEntry]) -> None:
+    def _settle(self, added: Sequence[EffectEntry]) -> None:
         """Fit all anew, shape values together, the joints weighed by what is left now."""
-        there = ground(with_effects(self.here.experiment, entries, self.here.theta), self.progress)
-        first = len(self.given)
-        trial = tried(there, entries, range(first, len(entries)), self.progress, _POLISHES)
-        self.here = trial.ground if trial is not None else there
+        late = any(entry.effect == TimeDelay.id and entry.joint is None for entry in (*self._plain, *added))
+        errors: Mapping[Key, float] = {}
+        for within in ((),) if late else (self._within or _WITHIN, ()):
+            errors = self._fitted([*within, *added])
+            self._within = self.here.experiment.config.effects[len(self._plain) :][: len(within)]
+            if all(abs(float(value_of(one, "delay"))) < self._least for one in self._within):  # type: ignore[arg-type]
+                break  # a longer one is to be named
+        first = len(self._given)
         found = self.here.experiment.config.effects[first:]
         for i, (one, entry) in enumerate(zip(self.added, found, strict=True)):
             one.entry = entry
-            if trial is not None:
-                one.errors = {name: x for (k, name), x in trial.errors.items() if k == first + i}
+            one.errors = {name: x for (k, name), x in errors.items() if k == first + i}
+
+    def _fitted(self, entries: Sequence[EffectEntry]) -> Mapping[Key, float]:
+        """Fit with other effects beside those of the configuration; standard errors of their shape values."""
+        first = len(self._plain)
+        experiment = with_effects(self.here.experiment, [*self._plain, *entries], self.here.theta)
+        self.here = ground(experiment, self.progress)
+        moving = range(first, first + len(entries))
+        trial = tried(self.here, experiment.config.effects, moving, self.progress, _POLISHES) if entries else None
+        self.here = trial.ground if trial is not None else self.here
+        return trial.errors if trial is not None else {}
 
     def _prune(self) -> None:
         """Take out what no longer pays."""
         i = 0
         while len(self.added) > 1 and i < len(self.added) - 1:
             others = [one.entry for k, one in enumerate(self.added) if k != i]
-            entries = [*self.given, *others]
-            if self._needed(self.added[i], entries):
+            if self._needed(self.added[i], [*self._given, *others]):
                 i += 1
                 continue
             out = self.added.pop(i)
             by = self.added[-1].chosen
             what = f"{out.chosen.effect} on {out.chosen.on} was taken out again"
             self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
-            self._settle(entries)
+            self._settle(others)
 
     def _needed(self, one: Added, others: Sequence[EffectEntry]) -> bool:
         """Whether an effect still pays beside the others, on the rows that they know."""
@@ -153,7 +180,7 @@ class Search:
 
     def entries(self, count: int) -> list[EffectEntry]:
         """The configuration's effects with the first found, shape values with their errors."""
-        return [*self.given, *(_with_errors(one) for one in self.added[:count])]
+        return [*self._plain, *(_with_errors(one) for one in self.added[:count])]
 
     def final(self) -> Experiment:
         """The model with all that was found."""

@@ -78,7 +78,7 @@ class Backlash(HeldJointEffect):
         """See `HeldJointEffect.solved`."""
         return dict(shape) if _LEAST < c < _MOST else None
 
-    def refer(self, model: Callable[[Motion], Present]) -> None:
+    def refer(self, model: Callable[[Motion], Present], theta: Array) -> None:
         """See `Effect.refer`."""
         self._along = model
 

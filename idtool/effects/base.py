@@ -106,8 +106,11 @@ class Effect(ABC):
             What it is added to.
         """
 
-    def refer(self, model: Callable[[Motion], Present]) -> None:  # noqa: B027
-        """Take note of the model without it, for effects whose columns depend on what a joint carries."""
+    def refer(self, model: Callable[[Motion], Present], theta: Array) -> None:  # noqa: B027
+        """Take note of the model without it and of its own coefficients there, shape (m,).
+
+        For effects whose columns depend on what a joint carries.
+        """
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the columns cannot be known from the motion: joint index to a mask of shape (N,)."""

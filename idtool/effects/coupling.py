@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_effect import Held
-from idtool.effects.joint_term import JointTerm
+from idtool.effects.loaded_term import LoadedTerm
 from idtool.effects.survey import Survey
 from idtool.model import Model
 from idtool.signals import Motion
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _UNITS = {(False, False): "1", (False, True): "m", (True, False): "1/m", (True, True): "1"}
 
 
-class TransmissionCoupling(JointTerm):
+class TransmissionCoupling(LoadedTerm):
     """−c tau_source: the joint is driven by its own actuator torque and c times that of the source joint.
 
     So it takes so much less of its own for the same motion. A joint may have several sources.

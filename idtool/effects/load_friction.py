@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects.joint_term import DryFriction
+from idtool.effects.loaded_term import LoadedTerm
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
 
-class LoadDependentFriction(DryFriction):
+class LoadDependentFriction(LoadedTerm, DryFriction):
     """c abs(tau_load) sign(v), tau_load being the joint's actuator torque: what the transmission passes on."""
 
     id = "load_dependent_friction"
@@ -24,3 +25,9 @@ class LoadDependentFriction(DryFriction):
     def level(self, motion: Motion) -> Array:
         """The torque's size."""
         return np.abs(motion.tau[self.joint])
+
+    def with_own(self, tau: Array, theta: Array, motion: Motion) -> Array:
+        """See `LoadedTerm.with_own`: y = tau + c abs(y) sign(v)."""
+        joint, tau = int(self.joint), tau.copy()
+        tau[joint] /= 1 - np.clip(theta[0], 0.0, self.upper) * np.sign(tau[joint] * motion.v[joint])
+        return tau

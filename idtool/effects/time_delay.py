@@ -22,7 +22,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_LEAST = 0.9  # samples: what is commanded acts until the next sample, so that half of one is in every log
+WITHIN = 0.9  # samples: what is commanded acts until the next sample, so that half of one is in every log
 _SHIFT = 0.1  # s: no more than that is looked for
 _LONGEST = 1.0  # s: what is later belongs to another motion
 
@@ -68,9 +68,9 @@ class TimeDelay(HeldEffect):
         names = survey.model.names
         if not survey.has(cls.id, "all joints"):
             yield _probe(None, range(len(names)), survey.dt)
-            for j, name in enumerate(names):
-                if not survey.has(cls.id, name) and len(names) > 1:
-                    yield _probe(name, [j], survey.dt)
+        for j, name in enumerate(names):
+            if not survey.has(cls.id, name) and len(names) > 1:
+                yield _probe(name, [j], survey.dt)
 
     @classmethod
     def shapes(cls) -> tuple[str, ...]:
@@ -107,6 +107,8 @@ class TimeDelay(HeldEffect):
 
         A straight line between samples would damp what is near the end of the band.
         """
+        if not samples:
+            return tau
         tau = tau.copy()
         for row in np.ndindex(tau.shape[:-2]):
             for joint in self.joints:
@@ -125,7 +127,7 @@ def _probe(joint: str | None, which: Sequence[int], dt: float) -> Probe:
     def entry(c: Array, information: Array) -> EffectEntry | None:
         late = {"delay": float(c[0])}
         return (
-            EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if _LEAST * dt < abs(c[0]) < _SHIFT else None
+            EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if WITHIN * dt < abs(c[0]) < _SHIFT else None
         )
 
     return Probe(TimeDelay.id, joint, None, columns, 1, entry)
