@@ -87,18 +87,12 @@ def next_steps(report: Mapping[str, Any]) -> list[str]:
         if step["evidence"]["pair"] and step["alternatives"]:
             told = f"To tell {_named_alone(step)} from {_named_alone(step['alternatives'][0])}"
             said.append(f"{told}: {step['evidence']['separate']}")
-    if left := [_place(step) for step in report["steps"] if step["effect"] == UNKNOWN]:
+    if left := [on(step) for step in report["steps"] if step["effect"] == UNKNOWN]:
         what = "has a cause that is none of the effects known: see the residual maps"
         said.append(f"What is left on {_listed(left)} {what}.")
     if "overall" in report["rollout_worse"]:
         said.append("Do not simulate with this model yet: its rollouts are worse than those of the model given.")
     return said
-
-
-def _place(step: Mapping[str, Any]) -> str:
-    """The joint that a step is about, and where on it."""
-    region = step["where"]["region"]
-    return f"{on(step)} ({region})" if region else str(on(step))
 
 
 def _overall(level: Mapping[str, Any]) -> float:

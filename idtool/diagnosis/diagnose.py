@@ -14,7 +14,7 @@ from idtool.diagnosis.faults import faults
 from idtool.diagnosis.floor import Floor, noise_floor
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.level import level
-from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict
+from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict, Where
 from idtool.diagnosis.rounds import Added, Search
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
@@ -191,15 +191,16 @@ def _structure(search: Search) -> list[Candidate]:
 def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last: Fit) -> list[Step]:
     """What is structured and has no name, a step a joint."""
     rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    lost = search.last.lost if search.last is not None else ()
-    now, units, where, steps = _of(last), last.experiment.model.units, None, []
-    for j, chosen in enumerate(structure):
-        slow = floor.slow[j] > _SLOW and floor.residual[j] > _NEAR * floor.noise[j]
-        if chosen.score > _STRUCTURED or slow:
-            where = where or unexplained(last.experiment, last.estimate.theta, rms, search.progress)
-            own, sure = replace(where, joints=(chosen.on,)), chosen.score / max(chosen.standard_error, 1e-12)
-            step = Step(chosen, None, {}, {}, own, sure, False, "", (), lost, now, now, "")
-            steps.append(replace(step, sentence=sentence(step, units)))
+    slow = (floor.slow > _SLOW) & (floor.residual > _NEAR * floor.noise)
+    left = [one for one, whole in zip(structure, slow.tolist(), strict=True) if one.score > _STRUCTURED or whole]
+    where = unexplained(last.experiment, last.estimate.theta, rms, search.progress) if left else {}
+    lost, now = search.last.lost if search.last is not None else (), _of(last)
+    steps = []
+    for chosen in left:
+        there = where.get(chosen.on, Where((chosen.on,), (), ""))
+        sure = chosen.score / max(chosen.standard_error, 1e-12)
+        step = Step(chosen, None, {}, {}, there, sure, False, "", (), lost, now, now, "")
+        steps.append(replace(step, sentence=sentence(step, last.experiment.model.units)))
     return steps
 
 

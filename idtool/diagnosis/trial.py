@@ -216,7 +216,8 @@ def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Groun
     probes = [kind.probe(seen, joint, {name: value}) for value in values]  # type: ignore[attr-defined]
     gains = [one.gain for one in screened(without, probes, progress, "trying values")]
     best = values[int(np.argmax(gains))]
-    alike = [value for value, gain in zip(values, gains, strict=True) if gain > _AS_GOOD * max(gains)]
+    near = max(gains) - (1 - _AS_GOOD) * abs(max(gains))
+    alike = [value for value, gain in zip(values, gains, strict=True) if gain >= near]
     entries[i] = _with(entry, name, best)
     error = max(max(alike) - min(alike), best * (_SCAN[1] / _SCAN[0] - 1)) / 2
     return ground(with_effects(here.experiment, entries, here.theta), progress, here), error

@@ -51,8 +51,10 @@ def located(
     return _where(before, found, first - last, first, found.left[0] - found.left[1], at_least_one=True)
 
 
-def unexplained(experiment: Experiment, theta: Array, floor: Mapping[str, float], progress: Progress) -> Where:
-    """Where the disagreement is that is left.
+def unexplained(
+    experiment: Experiment, theta: Array, floor: Mapping[str, float], progress: Progress
+) -> dict[str, Where]:
+    """Where the disagreement is that is left, for each joint that still disagrees.
 
     Parameters
     ----------
@@ -68,7 +70,14 @@ def unexplained(experiment: Experiment, theta: Array, floor: Mapping[str, float]
     found = course(experiment, [(experiment.equation, theta)], progress, "locating what is left")
     noise = np.array([floor[name] for name in experiment.equation.joints])[:, None]
     square = np.square(found.left[0])
-    return _where(experiment, found, square - np.square(_FLOOR * noise), square, found.left[0])
+    left, where = square - np.square(_FLOOR * noise), {}
+    for j, name in enumerate(experiment.equation.joints):
+        own = np.zeros_like(left)
+        own[j] = left[j]
+        there = _where(experiment, found, own, square, found.left[0])
+        if there.joints:
+            where[name] = there
+    return where
 
 
 def _where(
