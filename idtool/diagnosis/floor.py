@@ -27,6 +27,7 @@ _SAMPLES = 64  # of a periodogram, at the decimated rate
 _QUIET = 0.25  # of the moments
 _OF_MEAN = -np.log(1 - _QUIET)  # that quantile of a periodogram of noise, over its mean
 _LEAST = 12  # moments, to say anything
+_MOVING = 0.7  # of a moment
 
 
 @dataclass(frozen=True)
@@ -99,9 +100,13 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress) -> Flo
 
 
 def _moments(e: Array, sure: NDArray[np.bool_], dt: float) -> list[Array]:
-    """Periodograms of stretches in which the joint moves all along."""
-    starts = range(0, len(e) - _SAMPLES + 1, _SAMPLES // 2)
-    some = [e[k : k + _SAMPLES] for k in starts if sure[k : k + _SAMPLES].all()]
+    """Periodograms of stretches in which the joint moves most of the time; where it turns round, of a straight line."""
+    if not sure.any():
+        return []
+    at = np.arange(len(e))
+    whole = np.interp(at, at[sure], e[sure])
+    starts = [k for k in range(0, len(e) - _SAMPLES + 1, _SAMPLES // 2) if sure[k : k + _SAMPLES].mean() > _MOVING]
+    some = [whole[k : k + _SAMPLES] / np.sqrt(sure[k : k + _SAMPLES].mean()) for k in starts]
     return list(periodogram(np.array(some), 1 / dt, window="hann", detrend=False)[1]) if some else []
 
 

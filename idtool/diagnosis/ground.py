@@ -146,7 +146,7 @@ def ground(experiment: Experiment, progress: Progress, like: Ground | None = Non
 def held_out(ground: Ground, counting: LinearModel) -> Array:
     """Mean squared residual on what was held out, by joint, in units of the noise, on the rows that an equation knows.
 
-    Shape (nv,); NaN where nothing was held out.
+    Among them are those in which a reversal rings. Shape (nv,); NaN where nothing was held out.
     """
     squares, count = np.zeros((2, len(ground.noise)))
     theta, equation = ground.estimate.theta, ground.experiment.equation
@@ -154,7 +154,7 @@ def held_out(ground: Ground, counting: LinearModel) -> Array:
         for batch in run.signals.batches(run.held_out):
             for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
                 e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
-                keep = counting.clear(batch)[j]
+                keep = counting.kept(batch)[j]
                 squares[j], count[j] = squares[j] + np.square(e[keep]).sum(), count[j] + keep.sum()
     with np.errstate(invalid="ignore"):
         return np.asarray(squares / count / np.square(ground.noise))
