@@ -122,8 +122,8 @@ class Forces:
             force[:nv] -= self._resisting(motion)
             level[:nv] = self._level(motion)
         first = 0
-        for _, joints, factors in self._loops:
-            force[joints] -= factors * loops[first : first + len(joints)]
+        for term, joints, factors in self._loops:
+            force[joints] -= factors * term.torque(loops[first : first + len(joints)], v[joints])
             first += len(joints)
         return force, level
 

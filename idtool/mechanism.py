@@ -32,10 +32,14 @@ class Term(Protocol):
 
 
 class Loop(Protocol):
-    """Hysteresis: a coefficient times a state in [−1, 1] that depends on the path of one joint; or of several."""
+    """Hysteresis: torque by a state in [−1, 1] that depends on the path of one joint; or of several."""
 
     joint: int | NDArray[np.intp]
     shape: dict[str, Any]
+
+    def torque(self, state: Array, v: Array) -> Array:
+        """By the state and the joints' velocities, shape (k, W) each, per unit of the coefficient."""
+        ...
 
     def after(self, state: Array, way: Array) -> Array:
         """The state when the joints have gone a way [rad or m] since it was ``state``, shape (k, W) each."""

@@ -22,7 +22,7 @@ from idtool.signals import Motion
 Array = NDArray[np.float64]
 Build = Callable[..., Model]
 
-AMPLITUDE, DISPLACEMENT = 1.0, 0.01  # N·m, rad
+AMPLITUDE, DISPLACEMENT, DAMPING = 1.0, 0.01, 0.01  # N·m, rad, s
 
 
 def entry(effect: str, joint: str, **parameters: Any) -> dict[str, Any]:
@@ -30,8 +30,8 @@ def entry(effect: str, joint: str, **parameters: Any) -> dict[str, Any]:
     return {"effect": effect, "joint": joint, "parameters": parameters}
 
 
-def dahl(model: Any) -> Act:
-    """Dahl's friction on the lift, its state in the middle of every step."""
+def dahl(model: Any, damping: float = 0.0) -> Act:
+    """Dahl's friction on the lift, its state in the middle of every step; with a damping of the bristles, LuGre's."""
     lift = int(model.joint("lift").dofadr[0])
     state = {"z": 0.0, "q": 0.0}
 
@@ -42,7 +42,8 @@ def dahl(model: Any) -> Act:
         q, v = data.qpos[lift], data.qvel[lift]
         state["z"] = moved(state["z"], q - state["q"])
         state["q"] = q
-        data.qfrc_applied[lift] -= AMPLITUDE * moved(state["z"], v / (2 * RATE * STEPS))
+        z = moved(state["z"], v / (2 * RATE * STEPS))
+        data.qfrc_applied[lift] -= AMPLITUDE * (z + damping * v / DISPLACEMENT * (1 - z * np.sign(v)))
 
     return act
 
@@ -76,6 +77,17 @@ def test_hysteresis_leaves_only_noise_and_moves_as_it_did(tmp_path: Path, hyster
     assert coulomb[1] > 20
     assert np.abs(rolled_out(tmp_path, hysteretic, given)).max() < 1e-4
     assert np.abs(rolled_out(tmp_path, hysteretic, seconds=0.5)).max() > 1e-2
+
+
+def test_damped_bristles_leave_only_noise_and_move_as_they_did(tmp_path: Path) -> None:
+    log = recorded(spec_of().compile(), 2.2, dahl(spec_of().compile(), DAMPING))
+    plain = entry("presliding_hysteresis", "lift", amplitude=AMPLITUDE, displacement=DISPLACEMENT)
+    given = {**plain, "parameters": {**plain["parameters"], "damping": DAMPING}}
+    with_it, without = (residuals(tmp_path, log, one)[0] for one in (given, plain))
+    np.testing.assert_allclose(with_it, 1, atol=0.06)
+    assert without[1] > 3
+    moved, undamped = (np.abs(rolled_out(tmp_path, log, one)).max() for one in (given, plain))
+    assert moved < min(5e-4, 0.2 * undamped)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 1e-5, 1e-4])
@@ -140,6 +152,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "friction that drives": (
         entry("presliding_hysteresis", "lift", amplitude=-1, displacement=0.1),
         "presliding_hysteresis: amplitude of -1 cannot be; give 0 or more",
+    ),
+    "damping that drives": (
+        entry("presliding_hysteresis", "lift", amplitude=1, displacement=0.1, damping=-0.1),
+        "presliding_hysteresis: damping of -0.1 cannot be; give one from 0 to 0.5",
     ),
     "one of two": (
         entry("presliding_hysteresis", "lift", amplitude=1),

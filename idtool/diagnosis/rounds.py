@@ -16,9 +16,10 @@ from idtool.config import EffectEntry
 from idtool.diagnosis.contest import Choice, Contender, candidate, saved, worthwhile
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.search import assumed, searched
+from idtool.diagnosis.search import DETERMINED, assumed, searched
 from idtool.diagnosis.trial import Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
+from idtool.effects import known_effects
 from idtool.effects.time_delay import WITHIN, TimeDelay
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
@@ -119,6 +120,7 @@ class Search:
             if state in seen:
                 break
             seen.add(state)
+        self._trim()
 
     def _bursts(self) -> tuple[tuple[float, float], ...]:
         if any(one.chosen.effect == "external_contact" for one in self.added):
@@ -170,6 +172,12 @@ class Search:
             self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
             self._settle(others)
 
+    def _trim(self) -> None:
+        """Leave out what an effect need not have and the data do not tell."""
+        entries = [_trimmed(one) for one in self.added]
+        if any(entry is not one.entry for entry, one in zip(entries, self.added, strict=True)):
+            self._settle(entries)
+
     def _needed(self, one: Added, others: Sequence[EffectEntry]) -> bool:
         """Whether an effect still pays beside the others, on the rows that they know."""
         theta = self.here.theta
@@ -185,6 +193,17 @@ class Search:
     def final(self) -> Experiment:
         """The model with all that was found."""
         return with_effects(self.here.experiment, self.entries(len(self.added)), self.here.estimate.theta)
+
+
+def _trimmed(one: Added) -> EffectEntry:
+    """An effect without those of its parameters that may be left out and are not told from 0."""
+    held = getattr(known_effects()[one.entry.effect], "held", ())
+    free = [x.name for x in held if x.most is not None and x.name in one.entry.parameters]
+    unsure = [
+        name for name in free if not float(one.entry.parameters[name]) > DETERMINED * one.errors.get(name, np.inf)
+    ]
+    kept = {name: value for name, value in one.entry.parameters.items() if name not in unsure}
+    return one.entry.model_copy(update={"parameters": kept}) if unsure else one.entry
 
 
 def _with_errors(one: Added) -> EffectEntry:

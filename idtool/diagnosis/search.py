@@ -13,6 +13,7 @@ from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of
 from idtool.effects import known_effects
 from idtool.effects.probe import Probe
+from idtool.effects.survey import Survey
 from idtool.experiment import Progress
 
 _CONTENDERS = 7  # that are tried more finely
@@ -20,7 +21,7 @@ _FINALISTS = 5  # that are fitted whole
 _NEAR = 0.4  # of the best gain that a finalist has at least
 _WORSE = 1.01  # times the squared residual of held-out data
 _HARMS = 0.5  # of what it saves, that an effect costs elsewhere
-_DETERMINED = 2.5  # standard errors that a shape value is at least from nothing
+DETERMINED = 2.5  # standard errors that a shape value is at least from nothing
 _FREE = ("time_constant",)  # a change that has only begun has any
 _MATTERS = 1e-4  # of the first squared residual of a joint, below which the names found so far are no better known
 _EDGE = 1.02  # of a range's end, within which a shape value is at it
@@ -96,8 +97,14 @@ def assumed(
 def _probes(here: Ground, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...]) -> list[Probe]:
     """All hypotheses."""
     seen = survey(here, bursts, is_fixed(here.experiment))
-    kinds = [kind for name, kind in known_effects().items() if effects is None or name in effects]
-    return [probe for kind in kinds for probe in kind.probes(seen)]
+    kinds = {name: kind for name, kind in known_effects().items() if effects is None or name in effects}
+    probes = [probe for kind in kinds.values() for probe in kind.probes(seen)]
+    return [probe for probe in probes if not _waits(probe, [x for x in kinds[probe.effect].upon if x in kinds], seen)]
+
+
+def _waits(probe: Probe, upon: Sequence[str], seen: Survey) -> bool:
+    """Whether an effect is a change of others, none of which is there, though they may be."""
+    return bool(upon) and not any(seen.has(effect, probe.on[1]) for effect in upon)
 
 
 def _inflation(here: Ground, found: Iterable[Found]) -> float:
@@ -125,6 +132,8 @@ def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Prob
     for one in contenders:
         for name in (n for n in one.probe.shape if n not in ("source",)):
             values = sorted({f.probe.shape[name] for f in found if place_of(f.probe) == place_of(one.probe)})
+            if len(values) == 1:
+                continue
             at = values.index(one.probe.shape[name])
             low, high = values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)]
             for value in np.linspace(low, high, _FINE + 2)[1:-1]:
@@ -162,10 +171,12 @@ def _loose(trial: Trial) -> str:
     entry = trial.entries[last]
     for held in getattr(known_effects()[entry.effect], "held", ()):
         error, value = trial.errors.get((last, held.name)), value_of(entry, held.name)
-        if error is None or not isinstance(value, float) or held.name in _FREE:
+        if error is None or not isinstance(value, float) or held.most is not None:
             continue
-        most = held.error if held.error is not None else value / _DETERMINED if held.positive else np.inf
+        most = held.error if held.error is not None else value / DETERMINED if held.positive else np.inf
         low, high = trial.ranges.get((last, held.name), (-np.inf, np.inf))
+        if held.name in _FREE:
+            most = high = np.inf
         if not (error < most and low * _EDGE < value < high / _EDGE):
             return str(held.name)
     return ""

@@ -157,6 +157,7 @@ def _ranges(before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int
             values = [shape[name] for shape in shapes]
             if _is_positive(kind.id, name):
                 found[i, name] = (min(values) / _BEYOND, max(values) * _BEYOND)
+        found |= {(i, held.name): (0.0, held.most) for held in kind.held if held.most is not None}
     return found
 
 

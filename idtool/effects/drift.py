@@ -15,7 +15,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_SOON, _LATE, _TRIED = 0.03, 2.0, 6  # of the log
+_SOON, _LATE, _TRIED = 0.1, 2.0, 6  # of the log
 
 
 def _share(motion: Motion, time_constant: float | Array) -> Array:
@@ -53,6 +53,7 @@ class FrictionDrift(JointTerms):
     means = "friction changes over the log"
     shows = "the same motion again, warm"
     contains = ("viscous_friction", "coulomb_friction")
+    upon = ("coulomb_friction", "presliding_hysteresis")
     held = (Held("time_constant", positive=True),)
     kinds = (_Viscous, _Coulomb)
 

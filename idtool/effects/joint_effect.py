@@ -40,6 +40,8 @@ class Held:
         Whether a joint may have the effect more than once, with different values of this.
     error
         The largest that its standard error may be where the effect is named; None: a share of the value.
+    most
+        Of one that may be left out, which is then 0, the largest; None: it may not.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Held:
     joint: bool = False
     apart: bool = False
     error: float | None = None
+    most: float | None = None
 
 
 class JointEffect(NamedEffect):
@@ -75,7 +78,7 @@ class JointEffect(NamedEffect):
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
         self.joint: int | NDArray[np.intp] = joint
-        self.shape: dict[str, Any] = dict(shape or {})
+        self.shape: dict[str, Any] = {held.name: 0.0 for held in self.held if held.most is not None} | dict(shape or {})
         self.owner = model.joints[joint].name
 
     @classmethod
@@ -94,7 +97,8 @@ class JointEffect(NamedEffect):
         if entry.joint is None or entry.link is not None:
             raise ConfigError(place(entry), "acts on a joint; give joint, and no link")
         joint = joint_index(entry, entry.joint, model)
-        check_names(entry, (*cls.made(), *(held.name for held in cls.held)))
+        optional = [held.name for held in cls.held if held.most is not None and held.name not in entry.parameters]
+        check_names(entry, (*cls.made(), *(held.name for held in cls.held if held.name not in optional)))
         values = {name: number(entry, name) for name in cls.made()}
         shape = {held.name: _held(entry, held, model, joint) for held in cls.held}
         effect = cls.with_values(model, joint, values, shape)
@@ -161,7 +165,11 @@ def _held(entry: EffectEntry, held: Held, model: Model, joint: int) -> float:
             own = shown(model.names[joint])
             raise ConfigError(place(entry), f"{held.name} {own} is the joint itself; name another")
         return float(index)
+    if held.most is not None and held.name not in entry.parameters:
+        return 0.0
     value = number(entry, held.name)
+    if held.most is not None and not 0 <= value <= held.most:
+        raise ConfigError(place(entry), f"{held.name} of {value:g} cannot be; give one from 0 to {held.most:g}")
     if held.positive and value < _LEAST:
         raise ConfigError(place(entry), f"{held.name} of {value:g} cannot be; give {_LEAST:g} or more")
     return value

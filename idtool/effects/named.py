@@ -38,12 +38,15 @@ class NamedEffect(Effect):
         The motion in which it shows itself.
     contains
         Effects that it can take the place of: their simpler name is the right one unless the data insist.
+    upon
+        Effects of which one must be on the joint for it to be a change of.
     """
 
     id: str = ""
     means: str = ""
     shows: str = ""
     contains: tuple[str, ...] = ()
+    upon: tuple[str, ...] = ()
 
     @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:

@@ -1,4 +1,4 @@
-"""Friction that builds up over a displacement after each reversal: Dahl's model."""
+"""Friction that builds up over a displacement after each reversal: Dahl's model, and LuGre's."""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ _SHAKES = 3.0  # still · dt: path to and fro that is noise
 
 
 class PreslidingHysteresis(JointTerm):
-    """amplitude · z, dz/dt = v / displacement · (1 − z sign(v)); the displacement is held.
+    """amplitude · (z + damping dz/dt), dz/dt = v / displacement · (1 − z sign(v)); the amplitude is not held.
 
     Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976). The state z depends on the path
     alone: after a reversal it turns from −1 to 1 within a few displacements, and then is the sign of the velocity. So
     this stands in the place of Coulomb friction: leave that out of the joint's `friction`, or the two share its level.
+    With a damping [s], which may be left out, the bristles are damped: Canudas de Wit et al., A new model for control
+    of systems with friction, IEEE Transactions on Automatic Control 40 (1995), with sigma_1 = amplitude · damping /
+    displacement, without the Stribeck curve.
     """
 
     id = "presliding_hysteresis"
@@ -36,13 +39,18 @@ class PreslidingHysteresis(JointTerm):
     contains = ("coulomb_friction",)
     name = "amplitude"
     unit = ("N·m", "N")
-    held = (Held("displacement", positive=True),)
+    held = (Held("displacement", positive=True), Held("damping", most=0.5))
 
     @classmethod
     def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
         """See `JointEffect.tried`: a small share of the travel, which would pass for a spring otherwise."""
         for displacement in spread(_SHORTEST * survey.travel[joint], _LONGEST * survey.travel[joint], _TRIED):
-            yield {"displacement": displacement}
+            yield {"displacement": displacement, "damping": 0.0}
+
+    def torque(self, state: Array, v: Array) -> Array:
+        """See `Loop.torque`."""
+        rate = (v - state * np.abs(v)) / self.shape["displacement"]
+        return np.asarray(state + self.shape["damping"] * rate)
 
     def after(self, state: Array, way: Array) -> Array:
         """See `Loop.after`: along a way in one direction, z − sign(way) falls by e every displacement."""
@@ -61,7 +69,8 @@ class PreslidingHysteresis(JointTerm):
         gain = np.sign(way) * (1 - left)
         first = float(np.tanh(v[0] / still))
         steps = zip(left.tolist(), gain.tolist(), strict=True)
-        return np.array(list(accumulate(steps, lambda z, step: step[0] * z + step[1], initial=first)))
+        states = np.array(list(accumulate(steps, lambda z, step: step[0] * z + step[1], initial=first)))
+        return self.torque(states, v)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Until the joint has travelled so far that it does not matter where it came from."""

@@ -28,6 +28,7 @@ class StribeckFriction(DryFriction):
     means = "friction rises at low speed"
     shows = "slow sweeps at several speeds below that at which it rises"
     contains = ("coulomb_friction",)
+    upon = ("coulomb_friction", "presliding_hysteresis")
     name = "stribeck"
     unit = ("N·m", "N")
     held = (Held("velocity", positive=True),)
