@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from idtool.effects.base import Coefficient, Effect
 from idtool.effects.survey import Present
@@ -136,14 +137,23 @@ class LinearModel:
             kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
         return kept
 
-    def clear(self, batch: Batch) -> list[NDArray[np.bool_]]:
+    def clear(self, batch: Batch, apart: float = 0.0) -> list[NDArray[np.bool_]]:
         """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
 
         A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
         long. Half of the samples are kept even where a joint turns round all the time.
+
+        Parameters
+        ----------
+        batch
+            The samples.
+        apart
+            How far from such moments they must be beside [s].
         """
         kept = self.kept(batch)
         for joint, mask in self._undefined(batch):
+            if around := round(apart / batch.motion.dt):
+                mask = ndimage.binary_dilation(mask, iterations=around)
             share = batch.low_pass.share(mask, batch.before, batch.after)
             kept[joint] &= share <= max(_CLEAR, float(np.median(share)))
         return kept

@@ -15,7 +15,7 @@ from idtool.diagnosis.floor import Floor, noise_floor
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.level import level
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict, Where
-from idtool.diagnosis.rounds import Added, Search
+from idtool.diagnosis.rounds import APART, Added, Search
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import with_effects, with_fixed_inertia
@@ -29,6 +29,7 @@ from idtool.fit import Fit, fit
 Array = NDArray[np.float64]
 
 _STRUCTURED = 0.1  # of a joint's squared residual, that a function of any form explains: it has structure
+_SMALL = 3e-3  # of a joint's rms torque: structure of less is no matter
 _SLOW = 25.0  # times the noise's power where the motion's is: it has structure
 _NEAR = 1.5  # of the noise floor, that a residual may be and count as noise
 
@@ -86,7 +87,9 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     first = fit(experiment, progress, options.simulated)
     last = fit(search.final(), progress, options.simulated) if search.added else first
     structure = _structure(search)
-    floor = noise_floor(last.experiment, last.estimate.theta, progress).less(np.array([one.score for one in structure]))
+    here = search.here
+    floor = noise_floor(here.experiment, here.estimate.theta, progress, here.apart)
+    floor = floor.less(np.array([one.score for one in structure]))
     steps = [*_steps(search, first, options.simulated), *_unknown(search, structure, floor, last)]
     joints = experiment.equation.joints
     before, after = (_of(one) for one in (first, last))
@@ -102,7 +105,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         verdict=_verdict(steps),
         maps_before=residual_maps(first.experiment, first.estimate.theta, progress),
         maps_after=residual_maps(last.experiment, last.estimate.theta, progress),
-        warnings=(),
+        warnings=_notes(search),
         seconds=time.perf_counter() - started,
     )
 
@@ -182,7 +185,9 @@ def _structure(search: Search) -> list[Candidate]:
     said = []
     for name in here.experiment.equation.joints:
         best = max((one for one in found if one.probe.joint == name), key=lambda one: one.gain)
-        sure = best.gain > SURE**2 * inflation
+        j = here.experiment.equation.joints.index(name)
+        size = np.sqrt(max(best.gain, 0.0) / here.rows[:, j].sum()) * here.noise[j] / here.size[j]
+        sure = best.gain > SURE**2 * inflation and size > _SMALL
         part, error = (share(x, here, 1) if sure else 0.0 for x in (best.gain, best.standard_error))
         said.append(Candidate(UNKNOWN, name, None, min(part, 1.0), error, 0))
     return said
@@ -191,7 +196,7 @@ def _structure(search: Search) -> list[Candidate]:
 def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last: Fit) -> list[Step]:
     """What is structured and has no name, a step a joint."""
     rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    slow = (floor.slow > _SLOW) & (floor.residual > _NEAR * floor.noise)
+    slow = (floor.slow > _SLOW) & (floor.residual > np.maximum(_NEAR * floor.noise, _SMALL * search.here.size))
     left = [one for one, whole in zip(structure, slow.tolist(), strict=True) if one.score > _STRUCTURED or whole]
     where = unexplained(last.experiment, last.estimate.theta, rms, search.progress) if left else {}
     lost, now = search.last.lost if search.last is not None else (), _of(last)
@@ -202,6 +207,16 @@ def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last:
         step = Step(chosen, None, {}, {}, there, sure, False, "", (), lost, now, now, "")
         steps.append(replace(step, sentence=sentence(step, last.experiment.model.units)))
     return steps
+
+
+def _notes(search: Search) -> tuple[str, ...]:
+    """What a reader should know."""
+    if not search.rounded:
+        return ()
+    return (
+        f"within {1e3 * APART:.0f} ms of reversals friction on {', '.join(search.rounded)} is not what its level and "
+        "direction give, as where a simulator rounds it off: such moments were left aside in the end",
+    )
 
 
 def _verdict(steps: Sequence[Step]) -> Verdict:

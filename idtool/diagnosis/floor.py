@@ -64,7 +64,7 @@ class _Sums:
     rests: Array
 
 
-def noise_floor(experiment: Experiment, theta: Array, progress: Progress) -> Floor:
+def noise_floor(experiment: Experiment, theta: Array, progress: Progress, apart: float = 0.0) -> Floor:
     """The floor that the residual of a model shows, on what was held out, else on the training data.
 
     Parameters
@@ -75,6 +75,8 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress) -> Flo
         Its coefficients, shape (p,).
     progress
         Told how far it has come.
+    apart
+        From reversals, that counts as moving [s].
     """
     held_out = any(run.held_out for run in experiment.runs)
     low_pass, dt = experiment.runs[0].signals.low_pass, experiment.runs[0].signals.log.dt
@@ -85,7 +87,7 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress) -> Flo
         parts = run.held_out if held_out else run.train
         for batch in tracked(run.signals.batches(parts), parts, progress, "looking for the noise floor"):
             e = batch.filter(PresentModel(experiment.equation, theta, batch.motion).residual)
-            keep = np.array(experiment.equation.clear(batch))
+            keep = np.array(experiment.equation.clear(batch, apart))
             sums.moving += (np.square(e) * keep).sum(axis=1)
             sums.resting += (np.square(e) * ~keep).sum(axis=1)
             sums.count, sums.rests = sums.count + keep.sum(axis=1), sums.rests + (~keep).sum(axis=1)

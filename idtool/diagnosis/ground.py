@@ -64,6 +64,8 @@ class Ground:
         Rms of each joint's torque, shape (nv,) [N·m or N].
     length
         Rows of a block of time at the most.
+    apart
+        How far from reversals the rows are, beside what rings in the filter [s].
     """
 
     experiment: Experiment
@@ -78,6 +80,7 @@ class Ground:
     rows: Array
     size: Array
     length: int
+    apart: float
 
     @property
     def folds(self) -> int:
@@ -102,7 +105,9 @@ class Ground:
         return np.stack([np.linalg.solve(total - B, -g) for B, g in zip(self.B, self.g, strict=True)])
 
 
-def ground(experiment: Experiment, progress: Progress, like: Ground | None = None, own_rows: bool = False) -> Ground:
+def ground(
+    experiment: Experiment, progress: Progress, like: Ground | None = None, own_rows: bool = False, apart: float = 0.0
+) -> Ground:
     """Fit a model, and see what it leaves.
 
     Parameters
@@ -117,16 +122,17 @@ def ground(experiment: Experiment, progress: Progress, like: Ground | None = Non
         to nothing" would leave least.
     own_rows
         Whether those rows count that the model itself knows its columns at.
+    apart
+        How far from reversals rows must be, beside what rings in the filter [s]; where there is ``like``, as its are.
 
     Raises
     ------
     IdtoolError
         If there are fewer samples than it takes, or the problem could not be solved.
     """
-    length = fold_rows(experiment)
-    blocks = _blocks(
-        experiment, length, progress, like.experiment.equation if like and not own_rows else experiment.equation
-    )
+    length, apart = fold_rows(experiment), like.apart if like else apart
+    counting = like.experiment.equation if like and not own_rows else experiment.equation
+    blocks = _blocks(experiment, length, progress, counting, apart)
     equation, config = experiment.equation, experiment.config
     reduction = experiment.checked(together([log.total for log in blocks]))
     known = experiment.known
@@ -140,7 +146,7 @@ def ground(experiment: Experiment, progress: Progress, like: Ground | None = Non
     parts = [part for log in blocks for part in log.parts]
     B, g, s = (np.stack(x) for x in zip(*(_gram(equation, part, theta, ways, noise) for part in parts), strict=True))
     rows = np.array([[factor.rows for factor in part] for part in parts], dtype=float)
-    return Ground(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length)
+    return Ground(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length, apart)
 
 
 def held_out(ground: Ground, counting: LinearModel) -> Array:
@@ -178,14 +184,16 @@ def fold_rows(experiment: Experiment) -> int:
     return int(max(-(-count // _FOLDS), least, 1))
 
 
-def _blocks(experiment: Experiment, length: int, progress: Progress, counting: LinearModel) -> list[Blocks]:
+def _blocks(
+    experiment: Experiment, length: int, progress: Progress, counting: LinearModel, apart: float
+) -> list[Blocks]:
     """The training data in blocks of so many rows, those that an equation knows its columns at."""
     found = []
     for run in (run for run in experiment.runs if run.train):
         low_pass = run.signals.low_pass
         batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
         rows = (
-            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.clear(batch))
+            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.clear(batch, apart))
             for batch in batches
         )
         parts = tuple(cut(rows, length, low_pass.redundancy))

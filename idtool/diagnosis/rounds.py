@@ -24,6 +24,8 @@ from idtool.effects.time_delay import WITHIN, TimeDelay
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
 
+APART = 0.02  # s from reversals
+_QUIETER = 0.8  # times the noise
 _POLISHES = 3  # steps of all shape values after an effect was added
 _WITHIN = (EffectEntry(effect=TimeDelay.id, joint=None, parameters={"delay": 0.0}),)
 
@@ -63,6 +65,8 @@ class Search:
         What was taken out again, a plain sentence each.
     last
         The round that found nothing more.
+    rounded
+        Joints whose friction is another around reversals, which were left aside in the end.
 
     Parameters
     ----------
@@ -81,6 +85,7 @@ class Search:
         self.added: list[Added] = []
         self.removed: list[str] = []
         self.last: Choice | None = None
+        self.rounded: tuple[str, ...] = ()
         self._plain = experiment.config.effects
         self._least = WITHIN * max(run.signals.log.dt for run in experiment.runs)
         self._within: tuple[EffectEntry, ...] = ()
@@ -108,7 +113,23 @@ class Search:
         self._add(choice, choice.winner)
 
     def run(self) -> None:
-        """Add what pays, until nothing more does."""
+        """Add what pays, until nothing more does; at last away from reversals, if there is more quiet there.
+
+        Around a reversal no robot's friction is as a law with a sign has it, nor a simulator's that rounds it off. What
+        that leaves must not hide what is smaller, nor count as unknown.
+        """
+        self._rounds()
+        away = ground(self.here.experiment, self.progress, apart=APART)
+        quieter = away.noise < _QUIETER * self.here.noise
+        if quieter.any():
+            self.here = away
+            self.rounded = tuple(
+                name for name, one in zip(away.experiment.equation.joints, quieter, strict=True) if one
+            )
+            self._rounds()
+        self._trim()
+
+    def _rounds(self) -> None:
         seen: set[frozenset[tuple[str, str | None]]] = set()
         while len(self.added) < self._most:
             self.last = searched(self.here, self.first, self.progress, self._effects, self._bursts())
@@ -120,7 +141,6 @@ class Search:
             if state in seen:
                 break
             seen.add(state)
-        self._trim()
 
     def _bursts(self) -> tuple[tuple[float, float], ...]:
         if any(one.chosen.effect == "external_contact" for one in self.added):
@@ -137,11 +157,14 @@ class Search:
         """Fit all anew, shape values together, the joints weighed by what is left now."""
         late = any(entry.effect == TimeDelay.id and entry.joint is None for entry in (*self._plain, *added))
         errors: Mapping[Key, float] = {}
+        apart = self.here.apart
         for within in ((),) if late else (self._within or _WITHIN, ()):
             errors = self._fitted([*within, *added])
             self._within = self.here.experiment.config.effects[len(self._plain) :][: len(within)]
             if all(abs(float(value_of(one, "delay"))) < self._least for one in self._within):  # type: ignore[arg-type]
                 break  # a longer one is to be named
+        if apart:
+            self.here = ground(self.here.experiment, self.progress, apart=apart)
         first = len(self._given)
         found = self.here.experiment.config.effects[first:]
         for i, (one, entry) in enumerate(zip(self.added, found, strict=True)):
@@ -180,9 +203,11 @@ class Search:
 
     def _needed(self, one: Added, others: Sequence[EffectEntry]) -> bool:
         """Whether an effect still pays beside the others, on the rows that they know."""
-        theta = self.here.theta
-        without = ground(with_effects(self.here.experiment, others, theta), self.progress, self.here, own_rows=True)
-        here = ground(self.here.experiment, self.progress, without)
+        now, theta = self.here, self.here.theta
+        if now.apart != one.choice.here.apart:
+            now = ground(now.experiment, self.progress, apart=one.choice.here.apart)
+        without = ground(with_effects(now.experiment, others, theta), self.progress, now, own_rows=True)
+        here = ground(now.experiment, self.progress, without)
         gain, of = float(saved(without, here).sum()), one.chosen
         return worthwhile(gain, without, one.choice.inflation, of.joint is not None, of.parameters)
 

@@ -185,7 +185,7 @@ def _rows(ground: Ground, batch: Batch, present: PresentModel) -> tuple[list[Arr
     """By joint: the model's rows by y, (r, n), the residual, (n,), and which samples count as 1, (n,)."""
     Q, e, kept = [], [], []
     active = ground.experiment.equation.active()
-    keep = ground.experiment.equation.clear(batch)
+    keep = ground.experiment.equation.clear(batch, ground.apart)
     for j, (own, columns) in enumerate(zip(active, present.columns, strict=True)):
         block = batch.filter(columns) * keep[j] / ground.noise[j]
         Q.append(ground.ways[own].T @ block[:-1])

@@ -24,6 +24,7 @@ _HARMS = 0.5  # of what it saves, that an effect costs elsewhere
 DETERMINED = 2.5  # standard errors that a shape value is at least from nothing
 _FREE = ("time_constant",)  # a change that has only begun has any
 _MATTERS = 1e-4  # of the first squared residual of a joint, below which the names found so far are no better known
+_SMALL = 3e-3  # of a joint's rms torque: what less is left is as good as none
 _EDGE = 1.02  # of a range's end, within which a shape value is at it
 _FINE = 7  # values between neighbours in a finer search
 
@@ -161,7 +162,7 @@ def _against(one: Contender, here: Ground, first: Ground) -> str:
     if held_out(one.trial.ground, own).sum() > _WORSE * held_out(here, own).sum():  # not where nothing was held out
         return "makes the held-out data worse"
     if not _matters(one.trial.ground, here, first):
-        return "explains less than what was found before is uncertain by"
+        return "explains less than what was found before is uncertain by, or next to nothing of the torque"
     return ""
 
 
@@ -196,4 +197,5 @@ def _matters(there: Ground, here: Ground, first: Ground) -> bool:
     A strong effect that is known to a hundredth leaves a hundredth of itself, which is no effect of its own.
     """
     saves = (here.s - there.s).sum(axis=0) * np.square(here.noise)
-    return bool((saves > _MATTERS * first.s.sum(axis=0) * np.square(first.noise)).any())
+    least = _MATTERS * first.s.sum(axis=0) * np.square(first.noise)
+    return bool((saves > np.maximum(least, here.rows.sum(axis=0) * np.square(_SMALL * here.size))).any())

@@ -167,11 +167,11 @@ def _moved(entry: EffectEntry) -> list[str]:
 
 
 def value_of(entry: EffectEntry, name: str) -> object:
-    """A parameter's value, without its standard error; ``com.0`` is the first of the list ``com``."""
+    """A parameter's value, without its standard error; ``com.0`` is the first of the list ``com``; None without it."""
     name, _, at = name.partition(".")
-    given = entry.parameters[name]
+    given = entry.parameters.get(name)
     given = given["value"] if isinstance(given, Mapping) else given
-    return given[int(at)] if at else given
+    return given[int(at)] if at and given is not None else given
 
 
 def _with(entry: EffectEntry, name: str, value: float) -> EffectEntry:
@@ -186,7 +186,10 @@ def _step(
     """One step of all shape values together, half of it, or none; and their standard errors."""
     entries = list(here.experiment.config.effects)
     values = [float(value_of(entries[i], name)) for i, name in names]  # type: ignore[arg-type]
-    (found,) = screened(here, [_difference(here, names, values)], progress, "moving shape values")
+    steps = [_STEP * max(abs(value), 0.1) for value in values]
+    tops = [ranges.get(key, (-np.inf, np.inf))[1] for key in names]
+    steps = [step if value + step < top else -step for value, step, top in zip(values, steps, tops, strict=True)]
+    (found,) = screened(here, [_difference(here, names, values, steps)], progress, "moving shape values")
     spread = np.sqrt(np.diag(found.covariance))
     errors = {key: float(x) for key, x in zip(names, spread, strict=True)}
     for part in (1.0, 0.3):
@@ -229,9 +232,8 @@ def _is_positive(effect: str, name: str) -> bool:
     return any(one.name == name and one.positive for one in held)
 
 
-def _difference(here: Ground, names: Sequence[Key], values: Sequence[float]) -> Probe:
+def _difference(here: Ground, names: Sequence[Key], values: Sequence[float], steps: Sequence[float]) -> Probe:
     """The change of the residual with shape values, as a probe."""
-    steps = [_STEP * max(abs(value), 0.1) for value in values]
     others = []
     for (i, name), value, step in zip(names, values, steps, strict=True):
         entries = list(here.experiment.config.effects)
