@@ -7,6 +7,7 @@ Letters: q, v positions and velocities (n, W); s direction of the dry friction (
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +48,17 @@ class Forces:
 
     def __init__(self, mechanism: Mechanism, drive: Drive) -> None:
         self._dynamics, self._drive = Dynamics(mechanism), drive
-        self._resisting, self._level = mechanism.resisting(), mechanism.level()
+        link, motor = mechanism.sides()
+        self._resisting, self._level = link.resisting(), link.level()
+        self._motor_resisting, self._motor_level = motor.resisting(), motor.level()
         self._gears = Gears(mechanism) if mechanism.gears else None
-        self._loops = mechanism.hysteresis()
         self.motor = motor_sides(mechanism)
-        self.rubbing = np.pad(mechanism.rubbing, (0, len(mechanism.gears)))[:, None]
+        self._loops = [
+            *link.hysteresis(),
+            *((term, self.motor[joints], factors) for term, joints, factors in motor.hysteresis()),
+        ]
+        self.rubbing = np.pad(link.rubbing, (0, len(mechanism.gears)))[:, None]
+        self.rubbing[self.motor[motor.rubbing]] = True
         self.rubs = bool(self.rubbing.any())
         self._still = np.zeros(len(self.motor))
         stops = [(np.eye(len(self.rubbing))[joint], position) for joint, position in mechanism.stops]
@@ -121,6 +128,9 @@ class Forces:
             force[self.motor] += tau
             force[:nv] -= self._resisting(motion)
             level[:nv] = self._level(motion)
+            ahead = replace(motion, q=q[self.motor], v=v[self.motor])
+            force[self.motor] -= self._motor_resisting(ahead)
+            level[self.motor] += self._motor_level(ahead)
         first = 0
         for term, joints, factors in self._loops:
             force[joints] -= factors * term.torque(loops[first : first + len(joints)], v[joints])

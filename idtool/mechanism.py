@@ -29,6 +29,7 @@ class Term(Protocol):
 
     joint: int | NDArray[np.intp]
     shape: dict[str, Any]
+    friction: bool
 
 
 class Loop(Protocol):
@@ -36,6 +37,7 @@ class Loop(Protocol):
 
     joint: int | NDArray[np.intp]
     shape: dict[str, Any]
+    friction: bool
 
     def torque(self, state: Array, v: Array) -> Array:
         """By the state and the joints' velocities, shape (k, W) each, per unit of the coefficient."""
@@ -58,11 +60,14 @@ class Gear:
         As a ratio of what is critical for the motor's side; on a rigid gear, for motor and link against each other.
     play
         Deflection that takes no torque, from one end to the other [rad or m].
+    rubbing
+        Share of the joint's friction that acts on the motor's side.
     """
 
     stiffness: float
     damping: float
     play: float = 0.0
+    rubbing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,9 @@ class TorqueSensor:
 
     measured: Callable[[Array], Array]
     true: Callable[[Array], Array]
+
+
+_Any = TypeVar("_Any", Term, Loop)
 
 
 @dataclass
@@ -126,6 +134,21 @@ class Mechanism:
         self.armature, self.torque_late, self.position_offset = np.zeros((3, len(self.model.joints)))
         self.gravity = self.model.gravity
 
+    def sides(self) -> tuple[Mechanism, Mechanism]:
+        """What acts on the links' side of gears that give way, and the friction that acts on the motors'."""
+        link, motor = copy.copy(self), Mechanism(self.model)
+        link.smooth, motor.smooth = self._shared(self.smooth)
+        link.dry, motor.dry = self._shared(self.dry)
+        link.loops, motor.loops = self._shared(self.loops)
+        return link, motor
+
+    def _shared(self, terms: Sequence[tuple[_Any, float]]) -> tuple[list[tuple[_Any, float]], list[tuple[_Any, float]]]:
+        shares = [self.gears[int(x.joint)].rubbing if x.friction and x.joint in self.gears else 0.0 for x, _ in terms]
+        return (
+            [(term, (1 - share) * c) for (term, c), share in zip(terms, shares, strict=True)],
+            [(term, share * c) for (term, c), share in zip(terms, shares, strict=True) if share],
+        )
+
     @property
     def rubbing(self) -> NDArray[np.bool_]:
         """Which joints have dry friction, shape (nv,)."""
@@ -149,9 +172,6 @@ class Mechanism:
     def hysteresis(self) -> list[tuple[Loop, NDArray[np.intp], Array]]:
         """The terms that depend on the path, those of one kind together: term, k joints, coefficients (k, 1)."""
         return _gathered(self.loops)
-
-
-_Any = TypeVar("_Any", Term, Loop)
 
 
 def _gathered(terms: Sequence[tuple[_Any, float]]) -> list[tuple[_Any, NDArray[np.intp], Array]]:

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.effects import Coefficient, Effect, RigidBodies
+from idtool.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.inertia import SIZE, symmetric
 from idtool.signals import Motion
 
@@ -105,6 +105,18 @@ class PresentModel:
         rotors = self._spin[joint] @ self.true.a + self._further(joint) * motion.a[joint]
         inertia = self._between(self._slopes[2][joint][joint, None])[0] - self._spin[joint, joint]
         return self.predicted(motion)[joint] - rotors, inertia
+
+    def rubbed(self, joint: int) -> Array:
+        """See `Present.rubbed`."""
+        total, first = np.zeros(len(self.true.t)), 0
+        for effect in self.equation.effects:
+            theta = self.theta[first : first + len(effect.coefficients)]
+            first += len(effect.coefficients)
+            if isinstance(effect, NamedEffect) and effect.friction and len(effect.active[joint]):
+                out = [np.empty((len(active), len(self.true.t))) for active in effect.active]
+                effect.write(self.true, out)
+                total += theta[effect.active[joint]] @ out[joint]
+        return total
 
     @cached_property
     def _spin(self) -> Array:

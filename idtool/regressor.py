@@ -27,6 +27,11 @@ _UNDEFINED = 0.3  # share of a filtered sample's weight that may come from sampl
 _CLEAR = 0.03  # of its weight by magnitude, with which such samples do not show in it
 
 
+def _beside(effect: Effect, other: Effect) -> bool:
+    """Whether another effect is part of the model that one refers to."""
+    return type(other) is not type(effect) and type(other).true is Effect.true
+
+
 @dataclass(frozen=True)
 class LinearModel:
     """The torque equation as a list of effects.
@@ -51,12 +56,12 @@ class LinearModel:
             effect.refer(self._without(effect), np.array(own))
 
     def _without(self, effect: Effect) -> Callable[[Motion], Present]:
-        """The model without effects of its kind, along a motion."""
+        """The model without effects of its kind, along a motion as it was, which no effect turns into another."""
         kept: list[PresentModel] = []  # the last: several ask about one motion
 
         def along(motion: Motion) -> Present:
             if not kept or kept[0].measured is not motion:
-                others = LinearModel(self.joints, tuple(x for x in self.effects if type(x) is not type(effect)))
+                others = LinearModel(self.joints, tuple(x for x in self.effects if _beside(effect, x)))
                 theta = np.array([self.reference.get(c.key, c.prior) for c in others.coefficients])
                 kept[:] = [PresentModel(others, theta, motion)]
             return kept[0]

@@ -224,9 +224,7 @@ def _trimmed(one: Added) -> EffectEntry:
     """An effect without those of its parameters that may be left out and are not told from 0."""
     held = getattr(known_effects()[one.entry.effect], "held", ())
     free = [x.name for x in held if x.most is not None and x.name in one.entry.parameters]
-    unsure = [
-        name for name in free if not float(one.entry.parameters[name]) > DETERMINED * one.errors.get(name, np.inf)
-    ]
+    unsure = [name for name in free if not float(one.entry.parameters[name]) > DETERMINED * one.errors.get(name, 0.0)]
     kept = {name: value for name, value in one.entry.parameters.items() if name not in unsure}
     return one.entry.model_copy(update={"parameters": kept}) if unsure else one.entry
 

@@ -217,7 +217,8 @@ def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Groun
     kind, seen = known_effects()[entry.effect], survey(without)
     joint = here.experiment.equation.joints.index(str(entry.joint))
     values = [ratio * float(value_of(entry, name)) for ratio in _SCAN]  # type: ignore[arg-type]
-    probes = [kind.probe(seen, joint, {name: value}) for value in values]  # type: ignore[attr-defined]
+    shape = {held.name: value_of(entry, held.name) or 0.0 for held in kind.held}  # type: ignore[attr-defined]
+    probes = [kind.probe(seen, joint, {**shape, name: value}) for value in values]  # type: ignore[attr-defined]
     gains = [one.gain for one in screened(without, probes, progress, "trying values")]
     best = values[int(np.argmax(gains))]
     near = max(gains) - (1 - _AS_GOOD) * abs(max(gains))

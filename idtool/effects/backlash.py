@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
+from idtool.effects.joint_elasticity import MOTOR_FRICTION
 from idtool.effects.probe import spread
 from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Gear, Mechanism
@@ -40,13 +41,14 @@ class Backlash(HeldJointEffect):
 
     In the torque equation the link's motion is the measured one less the place of the motor within the play. While the
     teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with carried torque
-    / the link's inertia, both as the model without the play has them; where teeth meet they stay.
+    / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
+    ``motor_friction``, a share that may be left out, acts on the motor's side, and is not carried.
     """
 
     id = "backlash"
     means = "play lets the load go after each reversal of the torque"
     shows = "quick reversals of the carried torque, and slow ones"
-    held = (Held("width", positive=True),)
+    held = (Held("width", positive=True), Held("motor_friction", most=1.0))
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, shape)
@@ -65,13 +67,14 @@ class Backlash(HeldJointEffect):
     @classmethod
     def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
         """See `JointEffect.tried`: from what gears have to what would be felt by hand."""
-        for width in spread(_NARROW, _WIDE, _TRIED):
-            yield {"width": width}
+        for share in MOTOR_FRICTION:
+            for width in spread(_NARROW, _WIDE, _TRIED):
+                yield {"width": width, "motor_friction": share}
 
     @classmethod
     def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
         """See `HeldJointEffect.slopes`: all of the change, of which the coefficient should be 1."""
-        return _change(motion, joint, shape["width"], present)
+        return _change(motion, joint, shape, present)
 
     @classmethod
     def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
@@ -84,13 +87,13 @@ class Backlash(HeldJointEffect):
 
     def known(self, motion: Motion) -> Array | None:
         """See `Effect.known`."""
-        return None if self._along is None else _change(motion, self.joint, self.shape["width"], self._along(motion))
+        return None if self._along is None else _change(motion, self.joint, self.shape, self._along(motion))
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """While teeth are apart and until the blow of their meeting has died away, for all that the joint shakes."""
         if self._along is None:
             return {}
-        place = _travel(motion, self.joint, self.shape["width"], self._along(motion))
+        place = _travel(motion, self.joint, self.shape, self._along(motion))
         apart = np.abs(np.gradient(place)) > _STAYS * self.shape["width"]
         reach = max(round(_DIES / motion.dt), 1)
         return dict.fromkeys(range(len(motion.q)), ndimage.binary_dilation(apart, iterations=reach))
@@ -98,20 +101,23 @@ class Backlash(HeldJointEffect):
     def join(self, theta: Array, mechanism: Mechanism) -> None:
         """See `Effect.join`."""
         teeth = mechanism.gears.get(self.joint, Gear(np.inf, _DAMPING))
-        mechanism.gears[self.joint] = replace(teeth, play=self.shape["width"])
+        rubbing = max(teeth.rubbing, self.shape["motor_friction"])
+        mechanism.gears[self.joint] = replace(teeth, play=self.shape["width"], rubbing=rubbing)
 
 
-def _change(motion: Motion, joint: int, width: float, present: Present) -> Array:
+def _change(motion: Motion, joint: int, shape: Mapping[str, float], present: Present) -> Array:
     """What play adds to the predicted torque, shape (nv, N); less than all, as a blip at the wrong time is worse."""
-    place = _travel(motion, joint, width, present)
+    place = _travel(motion, joint, shape, present)
     v = np.gradient(place, motion.dt)
     return _COUNTS * present.moved(motion, joint, -place, -v, -np.gradient(v, motion.dt))
 
 
-def _travel(motion: Motion, joint: int, width: float, present: Present) -> Array:
+def _travel(motion: Motion, joint: int, shape: Mapping[str, float], present: Present) -> Array:
     """Where the motor is within the play, shape (N,)."""
     carried, inertia = present.carried(motion, joint)
-    return _places(carried / np.maximum(inertia, _LIGHT), width, motion.dt)
+    if shape["motor_friction"]:
+        carried = carried - shape["motor_friction"] * present.rubbed(joint)
+    return _places(carried / np.maximum(inertia, _LIGHT), shape["width"], motion.dt)
 
 
 def _places(closing: Array, width: float, dt: float) -> Array:

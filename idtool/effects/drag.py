@@ -18,6 +18,7 @@ class QuadraticDrag(JointTerm):
     means = "drag grows with the square of speed"
     shows = "steady motion at several high speeds"
     name = "drag"
+    friction = True
     unit = ("N·m·s²/rad²", "N·s²/m²")
 
     def column(self, motion: Motion) -> Array:

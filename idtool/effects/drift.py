@@ -25,6 +25,7 @@ def _share(motion: Motion, time_constant: float | Array) -> Array:
 
 class _Viscous(JointTerm):
     name = "viscous_change"
+    friction = True
     unit = ("N·m·s/rad", "N·s/m")
     lower = -np.inf
 
@@ -53,6 +54,7 @@ class FrictionDrift(JointTerms):
     means = "friction changes over the log"
     shows = "the same motion again, warm"
     contains = ("viscous_friction", "coulomb_friction")
+    friction = True
     upon = ("coulomb_friction", "presliding_hysteresis")
     held = (Held("time_constant", positive=True),)
     kinds = (_Viscous, _Coulomb)

@@ -21,6 +21,7 @@ class ViscousFriction(JointTerm):
     means = "friction that grows with speed"
     shows = "steady motion at several speeds"
     name = "viscous"
+    friction = True
     unit = ("N·m·s/rad", "N·s/m")
 
     def column(self, motion: Motion) -> Array:

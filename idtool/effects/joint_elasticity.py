@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -30,14 +30,15 @@ _CLEAR = 4.0  # of the noise's power density, above which torque tells more than
 _ABOVE = 1.5  # times the band, up to which a resonance matters in it
 _SPECTRUM = 1024  # samples
 _ORDER = 4
+MOTOR_FRICTION = (0.0, 0.5, 1.0)  # shares of friction on the motor's side that are tried
 
 
 class JointElasticity(HeldJointEffect):
     """Motor side less link side = carried torque / stiffness.
 
-    The joint is measured and driven at the motor's side, where its rotors turn; friction and all other effects act at
-    the link's. Forwards it is a spring with a damper of 5 % of what is critical for the motor, which needs a rotor or
-    `rotor_inertia` on the joint.
+    The joint is measured and driven at the motor's side, where its rotors turn; all other effects act at the link's,
+    and of friction what ``motor_friction``, a share that may be left out, does not put on the motor's. Forwards it is a
+    spring with a damper of 5 % of what is critical for the motor, which needs a rotor or `rotor_inertia` on the joint.
 
     In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
     torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz. What
@@ -49,7 +50,7 @@ class JointElasticity(HeldJointEffect):
     means = "the joint gives under load"
     shows = "quick reversals at high and at low load"
     rank = 1
-    held = (Held("stiffness", positive=True),)
+    held = (Held("stiffness", positive=True), Held("motor_friction", most=1.0))
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, shape)
@@ -58,12 +59,14 @@ class JointElasticity(HeldJointEffect):
             if body.kind == "rotor":
                 axial = float(body.axis @ symmetric(body.pi[4:]) @ body.axis)
                 self._rotors += axial * np.outer(body.ratios, body.ratios)
+        self._along: Callable[[Motion], Present] | None = None
 
     @classmethod
     def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
         """See `JointEffect.tried`: where teeth have play, what gives is the teeth."""
         if not survey.has("backlash", survey.model.names[joint]):
-            yield {}
+            for share in MOTOR_FRICTION:
+                yield {"motor_friction": share}
 
     @classmethod
     def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
@@ -86,18 +89,25 @@ class JointElasticity(HeldJointEffect):
     @classmethod
     def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
         """See `HeldJointEffect.slopes`: by the compliance, 1 / stiffness."""
-        q, v, a = cls(survey.model, joint, {"stiffness": 1.0})._deflection(motion)
+        one = cls(survey.model, joint, {"stiffness": 1.0})
+        q, v, a = one._deflection(motion, shape["motor_friction"] * present.rubbed(joint))
         return present.moved(motion, joint, -q, -v, -a)
 
     @classmethod
     def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
         """See `HeldJointEffect.solved`."""
-        return {"stiffness": 1 / c} if c > 0 else None
+        return {**shape, "stiffness": 1 / c} if c > 0 else None
+
+    def refer(self, model: Callable[[Motion], Present], theta: Array) -> None:
+        """See `Effect.refer`."""
+        self._along = model
 
     def true(self, motion: Motion) -> Motion:
         """See `Effect.true`: the link's motion."""
         q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        deflections = self._deflection(motion)
+        share = self.shape["motor_friction"]
+        rubbed = share * self._along(motion).rubbed(self.joint) if share and self._along is not None else 0.0
+        deflections = self._deflection(motion, rubbed)
         for x, deflection in zip((q, v, a), deflections, strict=True):
             x[self.joint] -= deflection
         return replace(motion, q=q, v=v, a=a, ahead={**motion.ahead, self.joint: deflections[2]})
@@ -116,12 +126,12 @@ class JointElasticity(HeldJointEffect):
     def join(self, theta: Array, mechanism: Mechanism) -> None:
         """See `Effect.join`."""
         play = mechanism.gears[self.joint].play if self.joint in mechanism.gears else 0.0
-        mechanism.gears[self.joint] = Gear(self.shape["stiffness"], _DAMPING, play)
+        mechanism.gears[self.joint] = Gear(self.shape["stiffness"], _DAMPING, play, self.shape["motor_friction"])
 
-    def _deflection(self, motion: Motion) -> tuple[Array, Array, Array]:
-        """The deflection and its first two derivatives, shape (N,)."""
+    def _deflection(self, motion: Motion, rubbed: Array | float) -> tuple[Array, Array, Array]:
+        """The deflection and its first two derivatives, shape (N,); ``rubbed`` is friction on the motor's side."""
         dt = motion.dt
-        carried = motion.tau[self.joint] - self._rotors[self.joint] @ motion.a
+        carried = motion.tau[self.joint] - self._rotors[self.joint] @ motion.a - rubbed
         low_pass, r = _low_pass(_band(motion.logged[self.joint], dt), dt), 2 * DIFFERENCE_REACH
         around = np.pad(carried, low_pass.reach + r, mode="reflect", reflect_type="odd")
         x = low_pass(around[None], low_pass.reach, low_pass.reach) / self.shape["stiffness"]

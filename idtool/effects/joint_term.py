@@ -114,6 +114,8 @@ class JointTerm(JointEffect):
 class DryFriction(JointTerm):
     """One coefficient on one joint whose torque is a level times the direction of motion."""
 
+    friction = True
+
     def join(self, theta: Array, mechanism: Mechanism) -> None:
         """See `Effect.join`."""
         mechanism.dry.append((self, float(theta[0])))

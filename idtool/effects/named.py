@@ -40,6 +40,8 @@ class NamedEffect(Effect):
         Effects that it can take the place of: their simpler name is the right one unless the data insist.
     upon
         Effects of which one must be on the joint for it to be a change of.
+    friction
+        Whether it is friction, which may act on the motor's side of a gear that gives way.
     """
 
     id: str = ""
@@ -47,6 +49,7 @@ class NamedEffect(Effect):
     shows: str = ""
     contains: tuple[str, ...] = ()
     upon: tuple[str, ...] = ()
+    friction: bool = False
 
     @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:

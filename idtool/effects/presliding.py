@@ -38,6 +38,7 @@ class PreslidingHysteresis(JointTerm):
     shows = "small reversals of several amplitudes"
     contains = ("coulomb_friction",)
     name = "amplitude"
+    friction = True
     unit = ("N·m", "N")
     held = (Held("displacement", positive=True), Held("damping", most=0.5))
 

@@ -42,6 +42,9 @@ class Present(Protocol):
     def carried(self, motion: Motion, joint: int) -> tuple[Array, Array]:
         """What a joint's link takes of torque and has of inertia, its rotors not counted; shape (N,) each."""
 
+    def rubbed(self, joint: int) -> Array:
+        """What friction on a joint takes of torque, shape (N,)."""
+
 
 @dataclass(frozen=True)
 class Survey:
