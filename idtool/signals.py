@@ -53,7 +53,7 @@ class Motion:
     dt
         Sample time [s].
     ahead
-        Of joints whose motor is not fast to its link, of which q, v and a are: how much faster it speeds up, (N,).
+        Of joints whose motor is not fast to its link, of which q, v and a are: the motor's less those, shape (3, N).
     """
 
     t: Array

@@ -104,6 +104,30 @@ def test_an_elastic_joint_leaves_only_noise_and_moves_as_it_did(tmp_path: Path, 
     assert np.abs(rolled_out(tmp_path, elastic, rotors=rotors)).max() > 1e-2
 
 
+RUBBING = 6.0  # N·m·s/rad at the joint
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_friction_on_the_motors_side_does_not_twist_the_spring(tmp_path: Path, share: float) -> None:
+    spec, rotors = with_motor("lift", MOTOR), rotor("lift", MOTOR)
+    tendon = spec.add_tendon(name="spring", stiffness=K, damping=2 * 0.05 * np.sqrt(K * MOTOR * N**2))
+    tendon.wrap_joint("motor", 1 / N)
+    tendon.wrap_joint("lift", -1)
+    model = spec.compile()
+    for name, damping in (("motor", share * RUBBING / N**2), ("lift", (1 - share) * RUBBING)):
+        model.dof_damping[model.joint(name).dofadr] = damping
+    log = recorded(model, 2.5, motors={"lift": ("motor", N)}, sag={"lift": lambda tau: tau / K})
+    friction = entry("viscous_friction", "lift", viscous=RUBBING)
+    there, elsewhere = (
+        entry("joint_elasticity", "lift", stiffness=K, **given) for given in ({"motor_friction": share}, {})
+    )
+    for one, least, most in ((there, 0.8, 1.15), (elsewhere, 1.3, np.inf)):
+        left = residuals(tmp_path, log, friction, one, rotors=rotors)[0][1]
+        assert least < left < most
+        moved = np.abs(rolled_out(tmp_path, log, friction, one, rotors=rotors)).max()
+        assert (moved < 2e-4) == (one is there)
+
+
 def test_the_deflection_is_that_of_the_torque_that_the_spring_carries(tmp_path: Path, elastic: Log) -> None:
     """Its first two derivatives too, while the motor's inertia takes part of the torque."""
     urdf, csv = written(tmp_path, elastic)

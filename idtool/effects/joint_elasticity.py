@@ -104,17 +104,28 @@ class JointElasticity(HeldJointEffect):
 
     def true(self, motion: Motion) -> Motion:
         """See `Effect.true`: the link's motion."""
-        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        share = self.shape["motor_friction"]
-        rubbed = share * self._along(motion).rubbed(self.joint) if share and self._along is not None else 0.0
-        deflections = self._deflection(motion, rubbed)
-        for x, deflection in zip((q, v, a), deflections, strict=True):
-            x[self.joint] -= deflection
-        return replace(motion, q=q, v=v, a=a, ahead={**motion.ahead, self.joint: deflections[2]})
+        ahead = np.stack(self._deflection(motion, self._rubbed(motion)))
+        return replace(self._moved(motion, -ahead), ahead={**motion.ahead, self.joint: ahead})
 
     def known(self, motion: Motion) -> Array:
-        """See `Effect.known`: what it takes to turn the rotors ahead of the link, the link's motion being given."""
-        return np.outer(self._rotors[:, self.joint], motion.ahead[self.joint])
+        """See `Effect.known`: what the motor's side takes more than it would if it moved as the link, as given."""
+        ahead = motion.ahead[self.joint]
+        torque = np.outer(self._rotors[:, self.joint], ahead[2])
+        if self.shape["motor_friction"]:
+            torque[self.joint] += self._rubbed(self._moved(motion, ahead)) - self._rubbed(motion)
+        return torque
+
+    def _rubbed(self, motion: Motion) -> Array | float:
+        """Friction on the motor's side that moves so, shape (N,)."""
+        share = self.shape["motor_friction"]
+        return share * self._along(motion).rubbed(self.joint) if share and self._along is not None else 0.0
+
+    def _moved(self, motion: Motion, by: Array) -> Motion:
+        """The motion with the joint's other by q, v and a, shape (3, N)."""
+        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+        for x, change in zip((q, v, a), by, strict=True):
+            x[self.joint] += change
+        return replace(motion, q=q, v=v, a=a)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the deflection is not known, since its filter reaches beyond the samples."""
