@@ -111,6 +111,7 @@ def chosen(
     found: Sequence[Found],
     inflation: float,
     progress: Progress,
+    worth: float = WORTH,
 ) -> Choice:
     """The best of the finalists, and what became of the others.
 
@@ -128,8 +129,10 @@ def chosen(
         How many rows are worth one independent one.
     progress
         Told how far it has come.
+    worth
+        Share of a joint's squared residual that it must explain.
     """
-    worthy = [one for one in fitted if _pays(one, here, inflation)]
+    worthy = [one for one in fitted if _pays(one, here, inflation, worth)]
     known = {(one.effect, one.on) for one in failed} | {named(one.found.probe) for one in fitted}
     screened_out = [one for one in _best_of_all(found).values() if named(one.probe) not in known]
     lost = (*failed, *(_lost(one, here, inflation) for one in screened_out))
@@ -145,15 +148,18 @@ def chosen(
     return Choice(here, winner, tuple(alike), others, lost, inflation)
 
 
-def _pays(one: Contender, here: Ground, inflation: float) -> bool:
+def _pays(one: Contender, here: Ground, inflation: float, worth: float) -> bool:
     probe = one.found.probe
-    return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.parameters)
+    least = max(worth, known_effects()[probe.effect].worth)
+    return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.parameters, least)
 
 
-def worthwhile(gain: float, here: Ground, inflation: float, on_joint: bool, parameters: int) -> bool:
+def worthwhile(
+    gain: float, here: Ground, inflation: float, on_joint: bool, parameters: int, worth: float = WORTH
+) -> bool:
     """Whether a gain is no chance, and large enough to have an effect for it."""
     least = inflation * (SURE**2 + _EACH * (parameters - 1))
-    return gain > least and share(gain, here, 1 if on_joint else here.s.shape[1]) > WORTH
+    return gain > least and share(gain, here, 1 if on_joint else here.s.shape[1]) > worth
 
 
 def _as_good(one: Contender, top: Contender) -> bool:

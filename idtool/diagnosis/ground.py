@@ -152,15 +152,17 @@ def ground(
 def held_out(ground: Ground, counting: LinearModel) -> Array:
     """Mean squared residual on what was held out, by joint, in units of the noise, on the rows that an equation knows.
 
-    Among them are those in which a reversal rings. Shape (nv,); NaN where nothing was held out.
+    Those in which a reversal rings are among them, but for a model that is seen away from reversals. Shape (nv,); NaN
+    where nothing was held out.
     """
     squares, count = np.zeros((2, len(ground.noise)))
     theta, equation = ground.estimate.theta, ground.experiment.equation
     for run in ground.experiment.runs:
         for batch in run.signals.batches(run.held_out):
+            kept = counting.clear(batch, ground.apart) if ground.apart else counting.kept(batch)
             for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
                 e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
-                keep = counting.kept(batch)[j]
+                keep = kept[j]
                 squares[j], count[j] = squares[j] + np.square(e[keep]).sum(), count[j] + keep.sum()
     with np.errstate(invalid="ignore"):
         return np.asarray(squares / count / np.square(ground.noise))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from idtool.config import EffectEntry
-from idtool.diagnosis.contest import Choice, Contender, candidate, saved, worthwhile
+from idtool.diagnosis.contest import WORTH, Choice, Contender, candidate, saved, worthwhile
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.search import DETERMINED, assumed, searched
@@ -24,8 +24,9 @@ from idtool.effects.time_delay import WITHIN, TimeDelay
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
 
-APART = 0.02  # s from reversals
+APART = 0.04  # s from reversals
 _QUIETER = 0.8  # times the noise
+_MOST = 0.5  # of the squared residual with that around reversals, that an effect must explain to have its place there
 _POLISHES = 3  # steps of all shape values after an effect was added
 _WITHIN = (EffectEntry(effect=TimeDelay.id, joint=None, parameters={"delay": 0.0}),)
 
@@ -113,26 +114,41 @@ class Search:
         self._add(choice, choice.winner)
 
     def run(self) -> None:
-        """Add what pays, until nothing more does; at last away from reversals, if there is more quiet there.
+        """Add what pays, until nothing more does; where it is quieter away from reversals, there.
 
         Around a reversal no robot's friction is as a law with a sign has it, nor a simulator's that rounds it off. What
-        that leaves must not hide what is smaller, nor count as unknown.
+        that leaves must not hide what is smaller, nor count as unknown; and what has its place there, such as Stribeck
+        friction, has a name only where it explains most of it.
         """
-        self._rounds()
-        away = ground(self.here.experiment, self.progress, apart=APART)
-        quieter = away.noise < _QUIETER * self.here.noise
-        if quieter.any():
-            self.here = away
-            self.rounded = tuple(
-                name for name, one in zip(away.experiment.equation.joints, quieter, strict=True) if one
-            )
+        if self._quieter():
+            self._apart(APART)
+            self._rounds()
+            self._apart(0.0)
+            self._rounds(_MOST)
+        else:
+            self._rounds()
+        self.rounded = self._quieter()
+        if self.rounded:
+            self._apart(APART)
             self._rounds()
         self._trim()
 
-    def _rounds(self) -> None:
+    def _apart(self, apart: float) -> None:
+        """Look at rows so far from reversals [s]."""
+        self.here = ground(self.here.experiment, self.progress, apart=apart)
+        self._settle([one.entry for one in self.added])
+
+    def _quieter(self) -> tuple[str, ...]:
+        """Joints on which less is left away from reversals."""
+        away = ground(self.here.experiment, self.progress, apart=APART)
+        names = np.array(away.experiment.equation.joints)
+        return tuple(names[away.noise < _QUIETER * self.here.noise].tolist())
+
+    def _rounds(self, worth: float = WORTH) -> None:
         seen: set[frozenset[tuple[str, str | None]]] = set()
         while len(self.added) < self._most:
-            self.last = searched(self.here, self.first, self.progress, self._effects, self._bursts())
+            effects = self._effects if worth == WORTH else self._turning()
+            self.last = searched(self.here, self.first, self.progress, effects, self._bursts(), worth)
             if self.last.winner is None:
                 break
             self._add(self.last, self.last.winner)
@@ -141,6 +157,11 @@ class Search:
             if state in seen:
                 break
             seen.add(state)
+
+    def _turning(self) -> tuple[str, ...]:
+        """Ids of the effects that may be and have their place around reversals."""
+        own = [name for name, kind in known_effects().items() if kind.friction]
+        return tuple(name for name in own if self._effects is None or name in self._effects)
 
     def _bursts(self) -> tuple[tuple[float, float], ...]:
         if any(one.chosen.effect == "external_contact" for one in self.added):
@@ -157,14 +178,11 @@ class Search:
         """Fit all anew, shape values together, the joints weighed by what is left now."""
         late = any(entry.effect == TimeDelay.id and entry.joint is None for entry in (*self._plain, *added))
         errors: Mapping[Key, float] = {}
-        apart = self.here.apart
         for within in ((),) if late else (self._within or _WITHIN, ()):
             errors = self._fitted([*within, *added])
             self._within = self.here.experiment.config.effects[len(self._plain) :][: len(within)]
             if all(abs(float(value_of(one, "delay"))) < self._least for one in self._within):  # type: ignore[arg-type]
                 break  # a longer one is to be named
-        if apart:
-            self.here = ground(self.here.experiment, self.progress, apart=apart)
         first = len(self._given)
         found = self.here.experiment.config.effects[first:]
         for i, (one, entry) in enumerate(zip(self.added, found, strict=True)):
@@ -175,7 +193,7 @@ class Search:
         """Fit with other effects beside those of the configuration; standard errors of their shape values."""
         first = len(self._plain)
         experiment = with_effects(self.here.experiment, [*self._plain, *entries], self.here.theta)
-        self.here = ground(experiment, self.progress)
+        self.here = ground(experiment, self.progress, apart=self.here.apart)
         moving = range(first, first + len(entries))
         trial = tried(self.here, experiment.config.effects, moving, self.progress, _POLISHES) if entries else None
         self.here = trial.ground if trial is not None else self.here

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from idtool.diagnosis.contest import SURE, Choice, Contender, chosen, place_of, recorded, saved
+from idtool.diagnosis.contest import SURE, WORTH, Choice, Contender, chosen, place_of, recorded, saved
 from idtool.diagnosis.ground import Ground, held_out
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
@@ -35,6 +35,7 @@ def searched(
     progress: Progress,
     effects: Sequence[str] | None,
     bursts: tuple[tuple[float, float], ...] = (),
+    worth: float = WORTH,
 ) -> Choice:
     """Look for the effect that explains most of what a model leaves.
 
@@ -50,6 +51,8 @@ def searched(
         Ids of those that may be; None: all.
     bursts
         Stretches of time in which the residual is out of the ordinary [s].
+    worth
+        Share of a joint's squared residual that an effect must explain.
     """
     found = screened(here, _probes(here, effects, bursts), progress)
     inflation = _inflation(here, found)
@@ -67,7 +70,7 @@ def searched(
         else:
             failed.append(recorded(one, here, reason))
     fitted.sort(key=lambda one: -one.gain)
-    return chosen(here, fitted, failed, found, inflation, progress)
+    return chosen(here, fitted, failed, found, inflation, progress, worth)
 
 
 def assumed(

@@ -40,6 +40,9 @@ class NamedEffect(Effect):
         Effects that it can take the place of: their simpler name is the right one unless the data insist.
     upon
         Effects of which one must be on the joint for it to be a change of.
+    worth
+        Share of a joint's squared residual that it explains at least to be named, where its column holds the residual's
+        own noise.
     friction
         Whether it is friction, which may act on the motor's side of a gear that gives way.
     """
@@ -49,6 +52,7 @@ class NamedEffect(Effect):
     shows: str = ""
     contains: tuple[str, ...] = ()
     upon: tuple[str, ...] = ()
+    worth: float = 0.0
     friction: bool = False
 
     @classmethod

@@ -1,0 +1,116 @@
+"""Friction as MuJoCo itself has it, which it rounds off within some 10 ms of a reversal: no effect, and not unknown."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import mujoco  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from idtool.config import parse_config
+from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.records import Diagnosis
+from idtool.experiment import prepare
+from idtool.robot import read_robot
+
+Array = NDArray[np.float64]
+
+JOINTS = ("shoulder", "elbow")
+SECONDS, STEP, NOISE = 16.0, 5e-4, 0.05  # s, s, N·m
+LENGTH, MASS, ARMATURE = (0.3, 0.25), (2.2, 1.1), (0.15, 0.06)  # m, kg, kg·m²
+DAMPING, DRY = (0.8, 0.3), (1.4, 0.6)  # N·m·s/rad, N·m
+KP, KD = np.array([500.0, 200.0]), np.array([15.0, 5.0])
+STIFFNESS, REST = 8.0, 0.35  # N·m/rad, rad
+
+
+def link_inertia(k: int) -> Array:
+    """Of a rod about its centre [kg·m²]."""
+    long = MASS[k] * (3 * 0.05**2 + LENGTH[k] ** 2) / 12
+    return np.array([long, long, MASS[k] * 0.05**2 / 2])
+
+
+def mjcf(stiffness: float) -> str:
+    """Two links in a vertical plane, on the first a spring."""
+    bodies = ""
+    for k, name in enumerate(JOINTS):
+        spring = f'stiffness="{stiffness}" springref="{REST}"' if k == 0 else ""
+        inertia = " ".join(map(str, link_inertia(k)))
+        bodies += (
+            f'<body pos="0 0 {LENGTH[0] * k}"><inertial pos="0 0 {LENGTH[k] / 2}" mass="{MASS[k]}" '
+            f'diaginertia="{inertia}"/><joint name="{name}" axis="0 1 0" damping="{DAMPING[k]}" '
+            f'frictionloss="{DRY[k]}" armature="{ARMATURE[k]}" {spring}/>'
+        )
+    motors = "".join(f'<motor joint="{name}"/>' for name in JOINTS)
+    option = f'<option timestep="{STEP}" integrator="implicitfast"/><compiler angle="radian"/>'
+    tree = f"<worldbody>{bodies}</body></body></worldbody>"
+    return f"<mujoco>{option}{tree}<actuator>{motors}</actuator></mujoco>"
+
+
+def urdf() -> str:
+    """The same by a designer who is 12 to 15 % off."""
+    text = '<robot name="arm"><link name="l0"/>'
+    for k, name in enumerate(JOINTS):
+        xx, yy, zz = 1.15 * link_inertia(k)
+        text += (
+            f'<link name="l{k + 1}"><inertial><origin xyz="0 0 {0.54 * LENGTH[k]}"/><mass value="{0.88 * MASS[k]}"/>'
+            f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="{name}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/>'
+            f'<origin xyz="0 0 {LENGTH[0] * k}"/><axis xyz="0 1 0"/></joint>'
+        )
+    return text + "</robot>"
+
+
+@cache
+def log(stiffness: float) -> dict[str, Array]:
+    """Joints that a PD controller leads along Fourier series, at 1 kHz."""
+    rng, model = np.random.default_rng(2), mujoco.MjModel.from_xml_string(mjcf(stiffness))
+    data, t = mujoco.MjData(model), np.arange(0, SECONDS, 1e-3)
+    w = 2 * np.pi * 0.15 * np.arange(1, 11)
+    a, b = rng.normal(size=(2, 2, 10)) / w
+    q = (a @ np.sin(np.outer(w, t)) + b @ (np.cos(np.outer(w, t)) - 1)) * 1.4
+    qcmd, rows = q / np.abs(q).max(axis=1, keepdims=True) * 1.2, []
+    vcmd = np.gradient(qcmd, 1e-3, axis=1)
+    for k in range(len(t)):
+        tau = KP * (qcmd[:, k] - data.qpos) + KD * (vcmd[:, k] - data.qvel)
+        rows.append([*data.qpos, *data.qvel, *tau])
+        data.ctrl[:] = tau
+        mujoco.mj_step(model, data, nstep=2)
+    x = np.array(rows) + rng.normal(size=(len(t), 6)) * np.repeat([2e-5, 2e-3, NOISE], 2)
+    names = [f"{signal}_{joint}" for signal in ("q", "v", "tau") for joint in JOINTS]
+    return {"t": t} | dict(zip(names, x.T, strict=True))
+
+
+def diagnosed(folder: Path, stiffness: float) -> Diagnosis:
+    """What idtool makes of it, the motors' inertia being known as effects."""
+    columns = log(stiffness)
+    lines = [",".join(columns), *(",".join(f"{x:.9g}" for x in row) for row in zip(*columns.values(), strict=True))]
+    (folder / "log.csv").write_text("\n".join(lines))
+    (folder / "arm.urdf").write_text(urdf())
+    rotors = [
+        {"effect": "rotor_inertia", "joint": name, "parameters": {"inertia": 0.9 * inertia}}
+        for name, inertia in zip(JOINTS, ARMATURE, strict=True)
+    ]
+    config = parse_config({"effects": rotors}, "")
+    tried = prepare(read_robot(folder / "arm.urdf"), config, [folder / "log.csv"])
+    return diagnose(tried, Options(simulated=False), lambda stage, share: None)
+
+
+def test_friction_that_is_rounded_off_is_no_disagreement(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, 0.0)
+    assert (found.verdict, found.steps) == ("no_disagreement", ())
+    (note,) = found.warnings
+    assert note.startswith(
+        "within 40 ms of reversals friction on shoulder, elbow is not what its level and direction give"
+    )
+
+
+def test_what_it_would_hide_is_found(tmp_path: Path) -> None:
+    """A spring, as it is: with the rounding in the rows its rest position was 0.1 rad off."""
+    found = diagnosed(tmp_path, STIFFNESS)
+    (step,) = found.steps
+    assert (step.chosen.effect, step.chosen.joint) == ("parallel_spring", "shoulder")
+    assert step.parameters["stiffness"] == pytest.approx(STIFFNESS, rel=0.05)
+    assert step.parameters["rest_position"] == pytest.approx(REST, abs=0.02)
