@@ -87,9 +87,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     first = fit(experiment, progress, options.simulated)
     last = fit(search.final(), progress, options.simulated) if search.added else first
     structure = _structure(search)
-    here = search.here
-    floor = noise_floor(here.experiment, here.estimate.theta, progress, here.apart)
-    floor = floor.less(np.array([one.score for one in structure]))
+    floor = _floor(search, structure)
     steps = [*_steps(search, first, options.simulated), *_unknown(search, structure, floor, last)]
     joints = experiment.equation.joints
     before, after = (_of(one) for one in (first, last))
@@ -191,6 +189,13 @@ def _structure(search: Search) -> list[Candidate]:
         part, error = (share(x, here, 1) if sure else 0.0 for x in (best.gain, best.standard_error))
         said.append(Candidate(UNKNOWN, name, None, min(part, 1.0), error, 0))
     return said
+
+
+def _floor(search: Search, structure: Sequence[Candidate]) -> Floor:
+    """The noise floor, by what is left where it is clear of reversals, less what is known to be structure of that."""
+    here = search.here
+    floor = noise_floor(here.experiment, here.estimate.theta, search.progress, here.apart)
+    return floor.less(np.array([one.score for one in structure]))
 
 
 def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last: Fit) -> list[Step]:
