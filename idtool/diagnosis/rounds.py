@@ -25,6 +25,7 @@ from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
 
 APART = 0.04  # s from reversals
+_AWAY = 0.7  # of the rows, that must be left away from reversals
 _QUIETER = 0.8  # times the noise
 _MOST = 0.5  # of the squared residual with that around reversals, that an effect must explain to have its place there
 _POLISHES = 3  # steps of all shape values after an effect was added
@@ -139,8 +140,10 @@ class Search:
         self._settle([one.entry for one in self.added])
 
     def _quieter(self) -> tuple[str, ...]:
-        """Joints on which less is left away from reversals."""
+        """Joints on which less is left away from reversals; none where too few rows are."""
         away = ground(self.here.experiment, self.progress, apart=APART)
+        if (away.rows.sum(axis=0) < _AWAY * self.here.rows.sum(axis=0)).any():
+            return ()
         names = np.array(away.experiment.equation.joints)
         return tuple(names[away.noise < _QUIETER * self.here.noise].tolist())
 
