@@ -27,6 +27,14 @@ _UNDEFINED = 0.3  # share of a filtered sample's weight that may come from sampl
 _CLEAR = 0.03  # of its weight by magnitude, with which such samples do not show in it
 
 
+def _turns(v: Array) -> NDArray[np.bool_]:
+    """Samples between which a joint turns round, however fast, shape (N,)."""
+    turns = np.zeros(len(v), dtype=bool)
+    at = np.flatnonzero(v[1:] * v[:-1] < 0)
+    turns[at] = turns[at + 1] = True
+    return turns
+
+
 def _beside(effect: Effect, other: Effect) -> bool:
     """Whether another effect is part of the model that one refers to."""
     return type(other) is not type(effect) and type(other).true is Effect.true
@@ -139,7 +147,8 @@ class LinearModel:
         """Per joint, whether each filtered sample counts, shape (n,)."""
         kept = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
         for joint, mask in self._undefined(batch):
-            kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
+            if mask.any():
+                kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
         return kept
 
     def clear(self, batch: Batch, apart: float = 0.0) -> list[NDArray[np.bool_]]:
@@ -155,10 +164,10 @@ class LinearModel:
         apart
             How far from such moments they must be beside [s].
         """
-        kept = self.kept(batch)
+        kept, motion = self.kept(batch), batch.motion
         for joint, mask in self._undefined(batch):
-            if around := round(apart / batch.motion.dt):
-                mask = ndimage.binary_dilation(mask, iterations=around)
+            if around := round(apart / motion.dt):
+                mask = ndimage.binary_dilation(mask | _turns(motion.v[joint]), iterations=around)
             share = batch.low_pass.share(mask, batch.before, batch.after)
             kept[joint] &= share <= max(_CLEAR, float(np.median(share)))
         return kept
@@ -166,7 +175,7 @@ class LinearModel:
     def _undefined(self, batch: Batch) -> Iterator[tuple[int, NDArray[np.bool_]]]:
         """Joints, and where a column of theirs is not defined, shape (N,)."""
         for effect in self.effects:
-            yield from ((joint, mask) for joint, mask in effect.undefined(batch.motion).items() if mask.any())
+            yield from effect.undefined(batch.motion).items()
 
     def torque(self, motion: Motion, theta: Array) -> Array:
         """The torque that the model predicts, as the sensors give it, unfiltered.

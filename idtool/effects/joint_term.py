@@ -133,13 +133,9 @@ class DryFriction(JointTerm):
         return mean_within(np.tanh(x), x, _log_cosh) * self.level(motion)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
-        """Where the joint rests or turns round: friction there can be anything up to its level."""
+        """Where the joint rests: friction there can be anything up to its level."""
         joint = int(self.joint)
-        v = motion.v[joint]
-        rests = np.abs(v) < _SURE * motion.still[joint]
-        turns = np.flatnonzero(v[1:] * v[:-1] < 0)
-        rests[turns] = rests[turns + 1] = True
-        return {joint: rests}
+        return {joint: np.abs(motion.v[joint]) < _SURE * motion.still[joint]}
 
 
 def mean_within(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array:
