@@ -155,7 +155,7 @@ class LinearModel:
         """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
 
         A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
-        long. Half of the samples are kept even where a joint turns round all the time.
+        long. Where they need not be further apart, half of the samples are kept even of a joint that turns all the time.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class LinearModel:
             if around := round(apart / motion.dt):
                 mask = ndimage.binary_dilation(mask | _turns(motion.v[joint]), iterations=around)
             share = batch.low_pass.share(mask, batch.before, batch.after)
-            kept[joint] &= share <= max(_CLEAR, float(np.median(share)))
+            kept[joint] &= share <= (_CLEAR if around else max(_CLEAR, float(np.median(share))))
         return kept
 
     def _undefined(self, batch: Batch) -> Iterator[tuple[int, NDArray[np.bool_]]]:

@@ -21,12 +21,12 @@ from idtool.diagnosis.trial import Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
 from idtool.effects import known_effects
 from idtool.effects.time_delay import WITHIN, TimeDelay
-from idtool.exceptions import ConfigError
+from idtool.exceptions import ConfigError, IdtoolError
 from idtool.experiment import Experiment, Progress
 
 APART = 0.04  # s from reversals
 _AWAY = 0.7  # of the rows, that must be left away from reversals
-_QUIETER = 0.8  # times the noise
+_QUIETER = 0.4  # times the noise
 _MOST = 0.5  # of the squared residual with that around reversals, that an effect must explain to have its place there
 _POLISHES = 3  # steps of all shape values after an effect was added
 _WITHIN = (EffectEntry(effect=TimeDelay.id, joint=None, parameters={"delay": 0.0}),)
@@ -141,7 +141,10 @@ class Search:
 
     def _quieter(self) -> tuple[str, ...]:
         """Joints on which less is left away from reversals; none where too few rows are."""
-        away = ground(self.here.experiment, self.progress, apart=APART)
+        try:
+            away = ground(self.here.experiment, self.progress, apart=APART)
+        except IdtoolError:
+            return ()
         if (away.rows.sum(axis=0) < _AWAY * self.here.rows.sum(axis=0)).any():
             return ()
         names = np.array(away.experiment.equation.joints)
