@@ -155,7 +155,7 @@ class LinearModel:
         """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
 
         A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
-        long. Where they need not be further apart, half of the samples are kept even of a joint that turns all the time.
+        long. Where they need not be further apart, half of a joint's samples are kept even if it turns round always.
 
         Parameters
         ----------

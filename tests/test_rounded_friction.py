@@ -103,7 +103,7 @@ def test_friction_that_is_rounded_off_is_no_disagreement(tmp_path: Path) -> None
     assert (found.verdict, found.steps) == ("no_disagreement", ())
     (note,) = found.warnings
     assert note.startswith(
-        "within 40 ms of reversals friction on  and direction give"
+        "within 40 ms of reversals friction on shoulder is not what"
     )
 
 
