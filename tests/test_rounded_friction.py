@@ -102,9 +102,7 @@ def test_friction_that_is_rounded_off_is_no_disagreement(tmp_path: Path) -> None
     found = diagnosed(tmp_path, 0.0)
     assert (found.verdict, found.steps) == ("no_disagreement", ())
     (note,) = found.warnings
-    assert note.startswith(
-        "within 40 ms of reversals friction on shoulder is not what"
-    )
+    assert note.startswith("within 40 ms of reversals friction on shoulder is not what")
 
 
 def test_what_it_would_hide_is_found(tmp_path: Path) -> None:
