@@ -41,7 +41,7 @@ class TimeDelay(HeldEffect):
     """
 
     id = "time_delay"
-    means = "the torque is recorded late against the position"
+    means = "the torque is recorded late against the position (below zero: early)"
     shows = "quick motion with sharp changes of torque"
 
     def __init__(self, model: Model, delay: float, joint: int | None = None) -> None:
