@@ -136,16 +136,17 @@ def chosen(
     known = {(one.effect, one.on) for one in failed} | {named(one.found.probe) for one in fitted}
     screened_out = [one for one in _best_of_all(found).values() if named(one.probe) not in known]
     lost = (*failed, *(_lost(one, here, inflation) for one in screened_out))
+    lost = tuple(one for one in lost if is_answer(one.effect))
     if not worthy:
         return Choice(here, None, (), tuple(fitted), lost, inflation)
     top = worthy[0]
     equals = [one for one in worthy if _as_good(one, top)]
     equals = [one for one in equals if not any(_contains(one, other) for other in equals)] or equals
     winner = min(equals, key=lambda one: (one.found.probe.parameters, -one.gain))
-    rivals = _rivals([one for one in fitted if one is not winner], winner, progress)
+    others = [one for one in fitted if one is not winner and is_answer(one.found.probe.effect)]
+    rivals = _rivals(others, winner, progress)
     alike = [one for one in rivals if one in worthy and _alike(one, winner) and not _contains(one, winner)]
-    others = tuple(one for one in rivals if one not in alike)
-    return Choice(here, winner, tuple(alike), others, lost, inflation)
+    return Choice(here, winner, tuple(alike), tuple(x for x in rivals if x not in alike), lost, inflation)
 
 
 def _pays(one: Contender, here: Ground, inflation: float, worth: float) -> bool:
@@ -216,6 +217,11 @@ def _lost(one: Found, here: Ground, inflation: float) -> Candidate:
     else:
         reason = f"explains {100 * part:.2g} % of what is left on its joint, less than another"
     return recorded(one, here, reason)
+
+
+def is_answer(effect: str) -> bool:
+    """Whether an effect is one that a diagnosis names."""
+    return known_effects()[effect].named
 
 
 def named(probe: Probe) -> tuple[str, str]:

@@ -21,7 +21,7 @@ from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import with_effects, with_fixed_inertia
 from idtool.diagnosis.unknown import UNKNOWN, unnamed
 from idtool.diagnosis.where import located, residual_maps, unexplained
-from idtool.diagnosis.words import sentence, separating
+from idtool.diagnosis.words import aside, sentence, separating
 from idtool.effects import named_effect
 from idtool.experiment import Experiment, Progress
 from idtool.fit import Fit, fit
@@ -85,7 +85,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         search.assume(effect, on)
     search.run()
     first = fit(experiment, progress, options.simulated)
-    last = fit(search.final(), progress, options.simulated) if search.added else first
+    last = fit(search.final(), progress, options.simulated) if search.named else first
     structure = _structure(search)
     floor = _floor(search, structure)
     steps = [*_steps(search, first, options.simulated), *_unknown(search, structure, floor, last)]
@@ -121,7 +121,7 @@ def _steps(search: Search, first: Fit, simulated: bool) -> list[Step]:
     """What was found, step by step, with the shape values of the end."""
     steps: list[Step] = []
     experiment, theta, before = first.experiment, first.estimate.theta, _of(first)
-    for k, one in enumerate(search.added):
+    for k, one in enumerate(search.named):
         found = ground(with_effects(search.here.experiment, search.entries(k + 1), search.here.theta), search.progress)
         after = level(found.experiment, found.estimate.theta, simulated, search.progress)
         where = located(experiment, theta, found.experiment, found.estimate.theta, search.progress)
@@ -216,12 +216,13 @@ def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last:
 
 def _notes(search: Search) -> tuple[str, ...]:
     """What a reader should know."""
-    if not search.rounded:
-        return ()
-    return (
-        f"within {1e3 * APART:.0f} ms of reversals friction on {', '.join(search.rounded)} is not what its level and "
-        "direction give, as where a simulator rounds it off: such moments were left aside in the end",
-    )
+    notes = [aside(one.entry) for one in search.added if one not in search.named]
+    if search.rounded:
+        notes.append(
+            f"within {1e3 * APART:.0f} ms of reversals friction on {', '.join(search.rounded)} is not what its level "
+            "and direction give, as where a simulator rounds it off: such moments were left aside in the end"
+        )
+    return tuple(notes)
 
 
 def _verdict(steps: Sequence[Step]) -> Verdict:

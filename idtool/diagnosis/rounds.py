@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from idtool.config import EffectEntry
-from idtool.diagnosis.contest import WORTH, Choice, Contender, candidate, saved, worthwhile
+from idtool.diagnosis.contest import WORTH, Choice, Contender, candidate, is_answer, saved, worthwhile
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.search import DETERMINED, assumed, searched
@@ -100,6 +100,11 @@ class Search:
         """What was there before anything was found."""
         return (*self._plain, *self._within)
 
+    @property
+    def named(self) -> list[Added]:
+        """The effects found that are an answer, in their order."""
+        return [one for one in self.added if is_answer(one.entry.effect)]
+
     def assume(self, effect: str, on: str | None) -> None:
         """Add an effect whatever it explains.
 
@@ -152,7 +157,7 @@ class Search:
 
     def _rounds(self, worth: float = WORTH) -> None:
         seen: set[frozenset[tuple[str, str | None]]] = set()
-        while len(self.added) < self._most:
+        while len(self.named) < self._most:
             effects = self._effects if worth == WORTH else self._turning()
             self.last = searched(self.here, self.first, self.progress, effects, self._bursts(), worth)
             if self.last.winner is None:
@@ -215,8 +220,9 @@ class Search:
                 continue
             out = self.added.pop(i)
             by = self.added[-1].chosen
-            what = f"{out.chosen.effect} on {out.chosen.on} was taken out again"
-            self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
+            if is_answer(out.chosen.effect):
+                what = f"{out.chosen.effect} on {out.chosen.on} was taken out again"
+                self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
             self._settle(others)
 
     def _trim(self) -> None:
@@ -237,11 +243,11 @@ class Search:
 
     def entries(self, count: int) -> list[EffectEntry]:
         """The configuration's effects with the first found, shape values with their errors."""
-        return [*self._plain, *(_with_errors(one) for one in self.added[:count])]
+        return [*self._plain, *(_with_errors(one) for one in self.named[:count])]
 
     def final(self) -> Experiment:
         """The model with all that was found."""
-        return with_effects(self.here.experiment, self.entries(len(self.added)), self.here.estimate.theta)
+        return with_effects(self.here.experiment, self.entries(len(self.named)), self.here.estimate.theta)
 
 
 def _trimmed(one: Added) -> EffectEntry:

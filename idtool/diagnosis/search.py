@@ -101,7 +101,7 @@ def assumed(
 def _probes(here: Ground, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...]) -> list[Probe]:
     """All hypotheses."""
     seen = survey(here, bursts, is_fixed(here.experiment))
-    kinds = {name: kind for name, kind in known_effects().items() if effects is None or name in effects}
+    kinds = {id: kind for id, kind in known_effects().items() if effects is None or id in effects or not kind.named}
     probes = [probe for kind in kinds.values() for probe in kind.probes(seen)]
     return [probe for probe in probes if not _waits(probe, [x for x in kinds[probe.effect].upon if x in kinds], seen)]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from idtool.config import EffectEntry
 from idtool.diagnosis.records import Candidate, Level, Step
 from idtool.effects import known_effects
 
@@ -60,6 +61,13 @@ def _shrinks(step: Step, units: Mapping[str, str]) -> str:
 
 def _torque(one: Level) -> Mapping[str, float]:
     return one.validation if one.validation is not None else one.train
+
+
+def aside(entry: EffectEntry) -> str:
+    """An effect that is no answer, for people."""
+    means = known_effects()[entry.effect].means
+    figures = ", ".join(_figure(name, value, None) for name, value in entry.parameters.items())
+    return f"{entry.joint}: {means} ({figures}); that was fitted along, and is not in the model"
 
 
 def separating(one: Candidate, other: Candidate) -> str:

@@ -130,7 +130,7 @@ class DryFriction(JointTerm):
         The direction is the mean over the time from half a sample before to half a sample after.
         """
         x = motion.v[self.joint] / motion.still[self.joint]
-        return mean_within(np.tanh(x), x, _log_cosh) * self.level(motion)
+        return mean_within(np.tanh(x), x, log_cosh) * self.level(motion)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         """Where the joint rests: friction there can be anything up to its level."""
@@ -158,7 +158,7 @@ def mean_within(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array
     return mean
 
 
-def _log_cosh(x: Array) -> Array:
+def log_cosh(x: Array) -> Array:
     """The integral of tanh, but for a constant."""
     return np.asarray(np.logaddexp(x, -x))
 

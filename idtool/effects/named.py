@@ -45,6 +45,8 @@ class NamedEffect(Effect):
         own noise.
     friction
         Whether it is friction, which may act on the motor's side of a gear that gives way.
+    named
+        Whether it is an answer to what a model lacks; what is not is only fitted along, so as not to hide others.
     """
 
     id: str = ""
@@ -54,6 +56,7 @@ class NamedEffect(Effect):
     upon: tuple[str, ...] = ()
     worth: float = 0.0
     friction: bool = False
+    named: bool = True
 
     @classmethod
     def probes(cls, survey: Survey) -> Iterator[Probe]:
