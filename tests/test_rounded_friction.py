@@ -27,7 +27,7 @@ LENGTH, MASS, ARMATURE = (0.3, 0.25), (2.2, 1.1), (0.15, 0.06)  # m, kg, kg·m²
 DAMPING, DRY = (0.8, 0.3), (1.4, 0.6)  # N·m·s/rad, N·m
 KP, KD = np.array([500.0, 200.0]), np.array([15.0, 5.0])
 STIFFNESS, REST = 8.0, 0.35  # N·m/rad, rad
-ROUNDING = 0.05  # rad/s, of c tanh(v / rounding)
+ROUNDING, SHARP = 0.05, 0.005  # rad/s, of c tanh(v / rounding)
 
 
 def link_inertia(k: int) -> Array:
@@ -135,3 +135,8 @@ def test_friction_that_is_rounded_off_in_speed_is_no_disagreement(tmp_path: Path
 
 def test_what_that_would_hide_is_found(tmp_path: Path) -> None:
     is_the_spring(diagnosed(tmp_path, STIFFNESS, ROUNDING))
+
+
+def test_nothing_is_left_aside_where_friction_is_sharp(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, 0.0, SHARP)
+    assert (found.verdict, found.steps, found.warnings) == ("no_disagreement", (), ())

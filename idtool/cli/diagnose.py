@@ -101,8 +101,9 @@ def _known(option: str, effect: str) -> str:
     from idtool.effects import known_effects
     from idtool.names import nearest, shown
 
-    if effect not in known_effects():
-        raise ConfigError(option, f"{shown(effect) or 'nothing'} is no effect; {nearest(effect, known_effects())}")
+    named = [id for id, kind in known_effects().items() if kind.named]
+    if effect not in named:
+        raise ConfigError(option, f"{shown(effect) or 'nothing'} is no effect; {nearest(effect, named)}")
     return effect
 
 

@@ -25,8 +25,8 @@ from idtool.exceptions import ConfigError, IdtoolError
 from idtool.experiment import Experiment, Progress
 
 APART = 0.04  # s from reversals
-_AWAY = 0.7  # of the rows, that must be left away from reversals
-_QUIETER = 0.4  # times the noise
+_MORE = 4.0  # times the information, that a joint must show away from reversals: standard errors are halved
+_LESS = 0.5  # times the information, that every joint must keep
 _MOST = 0.5  # of the squared residual with that around reversals, that an effect must explain to have its place there
 _POLISHES = 3  # steps of all shape values after an effect was added
 _WITHIN = (EffectEntry(effect=TimeDelay.id, joint=None, parameters={"delay": 0.0}),)
@@ -145,15 +145,15 @@ class Search:
         self._settle([one.entry for one in self.added])
 
     def _quieter(self) -> tuple[str, ...]:
-        """Joints on which less is left away from reversals; none where too few rows are."""
+        """Joints of which rows away from reversals, fewer but quieter, tell far more; none where another's tell less."""
         try:
             away = ground(self.here.experiment, self.progress, apart=APART)
         except IdtoolError:
             return ()
-        if (away.rows.sum(axis=0) < _AWAY * self.here.rows.sum(axis=0)).any():
+        told, told_away = (one.rows.sum(axis=0) / np.square(one.noise) for one in (self.here, away))
+        if (told_away < _LESS * told).any():
             return ()
-        names = np.array(away.experiment.equation.joints)
-        return tuple(names[away.noise < _QUIETER * self.here.noise].tolist())
+        return tuple(np.array(away.experiment.equation.joints)[told_away > _MORE * told].tolist())
 
     def _rounds(self, worth: float = WORTH) -> None:
         seen: set[frozenset[tuple[str, str | None]]] = set()

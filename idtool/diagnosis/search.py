@@ -20,7 +20,7 @@ _CONTENDERS = 7  # that are tried more finely
 _FINALISTS = 5  # that are fitted whole
 _NEAR = 0.4  # of the best gain that a finalist has at least
 _WORSE = 1.01  # times the squared residual of held-out data
-_HARMS = 0.5  # of what it saves, that an effect costs elsewhere
+_HARMS = 0.2  # of what it saves, that an effect costs elsewhere
 DETERMINED = 2.5  # standard errors that a shape value is at least from nothing
 _FREE = ("time_constant",)  # a change that has only begun has any
 _MATTERS = 1e-4  # of the first squared residual of a joint, below which the names found so far are no better known
@@ -60,9 +60,11 @@ def searched(
     contenders = sorted(best.values(), key=lambda one: -one.gain)[:_CONTENDERS]
     best |= _best(screened(here, list(_finer(contenders, found)), progress, "looking closer"), best)
     ranked = sorted(best.values(), key=lambda one: -one.gain)
-    least = max(_NEAR * ranked[0].gain if ranked else 0.0, SURE**2 * inflation)
-    fitted, failed = [], []
-    for one in [one for one in ranked if one.gain >= least][:_FINALISTS]:
+    fitted: list[Contender] = []
+    failed: list[Candidate] = []
+    for one in ranked[:_FINALISTS]:
+        if one.gain < max([SURE**2 * inflation, *(_NEAR * other.found.gain for other in fitted)]):
+            break
         own = _fitted(here, one, progress)
         reason = _against(own, here, first) if own else "cannot be fitted together with the rest of the model"
         if own and not reason:
@@ -161,8 +163,9 @@ def _against(one: Contender, here: Ground, first: Ground) -> str:
         return f"its {loose} is not determined by the data"
     if -np.minimum(one.gains, 0).sum() > _HARMS * np.maximum(one.gains, 0).sum():
         return "helps in some stretches of the log and harms in others"
-    own = one.trial.ground.experiment.equation
-    if held_out(one.trial.ground, own).sum() > _WORSE * held_out(here, own).sum():  # not where nothing was held out
+    own, joint = one.trial.ground.experiment.equation, one.found.probe.joint
+    on = [joint is None or name == joint for name in own.joints]
+    if held_out(one.trial.ground, own)[on].sum() > _WORSE * held_out(here, own)[on].sum():  # none where nothing was
         return "makes the held-out data worse"
     if not _matters(one.trial.ground, here, first):
         return "explains less than what was found before is uncertain by, or next to nothing of the torque"

@@ -38,7 +38,7 @@ class ParallelSpring(JointTerm):
             return {joint: np.stack([motion.q[joint], np.ones_like(motion.t)])[:rows]}
 
         def entry(c: Array, information: Array) -> EffectEntry:
-            rest = 0.0 if alone else -c[1] / c[0]
+            rest = 0.0 if alone or not c[0] else -c[1] / c[0]
             return cls.entry(survey.model, joint, {"stiffness": c[0], "rest_position": rest})
 
         free = (-np.inf,) * (rows - 1)
