@@ -145,7 +145,7 @@ class Search:
         self._settle([one.entry for one in self.added])
 
     def _quieter(self) -> tuple[str, ...]:
-        """Joints of which rows away from reversals, fewer but quieter, tell far more; none where another's tell less."""
+        """Joints of which the rows away from reversals tell far more; none where those of another tell less."""
         try:
             away = ground(self.here.experiment, self.progress, apart=APART)
         except IdtoolError:

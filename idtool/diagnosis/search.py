@@ -8,6 +8,7 @@ import numpy as np
 
 from idtool.diagnosis.contest import SURE, WORTH, Choice, Contender, chosen, place_of, recorded, saved
 from idtool.diagnosis.ground import Ground, held_out
+from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of
