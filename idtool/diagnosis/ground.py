@@ -12,7 +12,7 @@ Letters: p coefficients theta; r directions y; F blocks of time; sigma_j noise o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from idtool.effects.torque_sensor import Sensor
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.identified import choose_sets
 from idtool.identify import Estimate, identify
+from idtool.present import PresentModel
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 from idtool.weights import free_noise, weighted_rows
@@ -35,6 +36,7 @@ _SHORTEST = 0.4  # s of a block
 _GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _SEEN = 1e-5  # of a direction's weight that data have: with less, it is the prior's
 _RANK = 1e-13  # of the largest eigenvalue
+_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -169,13 +171,35 @@ def held_out(ground: Ground, counting: LinearModel) -> Array:
 
 
 def _rescaled(experiment: Experiment, size: Array, like: Ground) -> Array:
-    """How much larger each joint's true torque is than by the other's sensors, shape (nv,)."""
+    """How much larger each joint's noise is than in the other's rows, shape (nv,).
+
+    Where torque sensors differ, as the true torque is.
+    """
     own, other = (
         [effect.key for effect in one.equation.effects if isinstance(effect, Sensor)]
         for one in (experiment, like.experiment)
     )
     same = own == other and not own
-    return np.ones_like(size) if same else size / like.size
+    left = _noise_left(experiment, like.noise) / _noise_left(like.experiment, like.noise)
+    return left if same else left * size / like.size
+
+
+def _noise_left(experiment: Experiment, noise: Array) -> Array:
+    """How much of white noise of the measured torque, so large, is left in the rows, at the first samples; shape (nv,).
+
+    A soft joint's acceleration follows the torque, and takes noise against noise: that explains nothing.
+    """
+    equation, left = experiment.equation, np.ones(len(noise))
+    if not any(effect.by_torque for effect in equation.effects):
+        return left
+    run = next(run for run in experiment.runs if run.train)
+    batch = next(iter(run.signals.batches(run.train)))
+    theta = np.array([equation.reference.get(c.key, c.prior) for c in equation.coefficients])
+    white = np.random.default_rng(_SEED).standard_normal(batch.motion.tau.shape)
+    white *= (noise / batch.filter(white).std(axis=1))[:, None]
+    noisy = replace(batch.motion, tau=batch.motion.tau + white)
+    change = PresentModel(equation, theta, noisy).residual - PresentModel(equation, theta, batch.motion).residual
+    return np.asarray(np.minimum(batch.filter(change).std(axis=1) / noise, 1.0))
 
 
 def fold_rows(experiment: Experiment) -> int:

@@ -76,9 +76,12 @@ class Effect(ABC):
         Its m unknowns.
     active
         Per joint, which of them appear in that joint's equation, ascending; nv arrays of indices.
+    by_torque
+        Whether it takes the measured torque, and so its noise, for something else too.
     """
 
     rank: int = 0
+    by_torque: bool = False
     coefficients: tuple[Coefficient, ...]
     active: tuple[NDArray[np.intp], ...]
 

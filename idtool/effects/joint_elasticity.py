@@ -47,7 +47,7 @@ class JointElasticity(HeldJointEffect):
     means = "the joint gives under load"
     shows = "quick reversals at high and at low load"
     rank = 1
-    worth = 0.5  # of white torque noise in 40 Hz, a stiff spring explains 0.19 by its part below 14 Hz
+    by_torque = True
     held = (Held("stiffness", positive=True), Held("motor_friction", most=1.0))
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
