@@ -63,7 +63,7 @@ from leg_runs import (
 from idtool.base import BaseParameters, structural_base
 from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 from idtool.identified import Method
 from idtool.logs import write_log
 from idtool.robot import read_robot

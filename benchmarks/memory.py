@@ -16,7 +16,7 @@ from pathlib import Path
 import leg
 import numpy as np
 
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.logs import make_log, write_log
 from idtool.signals import Motion
 

@@ -24,7 +24,7 @@ from idtool.experiment import Experiment, prepare
 from idtool.mechanism import Mechanism
 from idtool.robot import read_robot
 from idtool.signals import Signals
-from idtool.simulate import simulate
+from idtool.simulation import simulate
 from idtool.windows import windows_of
 
 Array = NDArray[np.float64]

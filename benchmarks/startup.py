@@ -34,7 +34,7 @@ def print_steps(urdf: Path, log: Path) -> None:
     clock = [time.perf_counter()]
     from idtool.config import read_config
     from idtool.experiment import prepare
-    from idtool.fit import fit
+    from idtool.fitting import fit
     from idtool.pages import fit_page
     from idtool.report import fit_report
     from idtool.robot import read_robot

@@ -165,8 +165,8 @@ def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress
 def prepare(
     robot: Robot,
     config: Config,
-    logs: Sequence[Path],
-    validate: Sequence[Path] = (),
+    logs: Sequence[Path | Log],
+    validate: Sequence[Path | Log] = (),
     holdout: float = 0.3,
     seen_as: Callable[[Log], Log] = lambda log: log,
 ) -> Experiment:
@@ -179,7 +179,7 @@ def prepare(
     config
         The configuration.
     logs
-        Logs to fit to.
+        Logs to fit to: files, which are read as the configuration says, or what was read.
     validate
         Whole logs for validation; where given, nothing is held out of the others.
     holdout
@@ -196,14 +196,7 @@ def prepare(
         raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
     if not logs and not validate:
         raise LogError("logs", "none given; name at least one MCAP or CSV file")
-    options = config.log
-    fitted, kept = (
-        [
-            seen_as(read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale)))
-            for path in paths
-        ]
-        for paths in (logs, validate)
-    )
+    fitted, kept = ([seen_as(_read(log, config)) for log in given] for given in (logs, validate))
     every = (*fitted, *kept)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
@@ -217,6 +210,13 @@ def prepare(
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
     return Experiment(config, with_equal_bounds(model, known), equation, known, tuple(runs))
+
+
+def _read(log: Path | Log, config: Config) -> Log:
+    options = config.log
+    if isinstance(log, Log):
+        return log
+    return read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
 
 
 def _check_signals(log: Log, joints: Sequence[str]) -> None:

@@ -21,8 +21,8 @@ from idtool.exceptions import ModelError
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.logs import Log
 from idtool.signals import Signals
-from idtool.simulate import simulate
 from idtool.simulated_log import under_controller
+from idtool.simulation import simulate
 
 Array = NDArray[np.float64]
 Kind = Literal["closed_loop", "smoothed"]

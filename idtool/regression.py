@@ -11,7 +11,7 @@ from pydantic import Field
 from idtool.config import Config, Positive, Record, checked, read_config
 from idtool.exceptions import ConfigError
 from idtool.experiment import Progress, prepare
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.robot import read_robot
 from idtool.safe_yaml import read_yaml
 

@@ -21,7 +21,7 @@ from idtool.exceptions import ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.mechanism import Mechanism
 from idtool.signals import Signals
-from idtool.simulate import simulate
+from idtool.simulation import simulate
 from idtool.windows import measured_states, windows_of
 
 Array = NDArray[np.float64]

@@ -14,12 +14,12 @@ from idtool.check import LinkCheck
 from idtool.config import Config, EffectEntry
 from idtool.effects import NamedEffect, named_effect, plain
 from idtool.ellipsoid import Ellipsoid
-from idtool.fit import Fit
+from idtool.fitting import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.simulation_report import simulation_report
 from idtool.trust_report import intervals, reflected_inertia, rests_on, trust_report
 from idtool.urdf import JointDynamics
-from idtool.validate import Evaluation
+from idtool.validation import Evaluation
 from idtool.verdict import Verdict, judge
 from idtool.witness import deviation_ellipsoid
 

@@ -17,7 +17,7 @@ from idtool.exceptions import LogError, ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.logs import Log, make_log
 from idtool.signals import Signals
-from idtool.simulate import simulate
+from idtool.simulation import simulate
 from idtool.windows import windows_of
 
 Array = NDArray[np.float64]
@@ -31,6 +31,8 @@ class SimulatedLog:
     ----------
     log
         The motion, of the model's joints: q, v, tau, and qcmd and vcmd where they drove it.
+    measured
+        The positions that were measured at the same times, shape (N, nv).
     kind
         Whether the torque was the logged one or the controller's.
     window
@@ -45,6 +47,7 @@ class SimulatedLog:
     """
 
     log: Log
+    measured: Array
     kind: Literal["open_loop", "closed_loop"]
     window: float | None
     seconds: float
@@ -131,6 +134,7 @@ def simulated_log(
         raise ModelError(experiment.model.robot.path, "runs away as soon as it is started; its inertias are too small")
     return SimulatedLog(
         log=_joined(path, joints, pieces),
+        measured=np.concatenate([piece.measured_q.T for piece in pieces]),
         kind="closed_loop" if signals.command.joints.any() else "open_loop",
         window=window,
         seconds=sum(piece.q.shape[1] for piece in pieces) * signals.log.dt,

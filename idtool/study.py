@@ -25,7 +25,7 @@ from idtool.local import LOCAL
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.sets import ConstraintSet, choose_set, constraint_sets
-from idtool.validate import Evaluation, evaluate
+from idtool.validation import Evaluation, evaluate
 from idtool.weights import free_noise, weighted_rows
 
 Array = NDArray[np.float64]

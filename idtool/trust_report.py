@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
 from idtool.effects.base import Coefficient
-from idtool.fit import Fit
+from idtool.fitting import Fit
 from idtool.inertia import NAMES, SIZE
 from idtool.trust.bias import BiasCheck
 from idtool.trust.identifiability import Basis, Identifiability, combination

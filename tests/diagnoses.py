@@ -14,7 +14,7 @@ from idtool.config import Config, EffectEntry, read_config
 from idtool.diagnosis.faults import Fault
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step, Where
 from idtool.experiment import prepare
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 from idtool.robot import read_robot
 
 STRIBECK = EffectEntry(effect="stribeck_friction", joint="hip", parameters={"stribeck": 0.0, "velocity": 0.15})

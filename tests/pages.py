@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from idtool.envelope import Trace
 from idtool.inertia import from_mass_com_inertia
-from idtool.validate import Errors, Evaluation
+from idtool.validation import Errors, Evaluation
 
 Array = NDArray[np.float64]
 

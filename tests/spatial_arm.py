@@ -17,8 +17,8 @@ from scipy import signal
 from idtool.config import parse_config
 from idtool.experiment import Experiment, prepare
 from idtool.robot import read_robot
-from idtool.simulate import simulate
-from idtool.validate import evaluate
+from idtool.simulation import simulate
+from idtool.validation import evaluate
 from idtool.windows import windows_of
 
 Array = NDArray[np.float64]

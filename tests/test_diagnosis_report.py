@@ -19,7 +19,7 @@ from rich.console import Console
 
 from idtool.diagnosis.records import Candidate, Diagnosis, Level
 from idtool.diagnosis_report import diagnosis_report, gap_closed
-from idtool.fit import Fit
+from idtool.fitting import Fit
 from idtool.terminal import Terminal
 from idtool.terminal.diagnosis import show_diagnosis
 

@@ -16,7 +16,7 @@ from robots import chain, joint
 
 from idtool.config import parse_config
 from idtool.experiment import prepare
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 from idtool.regressor import LinearModel
 from idtool.report import model_config
 from idtool.robot import read_robot

@@ -20,7 +20,7 @@ from idtool.effects import build_effects, known_effects, named_effect
 from idtool.effects.joint_effect import JointEffect
 from idtool.exceptions import ConfigError
 from idtool.experiment import coefficients_of, prepare
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.inertia import SIZE
 from idtool.report import model_config
 from idtool.robot import read_robot

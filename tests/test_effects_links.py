@@ -34,7 +34,7 @@ from spatial_arm import (
 from idtool.config import EffectEntry, parse_config
 from idtool.effects import named_effect
 from idtool.effects.contact import ExternalContact
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.model import build_model
 from idtool.report import model_config
 from idtool.robot import Robot

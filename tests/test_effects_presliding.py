@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from spatial_arm import NOISE, RATE, STEPS, Act, Log, experiment, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.effects.presliding import PreslidingHysteresis
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.model import Model
 from idtool.report import model_config
 from idtool.signals import Motion

@@ -170,7 +170,7 @@ def test_a_seed_says_it_all(tmp_path: Path) -> None:
 def test_idtool_fits_a_clean_log_down_to_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from idtool.config import read_config
     from idtool.experiment import prepare
-    from idtool.fit import fit
+    from idtool.fitting import fit
     from idtool.robot import read_robot
 
     def slippery(robot: Robot, seed: int, exact: bool = False) -> Truth:

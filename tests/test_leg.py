@@ -24,7 +24,7 @@ from scipy.signal import butter, sosfilt
 
 from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 from idtool.inertia import NAMES, from_mass_com_inertia, symmetric
 from idtool.replay import HORIZONS, replay
 from idtool.robot import read_robot

@@ -11,7 +11,7 @@ from pages import Page, complete, evaluation_of
 
 from idtool.pages import merged, rounded, validation_page
 from idtool.report import validation_report
-from idtool.validate import Evaluation
+from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]
 

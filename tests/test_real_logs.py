@@ -17,7 +17,7 @@ from idtool.geometry import link_geometry
 from idtool.inertia import symmetric
 from idtool.problem import weighted_rows
 from idtool.robot import read_robot
-from idtool.validate import evaluate
+from idtool.validation import evaluate
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"

@@ -19,7 +19,7 @@ from idtool.logs import make_log, write_log
 from idtool.replay import HORIZONS, Departure, Replay, replay
 from idtool.robot import read_robot
 from idtool.signals import Signals
-from idtool.simulate import Simulated
+from idtool.simulation import Simulated
 
 Array = NDArray[np.float64]
 Build = Callable[..., Experiment]

@@ -24,7 +24,7 @@ from idtool.logs.log import Log, make_log
 from idtool.mechanism import Mechanism
 from idtool.robot import Robot
 from idtool.signals import Signals
-from idtool.simulate import Simulated, simulate
+from idtool.simulation import Simulated, simulate
 from idtool.windows import measured_states, windows_of
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from idtool.certificate import GAP
 from idtool.config import parse_config, read_config
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, prepare
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
 from idtool.robot import read_robot
 from idtool.study import Study, study

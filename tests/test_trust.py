@@ -18,7 +18,7 @@ from scipy import stats
 from idtool.blocks import together
 from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 from idtool.identified import identified
 from idtool.logs import Log, make_log, read_log, write_log
 from idtool.reduction import Factor

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from idtool.config import read_config
 from idtool.experiment import prepare
-from idtool.fit import fit
+from idtool.fitting import fit
 from idtool.report import fit_report
 from idtool.robot import read_robot
 from idtool.trust import Trust, scatter

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from idtool.cli.app import app
 from idtool.cli.options import (
@@ -20,19 +19,12 @@ from idtool.cli.options import (
     OutOption,
     QuietOption,
     ReportOnlyOption,
+    RerunOption,
     UrdfArgument,
     ValidateOption,
     command,
-    config_of,
     finish,
 )
-from idtool.exceptions import ConfigError
-
-if TYPE_CHECKING:
-    from idtool.fit import Fit
-    from idtool.model import Model
-
-Assumed = tuple[str, str | None]
 
 
 @app.command("diagnose", epilog="Example: idtool diagnose leg.urdf run1.mcap run2.mcap --validate run3.mcap")
@@ -50,90 +42,38 @@ def diagnose_command(
     report_only: ReportOnlyOption = False,
     explain: ExplainOption = False,
     no_simulation: NoSimulationOption = False,
+    rerun: RerunOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Find where model and data disagree, name the missing effect, add it, and show the gap shrink."""
-    from idtool.diagnosis.diagnose import Options, diagnose
-    from idtool.diagnosis_report import diagnosis_report
-    from idtool.experiment import prepare
-    from idtool.outputs import as_json as dump
-    from idtool.outputs import write_all
-    from idtool.pages import diagnosis_page
-    from idtool.robot import read_robot
+    from idtool.api.assumed import known_assumption, known_candidates
+    from idtool.api.diagnose import diagnose
+    from idtool.api.model import Model
     from idtool.terminal import Terminal
     from idtool.terminal.diagnosis import show_diagnosis
 
     terminal, folder = Terminal(quiet, as_json), out or Path(f"{urdf.stem}_idtool")
-    candidates, assumed = _candidates(effects), [_split(text) for text in assume or []]
+    candidates = None if effects is None else known_candidates(effects.split(","))
+    assumed = [known_assumption(text) for text in assume or []]
     with terminal.progress() as progress:
-        progress("reading", 0.0)
-        experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
-        _check(assumed, experiment.model)
-        options = Options(inertia, candidates, max_effects, tuple(assumed), not no_simulation)
-        result = diagnose(experiment, options, progress)
+        model, logs = Model.with_logs(urdf, logs, config)
+        result = diagnose(
+            model,
+            logs,
+            validate=validate or (),
+            holdout=holdout,
+            inertia=inertia,
+            effects=candidates,
+            most=max_effects,
+            assume=assumed,
+            simulation=not no_simulation,
+            progress=progress,
+        )
         progress("writing", 0.0)
-        report = diagnosis_report(result, inertia)
-        files = {
-            "diagnosis.json": dump(report),
-            "diagnosis.html": diagnosis_page(result, report, command()),
-            **({} if report_only else _model(result.last, urdf.name)),
-        }
-        write_all(folder, files)
-    show_diagnosis(terminal, report, folder, tuple(files), explain)
+        files = result.save(folder, command(), report_only)
+        if rerun:
+            result.rerun(rerun)
+    report = result.to_json()
+    show_diagnosis(terminal, report, folder, tuple(file.name for file in files), explain)
     finish(terminal, report, {})
-
-
-def _candidates(given: str | None) -> tuple[str, ...] | None:
-    """The effects that may be named; None: all."""
-    if given is None:
-        return None
-    return tuple(dict.fromkeys(_known("--effects", name.strip()) for name in given.split(",")))
-
-
-def _split(text: str) -> Assumed:
-    """An effect and what it acts on, which may have a colon in its name."""
-    effect, colon, on = text.partition(":")
-    return _known("--assume", effect.strip()), on if colon else None
-
-
-def _known(option: str, effect: str) -> str:
-    from idtool.effects import known_effects
-    from idtool.names import nearest, shown
-
-    named = [id for id, kind in known_effects().items() if kind.named]
-    if effect not in named:
-        raise ConfigError(option, f"{shown(effect) or 'nothing'} is no effect; {nearest(effect, named)}")
-    return effect
-
-
-def _check(assumed: list[Assumed], model: Model) -> None:
-    """Whether the robot has what the assumed effects act on."""
-    from idtool.effects import known_effects
-    from idtool.effects.joint_effect import JointEffect
-    from idtool.effects.link_effect import LinkEffect
-    from idtool.names import nearest, shown
-
-    for effect, on in assumed:
-        kind = known_effects()[effect]
-        of_link = issubclass(kind, LinkEffect)
-        names, what = (model.robot.links, "link") if of_link else (model.names, "joint")
-        if on is None and issubclass(kind, LinkEffect | JointEffect):
-            raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
-        if on is not None and on not in names:
-            raise ConfigError("--assume", f"{shown(on) or 'nothing'} is no {what} of the model; {nearest(on, names)}")
-
-
-def _model(fit: Fit, urdf: str) -> dict[str, str | bytes]:
-    """The files of the model with the effects."""
-    from idtool.outputs import as_yaml
-    from idtool.report import joint_dynamics, model_config
-    from idtool.urdf import identified_urdf
-
-    model = fit.experiment.model
-    bodies = {body.name: (body, fit.parameters(i)) for i, body in enumerate(model.bodies)}
-    header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
-    return {
-        "model.yaml": as_yaml(model_config(fit), header),
-        "identified.urdf": identified_urdf(model.robot, bodies, joint_dynamics(fit)),
-    }

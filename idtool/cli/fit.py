@@ -16,11 +16,11 @@ from idtool.cli.options import (
     OutOption,
     QuickOption,
     QuietOption,
+    RerunOption,
     UrdfArgument,
     ValidateOption,
     bounds_of,
     command,
-    config_of,
     finish,
 )
 
@@ -37,41 +37,30 @@ def fit_command(
     no_simulation: NoSimulationOption = False,
     method: MethodOption = "ls",
     quick: QuickOption = False,
+    rerun: RerunOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Identify inertias, friction and rotors; write identified.urdf, model.yaml, report.json and report.html."""
-    from idtool.experiment import prepare
-    from idtool.fit import fit
-    from idtool.outputs import as_json as dump
-    from idtool.outputs import as_yaml, write_all
-    from idtool.pages import fit_page
-    from idtool.report import fit_report, joint_dynamics, model_config
-    from idtool.robot import read_robot
+    from idtool.api.data import experiment_of
+    from idtool.api.fit import fit_experiment
+    from idtool.api.model import Model
     from idtool.terminal import Terminal
     from idtool.terminal.fit import show_fit
-    from idtool.urdf import identified_urdf
 
     terminal = Terminal(quiet, as_json)
     folder = out or Path(f"{urdf.stem}_idtool")
     with terminal.progress() as progress:
-        progress("reading", 0.0)
-        experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
+        model, logs = Model.with_logs(urdf, logs, config)
+        experiment = experiment_of(model, logs, validate or (), holdout, progress)
         bounds = bounds_of(max_rms or [], experiment)
-        result = fit(experiment, progress, not (no_simulation or quick), not quick, method)
+        simulate = not (no_simulation or quick)
+        result = fit_experiment(experiment, command(), progress, simulate, not quick, method)
         progress("writing", 0.0)
-        report = fit_report(result)
-        bodies = {body.name: (body, result.parameters(i)) for i, body in enumerate(experiment.model.bodies)}
-        header = f"Identified by idtool from {urdf.name}; with identified.urdf it is the identified model."
-        write_all(
-            folder,
-            {
-                "identified.urdf": identified_urdf(experiment.model.robot, bodies, joint_dynamics(result)),
-                "model.yaml": as_yaml(model_config(result), header),
-                "report.json": dump(report),
-                "report.html": fit_page(result, report, command()),
-            },
-        )
+        result.save(folder)
+        if rerun:
+            result.rerun(rerun)
+    report = result.to_json()
     show_fit(terminal, report, folder)
     rms = report["rms"]["validation"] or report["rms"]["train"]
     finish(terminal, report, {name: rms[name] <= bound for name, bound in bounds.items()})

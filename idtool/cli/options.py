@@ -18,8 +18,44 @@ if TYPE_CHECKING:
     from idtool.experiment import Experiment
     from idtool.terminal import Terminal
 
-UrdfArgument = Annotated[Path, typer.Argument(help="The robot's URDF.", show_default=False)]
-LogsArgument = Annotated[list[Path], typer.Argument(help="Logs: MCAP or CSV.", show_default=False)]
+
+def _named(path: Path | None) -> Path | None:
+    """The path with a name, which what is written is called after: the folder one is in has none."""
+    return path.resolve() if path and path.name in ("", "..") else path
+
+
+def some_log(context: typer.Context, parameter: typer.CallbackParam, given: Any) -> Any:
+    """The log or logs as given: none is enough where what stands in the URDF's place is a bag."""
+    from typer.exceptions import TyperException
+
+    from idtool.logs import is_bag
+
+    urdf = context.params.get("urdf")
+    if not (given or context.resilient_parsing or (urdf and is_bag(urdf))):
+        raise TyperException(f"Missing argument '{parameter.name}'.")
+    return given
+
+
+def _recordable(file: Path | None) -> Path | None:
+    """The file, where it can be made: asked before the work is done."""
+    if file is not None:
+        from idtool.rerun_recording import library
+
+        library()
+    return file
+
+
+UrdfArgument = Annotated[Path, typer.Argument(help="The robot's URDF.", show_default=False, callback=_named)]
+LogsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Logs: MCAP, CSV or rosbag2 folders. Where the first one is a bag with /robot_description, the URDF may "
+        "be left out.",
+        show_default=False,
+        default_factory=list,
+        callback=some_log,
+    ),
+]
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="Configuration (YAML); default: <urdf stem>.yaml beside the URDF.")
 ]
@@ -40,6 +76,15 @@ MethodOption = Annotated[
     Literal["ls", "iv"],
     typer.Option(
         "--method", help="Least squares, or instrumental variables, which noise in q and v does not bias; slower."
+    ),
+]
+RerunOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--rerun",
+        metavar="FILE.rrd",
+        help="Write a recording for rerun's viewer too; needs idtool[rerun].",
+        callback=_recordable,
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]

@@ -2,140 +2,85 @@
 
 from __future__ import annotations
 
-import math
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from idtool.cli.app import app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, config_of, finish
-from idtool.exceptions import ConfigError, LogError
+from idtool.cli.options import ConfigOption, JsonOption, QuietOption, RerunOption, UrdfArgument, finish, some_log
 
 if TYPE_CHECKING:
-    from idtool.config import Config
-    from idtool.experiment import Experiment
-    from idtool.simulated_log import SimulatedLog
     from idtool.terminal import Terminal
+
+
+LogArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        help="A log or, with --track, a trajectory: MCAP, CSV or a rosbag2 folder. Without a URDF, a bag with "
+        "/robot_description.",
+        show_default=False,
+        callback=some_log,
+    ),
+]
+LogOutOption = Annotated[
+    Path | None,
+    typer.Option(help="Log to write, MCAP or CSV by its ending; default: <urdf stem>_idtool/simulated.mcap."),
+]
+WindowOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Start again from the measured state this often, s; 0: never. Default: the configuration's "
+        "simulation.window under the logged torque, never under the controller."
+    ),
+]
+ClosedLoopOption = Annotated[
+    bool,
+    typer.Option(
+        "--closed-loop",
+        help="Let the configuration's controller drive the joints on the logged command, not the logged torque.",
+    ),
+]
+TrackOption = Annotated[
+    bool,
+    typer.Option(
+        "--track",
+        help="Let the controller track the log's qcmd and vcmd, else its q and v, from their first state on.",
+    ),
+]
 
 
 @app.command("simulate", epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap")
 def simulate_command(
     urdf: UrdfArgument,
-    log: Annotated[Path, typer.Argument(help="A log or, with --track, a trajectory: MCAP or CSV.", show_default=False)],
+    log: LogArgument = None,
     config: ConfigOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Log to write, MCAP or CSV by its ending; default: <urdf stem>_idtool/simulated.mcap."),
-    ] = None,
-    window: Annotated[
-        float | None,
-        typer.Option(
-            help="Start again from the measured state this often, s; 0: never. Default: the configuration's "
-            "simulation.window under the logged torque, never under the controller."
-        ),
-    ] = None,
-    closed_loop: Annotated[
-        bool,
-        typer.Option(
-            "--closed-loop",
-            help="Let the configuration's controller drive the joints on the logged command, not the logged torque.",
-        ),
-    ] = False,
-    track: Annotated[
-        bool,
-        typer.Option(
-            "--track",
-            help="Let the controller track the log's qcmd and vcmd, else its q and v, from their first state on.",
-        ),
-    ] = False,
+    out: LogOutOption = None,
+    window: WindowOption = None,
+    closed_loop: ClosedLoopOption = False,
+    track: TrackOption = False,
+    rerun: RerunOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Run a model forwards along a log, or along a trajectory under its controller, and write the motion as a log."""
-    from idtool.experiment import prepare
-    from idtool.logs import write_log
-    from idtool.robot import read_robot
-    from idtool.simulated_log import as_command, as_logged, simulated_log, under_controller
+    from idtool.api.model import Model
+    from idtool.api.simulate import FILE, check_file, simulate
     from idtool.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
-    file, settings = out or Path(f"{urdf.stem}_idtool", "simulated.mcap"), config_of(urdf, config)
-    _check_file(file, log)
-    _check_options(settings, window, closed_loop, track)
-    seen_as = as_command if track else under_controller if closed_loop else as_logged
-    started = time.monotonic()
+    file = out or Path(f"{urdf.stem}_idtool", FILE)
+    check_file(file, log or urdf)
+    model, logs = Model.with_logs(urdf, [log] if log else [], config)
     with terminal.progress() as progress:
-        progress("reading", 0.0)
-        experiment = prepare(read_robot(urdf), settings, [], [log], seen_as=seen_as)
-        every = _window(experiment, window)
-        done = simulated_log(experiment, experiment.equation.prior, every, file, progress)
+        result = simulate(model, logs[-1], window=window, closed_loop=closed_loop, track=track, progress=progress)
         progress("writing", 0.0)
-        _make_folder(file.parent)
-        write_log(file, done.log)
-    report = _report(experiment, done, time.monotonic() - started)
+        result.save(file)
+        if rerun:
+            result.rerun(rerun)
+    report = result.to_json(file)
     _show(terminal, report, "trajectory" if track else "measured positions")
     finish(terminal, report, {})
-
-
-def _check_file(file: Path, log: Path) -> None:
-    """Before anything is simulated: whether the result can be written, and not over what is read."""
-    if file.suffix.lower() not in (".mcap", ".csv"):
-        raise LogError(file, "has an ending that no log is written under; use .mcap or .csv")
-    if file.resolve() == log.resolve():
-        raise LogError(file, "is the log that is read; give another --out")
-
-
-def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:
-    if closed_loop and track:
-        raise ConfigError("--track", "goes without --closed-loop; give one of them")
-    if (closed_loop or track) and settings.controller is None:
-        option = "--track" if track else "--closed-loop"
-        raise ConfigError("controller", f"is missing in the configuration; give kp and kd there, {option} needs them")
-    if window is not None and not 0 <= window < math.inf:
-        raise ConfigError("--window", f"{window:g} is no time; give seconds, or 0 for never")
-
-
-def _window(experiment: Experiment, given: float | None) -> float | None:
-    """How often to start again [s]; None: never."""
-    if given is not None:
-        return given or None
-    closed = experiment.runs[0].signals.command.joints.any()
-    return None if closed else experiment.config.simulation.window
-
-
-def _make_folder(folder: Path) -> None:
-    from idtool.outputs import OutputError
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(folder, f"cannot be written to ({error.strerror}); give another --out") from None
-
-
-def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> dict[str, Any]:
-    from idtool.report import HEADER
-    from idtool.simulation_report import POSITION_UNITS
-
-    lost = [f"{done.lost} of {done.rollouts} rollouts ran away; they end where they did"] if done.lost else []
-    return {
-        **HEADER,
-        "file": str(done.log.path),
-        "joints": list(done.log.joints),
-        "units": {joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
-        "kind": done.kind,
-        "window": done.window,
-        "rollouts": done.rollouts,
-        "lost": done.lost,
-        "samples": len(done.log),
-        "seconds": done.seconds,
-        "wall_seconds": wall,
-        "rmse": {"position": done.position or None, "velocity": done.velocity or None},
-        "urdf": str(experiment.model.robot.path),
-        "log": str(experiment.runs[0].signals.log.path),
-        "warnings": [*experiment.warnings, *lost],
-    }
 
 
 def _show(terminal: Terminal, report: dict[str, Any], measured: str) -> None:

@@ -14,9 +14,9 @@ from idtool.cli.options import (
     NoSimulationOption,
     OutOption,
     QuietOption,
+    RerunOption,
     bounds_of,
     command,
-    config_of,
     finish,
 )
 from idtool.exceptions import ConfigError
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 @app.command("validate", epilog="Example: idtool validate leg_idtool/identified.urdf run3.mcap --prior leg.urdf")
 def validate_command(
     urdf: Annotated[Path | None, typer.Argument(help="The model's URDF.", show_default=False)] = None,
-    logs: Annotated[list[Path] | None, typer.Argument(help="Logs: MCAP or CSV.", show_default=False)] = None,
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="Logs: MCAP, CSV or rosbag2 folders.", show_default=False)
+    ] = None,
     config: Annotated[
         Path | None,
         typer.Option("--config", help="Configuration; default: <urdf stem>.yaml or model.yaml beside the URDF."),
@@ -37,6 +39,7 @@ def validate_command(
     out: OutOption = None,
     max_rms: MaxRmsOption = None,
     no_simulation: NoSimulationOption = False,
+    rerun: RerunOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -45,37 +48,26 @@ def validate_command(
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
-        if config or prior or out or max_rms or no_simulation:
+        if config or prior or out or max_rms or no_simulation or rerun:
             raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
         _regression(terminal)
         return
-    from idtool.experiment import coefficients_of, prepare
-    from idtool.outputs import as_json as dump
-    from idtool.outputs import write_all
-    from idtool.pages import validation_page
-    from idtool.replay import replay
-    from idtool.report import validation_report
-    from idtool.robot import read_robot
-    from idtool.simulation_report import simulation_notes, simulation_report
+    from idtool.api.data import experiment_of
+    from idtool.api.model import Model
+    from idtool.api.validate import prior_model, validate_experiment
     from idtool.terminal.validation import show_validation
-    from idtool.validate import evaluate
 
-    settings, folder = config_of(urdf, config), out or Path(f"{urdf.stem}_idtool")
+    folder = out or Path(f"{urdf.stem}_idtool")
     with terminal.progress() as progress:
-        progress("reading", 0.0)
-        experiment = prepare(read_robot(urdf), settings, [], logs or [])
+        model, every = Model.with_logs(urdf, logs or (), config)
+        experiment = experiment_of(model, (), every, progress=progress)
         bounds = bounds_of(max_rms or [], experiment)
-        models = {"model": experiment.equation.prior}
-        if prior is not None:
-            own = config_of(prior, None) if prior.with_suffix(".yaml").is_file() else settings.without_friction_values()
-            models["prior"] = coefficients_of(read_robot(prior), own, experiment)
-        evaluation = evaluate(experiment, models, held_out=True, progress=progress)
-        rollouts = None if no_simulation else replay(experiment, models, held_out=True, progress=progress)
-        simulation = simulation_report(rollouts, "model", experiment)
-        report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation)
-        report["warnings"] = [*experiment.warnings, *simulation_notes(rollouts, "model")]
-        page = validation_page(evaluation, report, command(), rollouts)
-        write_all(folder, {"validation.json": dump(report), "validation.html": page})
+        other = None if prior is None else prior_model(prior)
+        result = validate_experiment(experiment, other, bounds, command(), progress, not no_simulation)
+        result.save(folder)
+        if rerun:
+            result.rerun(rerun)
+    report = result.to_json()
     show_validation(terminal, report, folder)
     finish(terminal, report, report["ok"])
 

@@ -24,7 +24,7 @@ from idtool.diagnosis.where import located, residual_maps, unexplained
 from idtool.diagnosis.words import aside, sentence, separating
 from idtool.effects import named_effect
 from idtool.experiment import Experiment, Progress
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 
 Array = NDArray[np.float64]
 

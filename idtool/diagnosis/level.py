@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from idtool.diagnosis.records import Level
 from idtool.experiment import Experiment, Progress
 from idtool.replay import replay
-from idtool.validate import evaluate
+from idtool.validation import evaluate
 
 Array = NDArray[np.float64]
 

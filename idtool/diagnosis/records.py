@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idtool.config import EffectEntry
 from idtool.diagnosis.faults import Fault
-from idtool.fit import Fit
+from idtool.fitting import Fit
 
 Array = NDArray[np.float64]
 

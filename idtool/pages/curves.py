@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.envelope import Trace
-from idtool.validate import Evaluation
+from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from idtool.fit import Fit
+from idtool.fitting import Fit
 from idtool.pages.base import render
 from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
+from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
 
@@ -24,6 +25,7 @@ _SECTIONS = (
     BASE,
     LOGS,
     BIAS,
+    ROBOT,
     ("Bodies in 3D", "bodies_3d.html"),
     ("Solver", "solver.html"),
     ("How this was made", "origin.html"),
@@ -45,14 +47,17 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
     units = report["units"]
     own, prior = report["rms"]["validation"], report["rms"]["prior_validation"]
     held_out = own is not None
+    shown, views = fit.validation if held_out else fit.train, body_views(report["bodies"])
+    robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
     return render(
         f"{Path(report['urdf']).stem}: identified dynamics",
-        with_trust(with_simulation(_SECTIONS, report), report),
-        ["torques.js", "lines.js", "positions.js", "bodies.js", "trust.js"],
+        with_robot(with_trust(with_simulation(_SECTIONS, report), report), robot),
+        ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js", "bodies.js", "trust.js"],
         {
-            **curves(fit.validation if held_out else fit.train, "identified", units),
+            **curves(shown, "identified", units),
             **simulation_view(fit.simulation, report, "identified"),
-            **body_views(report["bodies"]),
+            **views,
+            **robot,
         },
         report=report,
         groups=by_unit(units),

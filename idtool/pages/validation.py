@@ -9,7 +9,7 @@ from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.replay import Replay
-from idtool.validate import Evaluation
+from idtool.validation import Evaluation
 
 _SECTIONS = (
     ("What was found", "validation_findings.html"),

@@ -18,7 +18,7 @@ from idtool.sets import ConstraintSet
 from idtool.simulation_report import simulation_notes
 from idtool.trust import Trust, trust
 from idtool.uncertainty import Uncertainty
-from idtool.validate import Evaluation, evaluate
+from idtool.validation import Evaluation, evaluate
 
 _AGAIN = 2  # fits more, where columns depend on what the coefficients are
 
@@ -110,8 +110,8 @@ def fit(
     warnings = [*experiment.warnings, *found.warnings, *_doubts(experiment, estimate)]
     clock.done("identify")
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
-    train = evaluate(experiment, models, held_out=False, progress=progress)
-    validation = evaluate(experiment, models, held_out=True, progress=progress)
+    train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
+    validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")

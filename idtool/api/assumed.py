@@ -1,0 +1,64 @@
+"""Effects as a user names them, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from idtool.effects import known_effects
+from idtool.effects.joint_effect import JointEffect
+from idtool.effects.link_effect import LinkEffect
+from idtool.exceptions import ConfigError
+from idtool.model import Model
+from idtool.names import nearest, shown
+
+Assumed = tuple[str, str | None]
+
+
+def known_candidates(given: Sequence[str]) -> tuple[str, ...]:
+    """The effects that may be named, each once.
+
+    Raises
+    ------
+    ConfigError
+        If one is no effect.
+    """
+    return tuple(dict.fromkeys(_known("--effects", name.strip()) for name in given))
+
+
+def known_assumption(given: str | Assumed) -> Assumed:
+    """An effect and what it acts on, which may have a colon in its name.
+
+    Raises
+    ------
+    ConfigError
+        If it is no effect.
+    """
+    if not isinstance(given, str):
+        return _known("--assume", given[0]), given[1]
+    effect, colon, name = given.partition(":")
+    return _known("--assume", effect.strip()), name if colon else None
+
+
+def _known(option: str, effect: str) -> str:
+    named = [id for id, kind in known_effects().items() if kind.named]
+    if effect not in named:
+        raise ConfigError(option, f"{shown(effect) or 'nothing'} is no effect; {nearest(effect, named)}")
+    return effect
+
+
+def check_assumed(assumed: Sequence[Assumed], model: Model) -> None:
+    """Whether the robot has what the assumed effects act on.
+
+    Raises
+    ------
+    ConfigError
+        If not.
+    """
+    for effect, on in assumed:
+        kind = known_effects()[effect]
+        of_link = issubclass(kind, LinkEffect)
+        names, what = (model.robot.links, "link") if of_link else (model.names, "joint")
+        if on is None and issubclass(kind, LinkEffect | JointEffect):
+            raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
+        if on is not None and on not in names:
+            raise ConfigError("--assume", f"{shown(on) or 'nothing'} is no {what} of the model; {nearest(on, names)}")

@@ -1,0 +1,284 @@
+"""`diagnose`: what a model lacks."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from idtool.api.assumed import Assumed, check_assumed, known_assumption, known_candidates
+from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.identified import Errors
+from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
+from idtool.api.records import Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.diagnosis.records import Diagnosis
+from idtool.diagnosis_report import diagnosis_report
+from idtool.diagnosis_words import on
+from idtool.exceptions import ConfigError
+from idtool.outputs import as_json, as_yaml, write_all
+from idtool.report import model_config
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+
+@dataclass(frozen=True)
+class Level:
+    """Errors of a model, root mean square by joint, and ``overall``.
+
+    Attributes
+    ----------
+    train, validation
+        Of the torque in the filter's band [N·m or N]; validation is None where nothing was held out.
+    simulation
+        Of the joint positions in rollouts [rad or m]; None where the model was not run forwards.
+    """
+
+    train: Errors
+    validation: Errors | None
+    simulation: Errors | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """An effect that was found and added, or ``unknown``.
+
+    Attributes
+    ----------
+    effect, joint, link
+        What it is; joint and link are None where it has none.
+    parameters, standard_error
+        By name, in SI units; an error is None where it is not known.
+    sentence
+        What was found, in words.
+    details
+        All that diagnosis.json says of it: ``where``, ``evidence``, ``alternatives`` and so on.
+    """
+
+    effect: str
+    joint: str | None
+    link: str | None
+    parameters: ReadOnly[Any]
+    standard_error: ReadOnly[Any]
+    sentence: str
+    details: ReadOnly[Any] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult:
+    """What a model lacks, and the model with it.
+
+    Attributes
+    ----------
+    verdict
+        ``no_disagreement``, ``explained``, ``partly_explained`` or ``unexplained``.
+    summary
+        The same in words.
+    steps
+        The effects, in the order in which they were added; ``unknown`` comes last.
+    before, after
+        Errors of the model without and with them.
+    noise_floor
+        What no model could come below [N·m or N].
+    gap_closed
+        Share of the gap between the error before and the floor that is closed, by joint; None where there was none.
+    data_faults
+        What is wrong with the logs: ``fault``, ``joint``, ``detail`` each.
+    warnings
+        What a user should know, a plain sentence each.
+    """
+
+    verdict: str
+    summary: str
+    steps: tuple[Step, ...]
+    before: Level
+    after: Level
+    noise_floor: Errors
+    gap_closed: ReadOnly[float | None]
+    data_faults: tuple[ReadOnly[Any], ...]
+    warnings: tuple[str, ...]
+    _diagnosis: Diagnosis
+    _report: Mapping[str, Any]
+    _made_by: str
+
+    @cached_property
+    def model(self) -> Model:
+        """The model with the effects, for `idtool.validate`, `idtool.simulate` and `idtool.diagnose`."""
+        return Model.identified(self._diagnosis.last)
+
+    def to_json(self) -> dict[str, Any]:
+        """What `idtool diagnose --json` prints, the content of diagnosis.json; a copy."""
+        return dict(json.loads(as_json(self._report)))
+
+    def save(
+        self, folder: str | os.PathLike[str], made_by: str | None = None, report_only: bool = False
+    ) -> tuple[Path, ...]:
+        """Write diagnosis.json, diagnosis.html, model.yaml and identified.urdf, all or none, as `idtool diagnose` does.
+
+        Parameters
+        ----------
+        folder
+            Where to; made where it is not there.
+        made_by
+            What the page says it was made by; None: the call.
+        report_only
+            Without the model.
+
+        Returns
+        -------
+        The files.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        from idtool.pages import diagnosis_page
+
+        text = self._made_by if made_by is None else made_by
+        page = diagnosis_page(self._diagnosis, self._report, text)
+        files: dict[str, str | bytes] = {"diagnosis.json": as_json(self._report), "diagnosis.html": page}
+        if not report_only:
+            last = self._diagnosis.last
+            urdf = last.experiment.model.robot.path.name
+            header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
+            files |= {SETTINGS: as_yaml(model_config(last), header), IDENTIFIED: identified_text(last)}
+        write_all(Path(folder), files)
+        return tuple(Path(folder, name) for name in files)
+
+    def rerun(self, file: str | os.PathLike[str]) -> Path:
+        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
+
+        Parameters
+        ----------
+        file
+            Where to, FILE.rrd.
+
+        Raises
+        ------
+        ConfigError
+            If rerun is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        from idtool.api.recording import of_fit, save_recording
+
+        last = self._diagnosis.last
+        return save_recording(file, last.experiment.model, of_fit(last), "identified")
+
+    def plot(self) -> Figure:
+        """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""
+        from idtool.api.plots import gap_figure
+        from idtool.pages.residuals import gap_views
+
+        return gap_figure(gap_views(self._report))
+
+    def __repr__(self) -> str:
+        part = "train" if self.before.validation is None else "validation"
+        first, last = (getattr(level, part) for level in (self.before, self.after))
+        rows = []
+        for name in first:
+            share = self.gap_closed[name]
+            closed = "–" if share is None else f"{100 * share:.0f} %"
+            rows.append([name, *map(figure, (first[name], last[name], self.noise_floor[name])), closed])
+        steps = [f"  {i}. {step.effect} on {on(step.details)}" for i, step in enumerate(self.steps, 1)]
+        head = ["torque RMS", "before", "after", "noise floor", "gap closed"]
+        return "\n".join([f"DiagnosisResult: {self.summary}", *steps, *table(head, rows), *notes(self.warnings)])
+
+
+def diagnose(
+    model: Model | Source,
+    logs: Logs,
+    *,
+    validate: Logs = (),
+    holdout: float = 0.3,
+    inertia: Literal["refit", "fixed"] = "refit",
+    effects: Sequence[str] | None = None,
+    most: int = 12,
+    assume: Sequence[str | Assumed] = (),
+    simulation: bool = True,
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Find where model and data disagree, name the missing effect, add it; `idtool diagnose` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    logs
+        The logs: paths, read as the configuration says, or `Log`.
+    validate
+        Whole logs for validation; where given, nothing is held out of the others.
+    holdout
+        Share at the end of every log that is kept for validation, from 0 to below 1.
+    inertia
+        ``refit``: identified anew at every step; ``fixed``: the URDF's is true, so that a payload, a torque gain or a
+        tilted base can be told from it.
+    effects
+        Ids of the effects that may be named; None: all.
+    most
+        The most effects that are added.
+    assume
+        Effects to start with: ``"parallel_spring:hip"``, ``("parallel_spring", "hip")``, or ``"gravity_tilt"`` for one
+        that has neither joint nor link.
+    simulation
+        Whether to run the models forwards too.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used, or an effect is not known. Messages name options as
+        the command line does.
+
+    Examples
+    --------
+    >>> options = {"effects": ["parallel_spring"], "simulation": False}
+    >>> found = idtool.diagnose("sample_logs/leg.urdf", "sample_logs/leg_train.mcap", **options)
+    >>> found.verdict
+    'no_disagreement'
+    """
+    from idtool.diagnosis.diagnose import Options
+    from idtool.diagnosis.diagnose import diagnose as search
+
+    told = progress or silent
+    if most < 1:
+        raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
+    candidates = None if effects is None else known_candidates(effects)
+    assumed = tuple(known_assumption(given) for given in assume)
+    experiment = experiment_of(model, logs, validate, holdout, told)
+    check_assumed(assumed, experiment.model)
+    options = changed(
+        diagnose, holdout=holdout, inertia=inertia, effects=effects, most=most, assume=assume, simulation=simulation
+    )
+    found = search(experiment, Options(inertia, candidates, most, assumed, simulation), told)
+    return _result(found, inertia, call("diagnose", model, logs, validate=validate, **options))
+
+
+def _result(found: Diagnosis, inertia: str, made_by: str) -> DiagnosisResult:
+    report = diagnosis_report(found, inertia)
+    data = frozen(report)
+    return DiagnosisResult(
+        verdict=data["verdict"],
+        summary=data["summary"],
+        steps=tuple(_step(step) for step in data["steps"]),
+        before=Level(**data["before"]),
+        after=Level(**data["after"]),
+        noise_floor=data["noise_floor"],
+        gap_closed=data["gap_closed"],
+        data_faults=data["data_faults"],
+        warnings=data["warnings"],
+        _diagnosis=found,
+        _report=report,
+        _made_by=made_by,
+    )
+
+
+def _step(step: ReadOnly[Any]) -> Step:
+    named = {key: step[key] for key in ("effect", "joint", "link", "parameters", "standard_error")}
+    return Step(**named, sentence=step["evidence"]["sentence"], details=step)

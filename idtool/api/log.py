@@ -1,0 +1,234 @@
+"""`Log`: a log as a library user sees it.
+
+N samples, nj joints. Units: s, rad or m, rad/s or m/s, N·m or N.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from idtool.api.records import Array
+from idtool.exceptions import LogError
+from idtool.logs import SIGNALS, make_log, write_log
+from idtool.logs import Log as Record
+from idtool.logs import read_log as read_record
+from idtool.names import some
+
+
+class Log:
+    """Joint signals over time, from a file; its arrays cannot be written to.
+
+    A log that is given to `idtool.fit` and its like by its path is read as the model's configuration says
+    (``log.topic``, ``log.columns``, ``log.scale``). A `Log` is taken as it is; `Model.read_log` reads one as the
+    configuration says.
+
+    Parameters
+    ----------
+    path
+        The file, MCAP or CSV, or a rosbag2 folder.
+    topic
+        The topic that carries the joint states, where the file has several.
+    columns
+        Canonical name (``t``, ``q_hip``, …) to the column of the file that holds it, for CSV.
+    scale
+        Signal to joint to SI units per logged unit, e.g. ``{"tau": {"hip": 0.118}}`` for a logged current.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, or does not hold what the options name.
+
+    Examples
+    --------
+    >>> log = idtool.Log("sample_logs/leg_train.mcap")
+    >>> log
+    Log leg_train.mcap: 3 joints (abad, hip, knee), 9.999 s at 1000 Hz: q, v, tau
+    >>> log.tau.shape
+    (10000, 3)
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        topic: str | None = None,
+        columns: Mapping[str, str] | None = None,
+        scale: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> None:
+        record = read_record(path, topic=topic, columns=columns or {}, scale=scale or {})
+        self._take(record, as_logged=not (columns or scale))
+
+    @classmethod
+    def from_arrays(
+        cls,
+        name: str,
+        t: ArrayLike,
+        joints: Sequence[str],
+        *,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        tau: ArrayLike | None = None,
+        qcmd: ArrayLike | None = None,
+        vcmd: ArrayLike | None = None,
+    ) -> Log:
+        """A log from arrays, which are copied.
+
+        Parameters
+        ----------
+        name
+            What messages and reports call it.
+        t
+            Sample times [s], shape (N,).
+        joints
+            Joint names, nj of them.
+        q, v, tau, qcmd, vcmd
+            Position, velocity, torque at the joint output, commanded position and velocity, shape (N, nj) each. A
+            joint that lacks a signal has NaN.
+
+        Raises
+        ------
+        LogError
+            If shapes do not fit, or there is no usable run of samples.
+        """
+        given = zip(SIGNALS, (q, v, tau, qcmd, vcmd), strict=True)
+        names, times = tuple(joints), np.array(t, dtype=float)
+        signals = {signal: np.array(values, dtype=float) for signal, values in given if values is not None}
+        if times.ndim != 1 or not names or len(set(names)) != len(names):
+            raise LogError(name, "needs times of shape (N,) and one name for each joint, no two alike")
+        for signal, values in signals.items():
+            if values.shape != (len(times), len(names)):
+                raise LogError(name, f"{signal} has the shape {values.shape}; give {(len(times), len(names))}")
+        return cls.from_record(make_log(Path(name), times, names, signals))
+
+    @classmethod
+    def from_record(cls, record: Record, as_logged: bool = False) -> Log:
+        """A log from what idtool itself works on.
+
+        Parameters
+        ----------
+        record
+            The record.
+        as_logged
+            Whether it is a file's, to which no configuration has been applied.
+        """
+        log = cls.__new__(cls)
+        log._take(record, as_logged)
+        return log
+
+    def _take(self, record: Record, as_logged: bool) -> None:
+        views = {name: _locked(values) for name, values in record.signals.items()}
+        self._record, self._as_logged = replace(record, t=_locked(record.t), signals=views), as_logged
+
+    @property
+    def record(self) -> Record:
+        """What idtool itself works on."""
+        return self._record
+
+    @property
+    def as_logged(self) -> bool:
+        """Whether it is a file's, read without columns or scale."""
+        return self._as_logged
+
+    @property
+    def path(self) -> Path:
+        """The file; of a log from arrays its name."""
+        return self._record.path
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joint names, in the order of the columns."""
+        return self._record.joints
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Which of q, v, tau, qcmd and vcmd there are."""
+        return tuple(name for name in SIGNALS if name in self._record.signals)
+
+    @property
+    def t(self) -> Array:
+        """Sample times as logged [s], shape (N,)."""
+        return self._record.t
+
+    @property
+    def q(self) -> Array:
+        """Positions [rad or m], shape (N, nj); NaN for a joint that has none."""
+        return self._record.signals["q"]
+
+    @property
+    def v(self) -> Array | None:
+        """Velocities [rad/s or m/s], shape (N, nj); None where none were logged."""
+        return self._record.signals.get("v")
+
+    @property
+    def tau(self) -> Array | None:
+        """Torques at the joint output [N·m or N], shape (N, nj); None where none were logged."""
+        return self._record.signals.get("tau")
+
+    @property
+    def qcmd(self) -> Array | None:
+        """Commanded positions [rad or m], shape (N, nj); None where none were logged."""
+        return self._record.signals.get("qcmd")
+
+    @property
+    def vcmd(self) -> Array | None:
+        """Commanded velocities [rad/s or m/s], shape (N, nj); None where none were logged."""
+        return self._record.signals.get("vcmd")
+
+    @property
+    def segments(self) -> tuple[slice, ...]:
+        """Runs of samples without a gap, as slices into the first axis."""
+        return self._record.segments
+
+    @property
+    def rate(self) -> float:
+        """Nominal sample rate [Hz]."""
+        return float(1 / self._record.dt)
+
+    @property
+    def seconds(self) -> float:
+        """From the first to the last sample, gaps between them not counted [s]."""
+        return float(self._record.dt * sum(part.stop - part.start - 1 for part in self.segments))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader had to say, a plain sentence each."""
+        return self._record.warnings
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it, as MCAP or CSV by the ending; returns the path.
+
+        Raises
+        ------
+        LogError
+            If the ending is not known, or the log cannot be written.
+        """
+        write_log(path, self._record)
+        return Path(path)
+
+    def __len__(self) -> int:
+        return len(self._record)
+
+    def __repr__(self) -> str:
+        joints = f"{len(self.joints)} joint{'s' * (len(self.joints) != 1)} ({some(self.joints)})"
+        gaps = f", {len(self.segments)} segments" if len(self.segments) > 1 else ""
+        time = f"{self.seconds:.4g} s at {self.rate:.4g} Hz"
+        return f"Log {self.path.name}: {joints}, {time}{gaps}: {', '.join(self.signals)}"
+
+
+def read_log(path: str | os.PathLike[str], **options: Any) -> Log:
+    """The log in a file; see `Log` for the options and errors."""
+    return Log(path, **options)
+
+
+def _locked(array: Array) -> Array:
+    """A view that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

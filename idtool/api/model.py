@@ -1,0 +1,225 @@
+"""`Model`: a URDF with its configuration."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from idtool.api.log import Log
+from idtool.api.records import ReadOnly
+from idtool.config import Config, parse_config, read_config
+from idtool.description import robot_and_logs
+from idtool.exceptions import IdtoolError
+from idtool.fitting import Fit
+from idtool.logs import read_log
+from idtool.model import Model as Tree
+from idtool.model import build_model
+from idtool.names import some
+from idtool.report import joint_dynamics, model_config
+from idtool.robot import Robot, parse_robot
+from idtool.urdf import identified_urdf
+
+Source = str | os.PathLike[str]
+IDENTIFIED, SETTINGS = "identified.urdf", "model.yaml"  # what fit and diagnose write
+_FOUND = "what was identified"
+_FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
+
+
+class Model:
+    """A robot: a URDF, and a configuration for what a URDF does not say. It cannot be changed.
+
+    Whether the two fit together is checked when it is used.
+
+    Parameters
+    ----------
+    urdf
+        The URDF, or a bag of ROS, an MCAP file or a rosbag2 folder, that holds it as ``/robot_description``.
+    config
+        The configuration: a YAML file, or what would be in it as a dictionary. None: the one beside the URDF
+        (``<urdf stem>.yaml``, beside an ``identified.urdf`` also ``model.yaml``), else the defaults.
+
+    Raises
+    ------
+    ModelError
+        If the URDF cannot be read.
+    ConfigError
+        If the configuration cannot be read, or a key in it is not known.
+
+    Examples
+    --------
+    >>> model = idtool.Model("sample_logs/leg.urdf")
+    >>> model
+    Model leg.urdf with leg.yaml
+      joints: abad, hip, knee
+      bodies: abad_link, thigh_link, shank_link, abad_rotor, hip_rotor, knee_rotor
+      effects: viscous_friction, coulomb_friction
+    """
+
+    def __init__(self, urdf: Source, config: Source | Mapping[str, Any] | None = None) -> None:
+        self._robot, _ = robot_and_logs(Path(urdf), ())
+        self._config, self._origin = _settings(Path(urdf), config)
+
+    @classmethod
+    def with_logs(cls, urdf: Path, logs: Sequence[Path], config: Path | None = None) -> tuple[Model, list[Path]]:
+        """A model and its logs as a command names them: a bag in place of the URDF is the first of the logs.
+
+        Parameters
+        ----------
+        urdf
+            The URDF, or a bag, whose robot it or another of the logs describes.
+        logs
+            The logs, or the other logs.
+        config
+            As above.
+
+        Raises
+        ------
+        IdtoolError
+            As above.
+        """
+        model = cls.__new__(cls)
+        model._robot, every = robot_and_logs(urdf, logs)
+        model._config, model._origin = _settings(urdf, config)
+        return model, every
+
+    @classmethod
+    def identified(cls, fit: Fit) -> Model:
+        """The model that was identified, as its files would be read back.
+
+        Parameters
+        ----------
+        fit
+            The result.
+        """
+        model = cls.__new__(cls)
+        original = fit.experiment.model.robot.path
+        model._robot = parse_robot(original, identified_text(fit))  # its meshes are found from there
+        model._config, model._origin = parse_config(model_config(fit), SETTINGS), _FOUND
+        return model
+
+    @classmethod
+    def bare(cls, urdf: Source) -> Model:
+        """The model of a URDF without any configuration, whatever lies beside it."""
+        model = cls(urdf, {})
+        model._origin = ""
+        return model
+
+    @property
+    def path(self) -> Path:
+        """The URDF; of an identified model the one that it came from."""
+        return self._robot.path
+
+    @property
+    def name(self) -> str:
+        """What to call it: its path, and whether it was identified."""
+        return f"{self.path}, identified" if self._origin == _FOUND else str(self.path)
+
+    @property
+    def robot(self) -> Robot:
+        """The URDF as idtool itself works on it."""
+        return self._robot
+
+    @property
+    def settings(self) -> Config:
+        """The configuration as idtool itself works on it."""
+        return self._config
+
+    @property
+    def configured(self) -> bool:
+        """Whether there was a configuration."""
+        return bool(self._origin)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration as plain data, without what is left at its default; a copy."""
+        return self._config.model_dump(mode="json", exclude_unset=True)
+
+    @property
+    def urdf(self) -> str:
+        """The URDF's text."""
+        return self._robot.text.decode(errors="replace")
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints that move, where the logs hold them all.
+
+        Raises
+        ------
+        IdtoolError
+            If URDF and configuration do not fit together; the same for `bodies` and `effects`.
+        """
+        return self._tree.names
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Links that move by themselves, then rotors. Links fixed to others are part of these."""
+        return tuple(body.name for body in self._tree.bodies)
+
+    @property
+    def effects(self) -> ReadOnly[tuple[str, ...]]:
+        """What the model carries beside rigid bodies: effect to the joints or links that have it."""
+        found: dict[str, list[str]] = {}
+        for joint in self.joints:
+            for term in (name for name, given in self._config.friction_of(joint) if given is not False):
+                found.setdefault(_FRICTION[term], []).append(joint)
+        for entry in self._config.effects:
+            on = entry.joint or entry.link
+            found.setdefault(entry.effect, []).extend([on] if on else [])
+        return ReadOnly({effect: tuple(names) for effect, names in found.items()})
+
+    @cached_property
+    def _tree(self) -> Tree:
+        locked = self._config.locked_joints
+        turning = [j.name for j in self._robot.joints.values() if j.kind != "fixed" and not j.mimic]
+        return build_model(self._robot, self._config, [name for name in turning if name not in locked])
+
+    def read_log(self, path: Source) -> Log:
+        """A log, read as the configuration says.
+
+        Parameters
+        ----------
+        path
+            The file: MCAP or CSV.
+
+        Raises
+        ------
+        LogError
+            If it cannot be read.
+        """
+        options = self._config.log
+        return Log.from_record(read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale)))
+
+    def __repr__(self) -> str:
+        title = f"Model {self.path.name}" + (f" with {self._origin}" if self._origin else "")
+        try:
+            lines = [f"joints: {some(self.joints)}", f"bodies: {some(self.bodies)}"]
+            everywhere = ((), self.joints)
+            effects = [e if on in everywhere else f"{e} on {some(on)}" for e, on in self.effects.items()]
+            lines += [f"effects: {', '.join(effects)}"] if effects else []
+        except IdtoolError as error:  # a prompt shows what is wrong, too
+            lines = [f"cannot be used: {error}"]
+        return "\n  ".join([title, *lines])
+
+
+def as_model(model: Model | Source) -> Model:
+    """A model, or the one in a URDF with the configuration beside it."""
+    return model if isinstance(model, Model) else Model(model)
+
+
+def identified_text(fit: Fit) -> bytes:
+    """The content of identified.urdf."""
+    model = fit.experiment.model
+    bodies = {body.name: (body, fit.parameters(i)) for i, body in enumerate(model.bodies)}
+    return identified_urdf(model.robot, bodies, joint_dynamics(fit))
+
+
+def _settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:
+    """The configuration and what to call it: the one given, the one beside the URDF, or the defaults without a name."""
+    if isinstance(given, Mapping):
+        return parse_config(given, "config"), "a configuration"
+    beside = [urdf.with_suffix(".yaml"), *([urdf.with_name(SETTINGS)] if urdf.stem == "identified" else [])]
+    path = Path(given) if given is not None else next((path for path in beside if path.is_file()), None)
+    return (read_config(path), path.name) if path else (Config(), "")

@@ -1,0 +1,67 @@
+"""Results as recordings for rerun's viewer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from idtool.api.records import Array
+from idtool.envelope import Envelope, Trace
+from idtool.fitting import Fit
+from idtool.model import Model
+from idtool.outputs import write_all
+from idtool.rerun_recording import rerun_recording, take
+from idtool.validation import Evaluation
+
+_MEASURED = {"measured": "torque/measured", "residual": "torque/residual", "q": "position/measured"}
+
+
+def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Sequence[Trace]], shown: str) -> Path:
+    """Write what was measured, predicted and simulated, with the robot and its bounding ellipsoids.
+
+    Parameters
+    ----------
+    file
+        Where to.
+    model
+        The robot.
+    logs
+        Of each log the torque and, where the model was run forwards, the positions.
+    shown
+        The model that is shown, as the traces have it.
+
+    Raises
+    ------
+    ConfigError
+        If rerun is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    torque = {**_MEASURED, shown: "torque/model"}
+    motion = {"measured": "position/measured", shown: "position/simulated"}
+    takes = [take(traces[0].name, list(zip(traces, (torque, motion), strict=False))) for traces in logs]
+    ellipsoids = {body.name: body.ellipsoids for body in model.bodies if body.kind == "link" and body.ellipsoids}
+    write_all(Path(file).parent, {Path(file).name: rerun_recording(model.robot, model.names, ellipsoids, takes)})
+    return Path(file)
+
+
+def of_fit(fit: Fit) -> list[list[Trace]]:
+    """The logs of a fit: what was held out, else what it was fitted to."""
+    held_out = fit.validation.errors["identified"].samples > 0
+    return beside(fit.validation if held_out else fit.train, fit.simulation.traces if fit.simulation else ())
+
+
+def beside(evaluation: Evaluation, motions: Sequence[Trace]) -> list[list[Trace]]:
+    """Of each log its torque and its positions, where there are some."""
+    return [[trace, *(m for m in motions if m.name == trace.name)] for trace in evaluation.traces]
+
+
+def of_motion(name: str, t: Array, measured: Array, simulated: Array) -> list[list[Trace]]:
+    """A log by its positions alone, shape (N, nv) each."""
+    envelope = Envelope([slice(0, len(t))], t)
+    envelope.add(t, {"measured": np.asarray(measured).T, "model": np.asarray(simulated).T})
+    motion = envelope.trace(name)
+    return [[Trace(name, motion.t), motion]]

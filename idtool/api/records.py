@@ -1,0 +1,86 @@
+"""What results are made of: plain data that cannot be changed, and lines for a prompt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]  # stage, share of it that is done
+T_co = TypeVar("T_co", covariant=True)
+
+_MOST = 12  # lines of a table at a prompt
+
+
+class ReadOnly(Mapping[str, T_co]):
+    """A dictionary that cannot be changed, and, unlike `types.MappingProxyType`, can be copied and pickled."""
+
+    __slots__ = ("_data",)
+
+    def __init__(self, data: Mapping[str, T_co]) -> None:
+        self._data = dict(data)
+
+    def __getitem__(self, key: str) -> T_co:
+        return self._data[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __repr__(self) -> str:
+        return repr(self._data)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._data)
+
+
+def frozen(data: Any) -> Any:
+    """Plain data, dictionaries in it as `ReadOnly` and lists as tuples."""
+    if isinstance(data, Mapping):
+        return ReadOnly({str(key): frozen(value) for key, value in data.items()})
+    if isinstance(data, list | tuple):
+        return tuple(map(frozen, data))
+    return data
+
+
+def vector(values: Sequence[float | None]) -> Array:
+    """Numbers as an array that cannot be written to, NaN for None."""
+    array = np.array([np.nan if value is None else value for value in values], dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def silent(stage: str, share: float) -> None:
+    """Progress that nobody wants to hear of."""
+
+
+def figure(value: float | None) -> str:
+    """A figure to four digits; a dash for none."""
+    return "–" if value is None else f"{value:.4g}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table, the first column to the left; of long ones the first lines and the last."""
+    hidden = len(rows) - _MOST
+    shown = rows if hidden <= 0 else [*rows[: _MOST - 1], rows[-1]]
+    cells = [list(head), *map(list, shown)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
+    lines = [
+        "  "
+        + "  ".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        for row in cells
+    ]
+    if hidden > 0:
+        lines.insert(-1, f"  … {hidden} more")
+    return lines
+
+
+def notes(warnings: Sequence[str]) -> list[str]:
+    """What a user should know, a line each."""
+    shown = [f"  note: {warning}" for warning in warnings[:_MOST]]
+    return [*shown, *([f"  … {len(warnings) - _MOST} more notes"] if len(warnings) > _MOST else [])]

@@ -1,0 +1,285 @@
+"""`simulate`: run a model forwards along a log, or along a trajectory under its controller."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from idtool.api.data import LogSource, experiment_of
+from idtool.api.log import Log
+from idtool.api.model import Model, Source, as_model
+from idtool.api.records import Array, Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.config import Config
+from idtool.exceptions import ConfigError, LogError
+from idtool.experiment import Experiment
+from idtool.logs import write_log
+from idtool.model import Model as RobotModel
+from idtool.outputs import OutputError, as_json
+from idtool.report import HEADER
+from idtool.simulated_log import SimulatedLog, as_command, as_logged, simulated_log, under_controller
+from idtool.simulation_report import POSITION_UNITS
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+FILE = "simulated.mcap"  # what the log is called in a folder
+_ENDINGS = (".mcap", ".csv")
+
+
+@dataclass(frozen=True)
+class Rmse:
+    """Root mean square errors by joint, and ``overall``; empty where nothing was measured.
+
+    Attributes
+    ----------
+    position
+        [rad or m].
+    velocity
+        [rad/s or m/s].
+    """
+
+    position: ReadOnly[float]
+    velocity: ReadOnly[float]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulationResult:
+    """A model run forwards.
+
+    Attributes
+    ----------
+    log
+        The motion: q, v, tau, and qcmd and vcmd where they drove it.
+    rmse
+        How far it is from what was measured, without the samples at which it was started.
+    kind
+        ``open_loop``, under the logged torque, or ``closed_loop``, under the controller.
+    window
+        How often it was started again from the measured state [s]; None: never.
+    seconds
+        How much was simulated [s].
+    rollouts, lost
+        How often it was started, and how many of these ran away; they end where they did.
+    warnings
+        What a user should know, a plain sentence each.
+    """
+
+    log: Log
+    rmse: Rmse
+    kind: str
+    window: float | None
+    seconds: float
+    rollouts: int
+    lost: int
+    warnings: tuple[str, ...]
+    _model: RobotModel
+    _measured: Array
+    _source: Path
+    _report: Mapping[str, Any]
+
+    def to_json(self, file: str | os.PathLike[str] | None = None) -> dict[str, Any]:
+        """What `idtool simulate --json` prints; a copy.
+
+        Parameters
+        ----------
+        file
+            Where the log was saved, ``file`` of the result.
+        """
+        where = {"file": None if file is None else str(file)}
+        return dict(json.loads(as_json({**HEADER, **where, **self._report})))
+
+    def save(self, place: str | os.PathLike[str]) -> tuple[Path, ...]:
+        """Write the log, as `idtool simulate` does.
+
+        Parameters
+        ----------
+        place
+            A folder, in which it is ``simulated.mcap``, or a file, MCAP or CSV by its ending.
+
+        Returns
+        -------
+        The file.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be made.
+        LogError
+            If the log cannot be written, or would take the place of the one that was read.
+        """
+        file = Path(place) if Path(place).suffix.lower() in _ENDINGS else Path(place, FILE)
+        check_file(file, self._source)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            what = f"cannot be written to ({error.strerror}); give another --out"
+            raise OutputError(file.parent, what) from None
+        write_log(file, self.log.record)
+        return (file,)
+
+    def rerun(self, file: str | os.PathLike[str]) -> Path:
+        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot and its motion.
+
+        Parameters
+        ----------
+        file
+            Where to, FILE.rrd.
+
+        Raises
+        ------
+        ConfigError
+            If rerun is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        from idtool.api.recording import of_motion, save_recording
+
+        motion = of_motion(self._source.name, self.log.t, self._measured, self.log.q)
+        return save_recording(file, self._model, motion, "model")
+
+    def plot(self) -> Figure:
+        """Measured and simulated position of every joint; with ``track`` the trajectory in place of the former."""
+        from idtool.api.plots import position_figure
+
+        curves = {"measured": self._measured.T, "simulated": self.log.q.T}
+        return position_figure(self.log.t, curves, self._report["units"])
+
+    def __repr__(self) -> str:
+        kinds = dict.fromkeys(self._report["units"].values())
+        units, speeds = " or ".join(kinds), " or ".join(f"{unit}/s" for unit in kinds)
+        loop = self.kind.replace("_", " ")
+        often = "never restarted" if self.window is None else f"{self.window:g} s at a time"
+        title = f"SimulationResult: {self.seconds:.4g} s {loop}, {often}"
+        if not self.rmse.position:
+            return "\n".join([title, *notes(self.warnings)])
+        rows = [
+            [name, figure(self.rmse.position[name]), figure(self.rmse.velocity.get(name))]
+            for name in self.rmse.position
+        ]
+        head = ["RMS error", f"position [{units}]", f"velocity [{speeds}]"]
+        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+
+
+def simulate(
+    model: Model | Source,
+    log: LogSource,
+    *,
+    window: float | None = None,
+    closed_loop: bool = False,
+    track: bool = False,
+    progress: Progress | None = None,
+) -> SimulationResult:
+    """Run a model forwards along a log, or along a trajectory under its controller; `idtool simulate` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    log
+        A log or, with ``track``, a trajectory: a path, read as the configuration says, or a `Log`.
+    window
+        Start again from the measured state this often [s]; 0: never. None: the configuration's ``simulation.window``
+        under the logged torque, never under the controller.
+    closed_loop
+        Let the configuration's controller drive the joints on the logged command, not the logged torque.
+    track
+        Let the controller track the log's qcmd and vcmd, else its q and v, from their first state on.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If the log, the configuration or the model cannot be used, or the model runs away as soon as it is started.
+        Messages name options as the command line does.
+
+    Examples
+    --------
+    >>> run = idtool.simulate("sample_logs/leg.urdf", "sample_logs/leg_validate.mcap", window=0.1)
+    >>> run.log.joints, run.rollouts
+    (('abad', 'hip', 'knee'), 100)
+    """
+    started, told, model = time.monotonic(), progress or silent, as_model(model)
+    _check_options(model.settings, window, closed_loop, track)
+    seen_as = as_command if track else under_controller if closed_loop else as_logged
+    experiment = experiment_of(model, (), log, progress=told, seen_as=seen_as)
+    every = _window(experiment, window)
+    done = simulated_log(experiment, experiment.equation.prior, every, Path(FILE), told)
+    report = _report(experiment, done, time.monotonic() - started)
+    return SimulationResult(
+        log=Log.from_record(done.log),
+        rmse=Rmse(ReadOnly(done.position), ReadOnly(done.velocity)),
+        kind=done.kind,
+        window=done.window,
+        seconds=done.seconds,
+        rollouts=done.rollouts,
+        lost=done.lost,
+        warnings=frozen(report["warnings"]),
+        _model=experiment.model,
+        _measured=done.measured,
+        _source=experiment.runs[0].signals.log.path,
+        _report=report,
+    )
+
+
+def check_file(file: Path, log: Path) -> None:
+    """Whether the result can be written there, and not over what is read.
+
+    Parameters
+    ----------
+    file, log
+        What is to be written, and what is read.
+
+    Raises
+    ------
+    LogError
+        If not.
+    """
+    if file.suffix.lower() not in _ENDINGS:
+        raise LogError(file, "has an ending that no log is written under; use .mcap or .csv")
+    if file.resolve() == log.resolve():
+        raise LogError(file, "is the log that is read; give another --out")
+
+
+def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:
+    if closed_loop and track:
+        raise ConfigError("--track", "goes without --closed-loop; give one of them")
+    if (closed_loop or track) and settings.controller is None:
+        option = "--track" if track else "--closed-loop"
+        raise ConfigError("controller", f"is missing in the configuration; give kp and kd there, {option} needs them")
+    if window is not None and not 0 <= window < math.inf:
+        raise ConfigError("--window", f"{window:g} is no time; give seconds, or 0 for never")
+
+
+def _window(experiment: Experiment, given: float | None) -> float | None:
+    """How often to start again [s]; None: never."""
+    if given is not None:
+        return given or None
+    closed = experiment.runs[0].signals.command.joints.any()
+    return None if closed else experiment.config.simulation.window
+
+
+def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> dict[str, Any]:
+    """The result as JSON, but for the file."""
+    lost = [f"{done.lost} of {done.rollouts} rollouts ran away; they end where they did"] if done.lost else []
+    return {
+        "joints": list(done.log.joints),
+        "units": {joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
+        "kind": done.kind,
+        "window": done.window,
+        "rollouts": done.rollouts,
+        "lost": done.lost,
+        "samples": len(done.log),
+        "seconds": done.seconds,
+        "wall_seconds": wall,
+        "rmse": {"position": done.position or None, "velocity": done.velocity or None},
+        "urdf": str(experiment.model.robot.path),
+        "log": str(experiment.runs[0].signals.log.path),
+        "warnings": [*experiment.warnings, *lost],
+    }

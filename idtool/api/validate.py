@@ -1,0 +1,294 @@
+"""`validate`: how well a model predicts logs."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.identified import Errors
+from idtool.api.model import Model, Source, as_model
+from idtool.api.records import Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.exceptions import ConfigError
+from idtool.experiment import Experiment, coefficients_of
+from idtool.model import Model as RobotModel
+from idtool.names import nearest
+from idtool.outputs import as_json, write_all
+from idtool.replay import Replay, replay
+from idtool.report import validation_report
+from idtool.simulation_report import simulation_notes, simulation_report
+from idtool.validation import Evaluation, evaluate
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+
+@dataclass(frozen=True)
+class ModelRms:
+    """Root mean square torque errors [N·m or N] of a model and its prior, by joint, and ``overall``.
+
+    Attributes
+    ----------
+    model
+        Of the model.
+    prior
+        Of the one it is compared with; None without one.
+    """
+
+    model: Errors
+    prior: Errors | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ValidationResult:
+    """How well a model predicts the torque and the motion of logs.
+
+    Attributes
+    ----------
+    joints
+        Joints, in the order of the model.
+    rms, rms_raw
+        Torque errors in the filter's band, and against the torque as logged.
+    nrms
+        The former over the measured torque's standard deviation, by joint; None where that is zero.
+    simulation
+        How far the model run forwards is from the measured motion, as ``simulation`` of validation.json; None: not run.
+    ok
+        Whether each bound was met.
+    warnings
+        What a user should know, a plain sentence each.
+    """
+
+    joints: tuple[str, ...]
+    rms: ModelRms
+    rms_raw: ModelRms
+    nrms: ReadOnly[float | None]
+    simulation: ReadOnly[Any] | None
+    ok: ReadOnly[bool]
+    warnings: tuple[str, ...]
+    _model: RobotModel
+    _evaluation: Evaluation
+    _rollouts: Replay | None
+    _report: Mapping[str, Any]
+    _made_by: str
+
+    def to_json(self) -> dict[str, Any]:
+        """What `idtool validate --json` prints, the content of validation.json; a copy."""
+        return dict(json.loads(as_json(self._report)))
+
+    def save(self, folder: str | os.PathLike[str], made_by: str | None = None) -> tuple[Path, ...]:
+        """Write validation.json and validation.html, both or none, as `idtool validate` does.
+
+        Parameters
+        ----------
+        folder
+            Where to; made where it is not there.
+        made_by
+            What the page says it was made by; None: the call.
+
+        Returns
+        -------
+        The files.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        from idtool.pages import validation_page
+
+        text = self._made_by if made_by is None else made_by
+        page = validation_page(self._evaluation, dict(self._report), text, self._rollouts)
+        files = {"validation.json": as_json(self._report), "validation.html": page}
+        write_all(Path(folder), files)
+        return tuple(Path(folder, name) for name in files)
+
+    def rerun(self, file: str | os.PathLike[str]) -> Path:
+        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
+
+        Parameters
+        ----------
+        file
+            Where to, FILE.rrd.
+
+        Raises
+        ------
+        ConfigError
+            If rerun is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        from idtool.api.recording import beside, save_recording
+
+        motions = self._rollouts.traces if self._rollouts else ()
+        return save_recording(file, self._model, beside(self._evaluation, motions), "model")
+
+    def plot(self, log: int = 0) -> Figure:
+        """Measured and predicted torque and the residual of every joint.
+
+        Parameters
+        ----------
+        log
+            Which of the logs.
+
+        Raises
+        ------
+        IndexError
+            If there are not so many.
+        """
+        from idtool.api.plots import torque_figure
+        from idtool.pages import curves
+
+        return torque_figure(curves(self._evaluation, "model", self._report["units"]), log)
+
+    def __repr__(self) -> str:
+        units = " or ".join(dict.fromkeys(self._report["units"].values()))
+        prior, bounds = self.rms.prior, self._report["bound"]
+        head = ["joint", "model", *(["prior"] if prior else []), "of torque", *(["bound"] if bounds else [])]
+        rows = []
+        for name in (*self.joints, "overall"):
+            share = self.nrms.get(name)
+            row = [name, figure(self.rms.model[name]), *([figure(prior[name])] if prior else [])]
+            row.append("" if share is None else f"{100 * share:.1f}%")
+            missed = "" if self.ok.get(name, True) else " missed"
+            rows.append([*row, *([f"{figure(bounds[name])}{missed}" if name in bounds else ""] if bounds else [])])
+        title = f"ValidationResult: RMS torque error [{units}] below {self._report['band_hz']:g} Hz"
+        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+
+
+def validate(
+    model: Model | Source,
+    logs: Logs,
+    *,
+    prior: Model | Source | None = None,
+    max_rms: float | Mapping[str, float] | None = None,
+    simulation: bool = True,
+    progress: Progress | None = None,
+) -> ValidationResult:
+    """Tell how well a model predicts the torque and the motion of logs; `idtool validate` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    logs
+        The logs: paths, read as the configuration says, or `Log`.
+    prior
+        A model of the same robot to compare with. Without a configuration of its own it takes the model's, but neither
+        the values of its friction nor its effects.
+    max_rms
+        Largest torque error that is accepted [N·m or N], over all joints or by joint and ``overall``; see ``ok``.
+    simulation
+        Whether to run the models forwards too.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, a configuration or a model cannot be used. Messages name options as the command line does.
+
+    Examples
+    --------
+    >>> found = idtool.validate("sample_logs/leg.urdf", "sample_logs/leg_validate.mcap", max_rms=0.5, simulation=False)
+    >>> found.rms.model["overall"] > 0.5
+    True
+    >>> found.ok["overall"]
+    False
+    """
+    told = progress or silent
+    model = as_model(model)
+    experiment = experiment_of(model, (), logs, progress=told)
+    bounds = _bounds(max_rms, experiment)
+    other = prior if prior is None or isinstance(prior, Model) else prior_model(Path(prior))
+    options = changed(validate, max_rms=max_rms, simulation=simulation)
+    made_by = call("validate", model, logs, **({"prior": other.name} if other else {}), **options)
+    return validate_experiment(experiment, other, bounds, made_by, told, simulation)
+
+
+def prior_model(urdf: Path) -> Model:
+    """A URDF to compare with; only a configuration under its own name is its own.
+
+    Parameters
+    ----------
+    urdf
+        The URDF.
+
+    Raises
+    ------
+    IdtoolError
+        If it or its configuration cannot be read.
+    """
+    return Model(urdf) if urdf.with_suffix(".yaml").is_file() else Model.bare(urdf)
+
+
+def validate_experiment(
+    experiment: Experiment,
+    prior: Model | None,
+    bounds: Mapping[str, float],
+    made_by: str,
+    progress: Progress,
+    simulate: bool = True,
+) -> ValidationResult:
+    """The same from model and logs put together.
+
+    Parameters
+    ----------
+    experiment
+        Model and data, all of it held out.
+    prior
+        A model to compare with.
+    bounds
+        Largest torque error that is accepted, by joint or ``overall``.
+    made_by
+        What the page says it was made by.
+    progress
+        Told the stage and how far it has come.
+    simulate
+        Whether to run the models forwards too.
+
+    Raises
+    ------
+    ModelError
+        If ``prior`` is no model of the same robot.
+    """
+    models = {"model": experiment.equation.prior}
+    if prior is not None:
+        own = prior.settings if prior.configured else experiment.config.without_friction_values()
+        models["prior"] = coefficients_of(prior.robot, own, experiment)
+    evaluation = evaluate(experiment, models, held_out=True, progress=progress)
+    rollouts = replay(experiment, models, held_out=True, progress=progress) if simulate else None
+    simulation = simulation_report(rollouts, "model", experiment)
+    report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation)
+    report["warnings"] = [*experiment.warnings, *simulation_notes(rollouts, "model")]
+    return ValidationResult(
+        joints=tuple(report["joints"]),
+        rms=ModelRms(**frozen(report["rms"])),
+        rms_raw=ModelRms(**frozen(report["rms_raw"])),
+        nrms=frozen(report["nrms"]),
+        simulation=frozen(simulation),
+        ok=frozen(report["ok"]),
+        warnings=tuple(report["warnings"]),
+        _model=experiment.model,
+        _evaluation=evaluation,
+        _rollouts=rollouts,
+        _report=report,
+        _made_by=made_by,
+    )
+
+
+def _bounds(given: float | Mapping[str, float] | None, experiment: Experiment) -> dict[str, float]:
+    """Bounds by joint or ``overall``."""
+    bounds = dict(given) if isinstance(given, Mapping) else {} if given is None else {"overall": given}
+    known = (*experiment.equation.joints, "overall")
+    for name, bound in bounds.items():
+        if name not in known:
+            raise ConfigError("--max-rms", f"{name} is no joint; {nearest(name, known)}")
+        if not 0 < bound < math.inf:
+            raise ConfigError("--max-rms", f"{bound} is no bound; give a number above 0")
+    return bounds
