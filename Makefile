@@ -5,7 +5,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 JOBS ?= 2
 
-.PHONY: demo test test-slow benchmarks coverage scoreboard samples lock clean
+.PHONY: demo test test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean
 
 demo: $(READY)  ## the main job on the sample logs
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
@@ -20,6 +20,13 @@ test: $(READY)  ## style, types and tests
 
 test-slow: $(READY)  ## what takes longer than CI allows
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m slow
+
+docs: $(READY)  ## the pages of docs/ as a site in site/; links that lead nowhere are errors
+	$(BIN)/mkdocs build --strict --config-file docs/mkdocs.yml
+
+test-rerun: $(READY)  ## recordings for rerun's viewer, which is an extra of 170 MB
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/requirements-rerun.txt
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest tests/test_rerun.py
 
 benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
 	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \
@@ -36,8 +43,9 @@ samples: $(READY)  ## make the sample logs anew in MuJoCo
 
 lock: $(READY)  ## the newest versions that fit, for all supported Pythons
 	$(BIN)/pip install --quiet uv
-	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --generate-hashes --quiet --upgrade \
-		--no-emit-index-url --no-annotate --output-file .ci/requirements.txt
+	for extras in "" "rerun"; do \
+		$(BIN)/uv pip compile pyproject.toml --extra dev $${extras:+--extra $$extras} --universal --generate-hashes --quiet \
+			--upgrade --no-emit-index-url --no-annotate --output-file .ci/requirements$${extras:+-$$extras}.txt || exit 1; done
 
 $(READY): .ci/requirements.txt pyproject.toml
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; set PYTHON=/path/to/python" >&2; exit 2; }
@@ -47,4 +55,4 @@ $(READY): .ci/requirements.txt pyproject.toml
 	touch $@
 
 clean:
-	rm -rf .venv *_idtool
+	rm -rf .venv *_idtool site
