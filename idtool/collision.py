@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.body import Frame
 from idtool.exceptions import ModelError
+from idtool.kinematics import body_places
 from idtool.model import Model
 from idtool.names import some
 from idtool.pieces import Distances, Piece, read_pieces
@@ -151,15 +152,7 @@ class SelfCollision:
 
     def _places(self, q: Array) -> tuple[Array, Array]:
         """Where the pieces are in the root link, shapes (pieces, N, 3, 3) and (pieces, N, 3)."""
-        places = {-1: (np.eye(3)[None], np.zeros((1, 3)))}
-        for i, body in enumerate(self.model.bodies):
-            R, p = places[body.mount.body]
-            phi = (body.ratios @ q + body.offset)[:, None]
-            R, p = R @ body.mount.R, p + R @ body.mount.p
-            if body.prismatic:
-                places[i] = R, p + R @ body.axis * phi
-            else:
-                places[i] = R @ Rotation.from_rotvec(body.axis * phi).as_matrix(), p
+        places = body_places(self.model, q)
         count, N = len(self._pieces), q.shape[1]
         out_R, out_p = np.empty((count, N, 3, 3)), np.empty((count, N, 3))
         for k, piece in enumerate(self._pieces):

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from idtool.body import Body
 from idtool.inertia import skew
@@ -79,6 +80,32 @@ def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]
         own = np.array([body.ratios @ x for x in (q, v, a)])
         motions.append(_step(body, parent, own, np.flatnonzero(moved)))
     return motions
+
+
+def body_places(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
+    """Where every body's frame is in the root link, by index; −1 is the root link.
+
+    Parameters
+    ----------
+    model
+        The tree.
+    q
+        Positions of the joints, shape (nv, N).
+
+    Returns
+    -------
+    Rotation R, shape (N, 3, 3) or (1, 3, 3), and position p [m], shape (N, 3) or (1, 3).
+    """
+    places = {-1: (np.eye(3)[None], np.zeros((1, 3)))}
+    for i, body in enumerate(model.bodies):
+        R, p = places[body.mount.body]
+        phi = (body.ratios @ q + body.offset)[:, None]
+        R, p = R @ body.mount.R, p + R @ body.mount.p
+        if body.prismatic:
+            places[i] = R, p + R @ body.axis * phi
+        else:
+            places[i] = R @ Rotation.from_rotvec(body.axis * phi).as_matrix(), p
+    return places
 
 
 def _step(body: Body, parent: BodyMotion, own: Array, coordinates: NDArray[np.intp]) -> BodyMotion:

@@ -170,7 +170,7 @@ def _hull(link: str, points: Array, frame: Frame) -> Piece:
     """The convex hull of points, shape (n, 3); of many, that of the outermost, and how far the others lie beyond it."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     points = points - center
-    kept = points if len(points) <= _MOST_VERTICES else points[_outermost(points)]
+    kept = points if len(points) <= _MOST_VERTICES else points[outermost(points)]
     try:
         hull = ConvexHull(kept)
     except QhullError:  # they span no volume
@@ -184,7 +184,7 @@ def _hull(link: str, points: Array, frame: Frame) -> Piece:
     return Piece(link, shape, frame.then(np.eye(3), center), radius, beyond)
 
 
-def _outermost(points: Array) -> NDArray[np.intp]:
+def outermost(points: Array) -> NDArray[np.intp]:
     """Indices of the points that lie farthest in directions spread over all sides."""
     k = np.arange(_MOST_VERTICES) + 0.5
     turn, z = math.pi * (1 + math.sqrt(5)) * k, 1 - 2 * k / _MOST_VERTICES

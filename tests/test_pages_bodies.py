@@ -29,7 +29,7 @@ SHAPES: dict[str, dict[str, Any]] = {
 def page_of(bodies: dict[str, dict[str, Any]]) -> Page:
     """A page of this section alone."""
     return Page(
-        render("t", [("Bodies", "bodies_3d.html")], ["bodies.js"], body_views(bodies), report={"bodies": bodies})
+        render("t", [("Bodies", "bodies_3d.html")], ["solids.js", "bodies.js"], body_views(bodies), report={"bodies": bodies})
     )
 
 
@@ -126,7 +126,7 @@ def test_robots_of_many_bodies_stay_small() -> None:
 
 
 def test_every_shape_is_drawn_from_fields_that_it_has() -> None:
-    script = (Path(idtool.__file__).parent / "templates" / "bodies.js").read_text()
+    script = (Path(idtool.__file__).parent / "templates" / "solids.js").read_text()
     drawn = dict(re.findall(r"^    (\w+): \(\{ ([\w, ]+) \}\) =>", script, flags=re.MULTILINE))
     assert set(drawn) | {"hull"} == {*known_shapes(), "ellipsoid"}
     assert 'shape.kind === "hull"' in script

@@ -14,7 +14,7 @@ from robots import inertial, link
 
 from idtool.config import parse_config
 from idtool.experiment import prepare
-from idtool.fit import Fit, fit
+from idtool.fitting import Fit, fit
 from idtool.logs import make_log, write_log
 from idtool.pages import fit_page, number, with_error
 from idtool.report import fit_report
@@ -74,7 +74,7 @@ def test_names_and_paths_stay_text(fitted: Fit, report: dict[str, Any]) -> None:
         f"Measured and {what} of {name} over time"
         for name in (SCRIPT, SLIDE)
         for what in ("predicted torque and residual", "simulated position")
-    } == {attrs["aria-label"] for _, attrs in page.tags if "data-joint" in attrs}
+    } == {(attrs["aria-label"] or "").removesuffix(", and its position") for _, attrs in page.tags if "data-joint" in attrs}
     bodies = [attrs["aria-label"] or "" for _, attrs in page.tags if "data-body" in attrs]
     assert [label.partition(" in its frame")[0] for label in bodies] == [f"Body {BODY}", "Body l2"]
     for text in (f"idtool fit {SCRIPT} --out ?", "a?", f"with {SCRIPT}", f"{SCRIPT}.csv"):

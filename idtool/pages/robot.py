@@ -1,0 +1,90 @@
+"""The robot in three dimensions, as it stood along a log: what `templates/robot.js` draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from idtool.body import Body
+from idtool.envelope import Trace
+from idtool.geometry import link_geometry
+from idtool.kinematics import body_places
+from idtool.model import Model
+from idtool.pages.base import Sections
+from idtool.pieces import outermost
+from idtool.robot import Robot
+
+Array = NDArray[np.float64]
+
+ROBOT = ("The robot in 3D", "robot_3d.html")
+_POSTURES = 60  # at the most
+_MOST_PLACES = 1500  # of bodies in postures
+_DECIMALS = 4
+
+
+def robot_view(model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace]) -> dict[str, Any]:
+    """What is drawn of the robot, of bounded size.
+
+    Parameters
+    ----------
+    model
+        The tree of bodies.
+    bodies
+        As `body_views` returns them.
+    traces
+        The first with the joints' positions, ``q``, shape (nv, 2 stretches), gives the postures.
+
+    Returns
+    -------
+    ``robot``: None where there is no such trace, else the ``bodies`` with the ``hull`` of their geometry, or None; the
+    name of the ``log``, the times ``t`` [s] of the postures and the bodies' ``frames`` in each, the columns of R and
+    then p [m] in the root link; ``hidden``, the number of bodies that are not drawn.
+    """
+    trace = next((trace for trace in traces if "q" in trace.curves), None)
+    if trace is None:
+        return {"robot": None}
+    t, q = _postures(trace, min(_POSTURES, max(_MOST_PLACES // max(len(bodies), 1), 1)))
+    places, shown = body_places(model, q), {view["name"]: view for view in bodies}
+    drawn = [(i, body) for i, body in enumerate(model.bodies) if body.name in shown][:_MOST_PLACES]
+    frames = [[_frame(places[i], n) for i, _ in drawn] for n in range(len(t))]
+    views = [{**shown[body.name], "masses": None, "hull": _hull(model.robot, body)} for _, body in drawn]
+    hidden = len(model.bodies) - len(drawn)
+    return {"robot": {"bodies": views, "log": trace.name, "t": t.round(2).tolist(), "frames": frames, "hidden": hidden}}
+
+
+def with_robot(sections: Sections, view: Mapping[str, Any]) -> Sections:
+    """The sections, without the robot where it is not drawn."""
+    return [section for section in sections if section != ROBOT or view["robot"]]
+
+
+def _postures(trace: Trace, most: int) -> tuple[Array, Array]:
+    """Times, shape (n,), and positions then, (nv, n): the middles of stretches in which something was measured."""
+    t, q = trace.t.reshape(-1, 2).mean(axis=1), trace.curves["q"].reshape(len(trace.curves["q"]), -1, 2).mean(axis=2)
+    known = np.flatnonzero(np.isfinite(q).all(axis=0))
+    chosen = known[np.unique(np.linspace(0, len(known) - 1, most).round().astype(int))]
+    return t[chosen], q[:, chosen]
+
+
+def _frame(place: tuple[Array, Array], n: int) -> list[float]:
+    R, p = (x[min(n, len(x) - 1)] for x in place)
+    return [round(float(x), _DECIMALS) for x in (*R.T.ravel(), *p)]
+
+
+def _hull(robot: Robot, body: Body) -> dict[str, Any] | None:
+    """The convex hull of the geometry of a body's links, in its frame, of some of its corners."""
+    points = [
+        link_geometry(robot, member.link).points @ member.frame.R.T + member.frame.p
+        for member in body.members
+        if member.link in robot.links
+    ]
+    whole = np.concatenate([np.empty((0, 3)), *points])
+    if len(whole) < 4 or np.linalg.matrix_rank(whole - whole[0], tol=1e-9) < 3:
+        return None
+    corners = whole[outermost(whole)]
+    if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=1e-9) < 3:
+        return None
+    return {"points": corners.round(_DECIMALS).tolist(), "faces": ConvexHull(corners).simplices.tolist()}

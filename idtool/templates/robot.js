@@ -1,0 +1,70 @@
+// The whole robot in 3D, as it stood at a time of the log.
+(() => {
+  const { color } = plots;
+  const { columns, surface, solid, markers, layout, show } = solids;
+  const { robot } = plots.data;
+  const plot = document.querySelector("[data-robot]");
+  if (!plot) return;
+  const slider = document.getElementById("posture");
+  const time = document.getElementById("posture-time");
+  const axes = ["x", "y", "z"];
+
+  // What is drawn alike, of one body after the other in its own frame: [body, trace].
+  function groups() {
+    const found = new Map();
+    const add = (group, body, traces) => found.set(group, [...(found.get(group) || []), ...traces.map((trace) => [body, trace])]);
+    robot.bodies.forEach((body, b) => {
+      const spread = (own, group, shade, opacity, dash) => {
+        if (!own) return;
+        const [outline, face] = solid({ kind: "ellipsoid", ...own }, group, shade, opacity, dash).reverse();
+        add(`${group} outline`, b, [outline]);
+        if (face) add(group, b, [face]);
+        add(`${group} centre`, b, [markers([own.center], group, [`${body.name}: centre of mass, ${group}`], { color: shade, symbol: "diamond", size: 4 })]);
+      };
+      if (body.hull) {
+        const [i, j, k] = [0, 1, 2].map((at) => body.hull.faces.map((face) => face[at]));
+        add("geometry", b, [surface(body.hull.points, { i, j, k }, "geometry", color("measured"), 0.35)]);
+      }
+      body.bounds.filter((shape) => shape.kind !== "hull").forEach((shape) =>
+        add("bounding shape", b, solid(shape, "bounding shape", color("measured"), 0, "solid")));
+      spread(body.prior, "prior", color("prior"), 0, "dash");
+      spread(body.found, "identified", color("predicted"), 0.45, "solid");
+    });
+    return [...found.values()];
+  }
+
+  const moved = (frame, axis, x, y, z) => frame[axis] * x + frame[axis + 3] * y + frame[axis + 6] * z + frame[axis + 9];
+
+  // One trace of a group, every body where it is in a posture.
+  function posed(group, posture) {
+    const whole = { ...group[0][1], x: [], y: [], z: [] };
+    if (whole.i) Object.assign(whole, { i: [], j: [], k: [] });
+    if (whole.text) whole.text = [];
+    for (const [b, trace] of group) {
+      const first = whole.x.length;
+      const frame = robot.frames[posture][b];
+      trace.x.forEach((x, n) => axes.forEach((name, axis) => whole[name].push(x === null ? null : moved(frame, axis, x, trace.y[n], trace.z[n]))));
+      if (whole.i) ["i", "j", "k"].forEach((name) => whole[name].push(...trace[name].map((at) => at + first)));
+      if (whole.text) whole.text.push(...trace.text);
+    }
+    return whole;
+  }
+
+  let drawn, view; // as the page's colours and all postures have them
+
+  function draw() {
+    const every = Math.max(1, Math.floor(robot.frames.length / 8));
+    drawn = groups();
+    view = layout(robot.frames.flatMap((_, n) => (n % every ? [] : drawn.map((group) => posed(group, n)))), 520);
+    move();
+  }
+
+  function move() {
+    time.textContent = `${robot.t[slider.value]} s`;
+    show(plot, drawn.map((group) => posed(group, slider.value)), view);
+  }
+
+  slider.addEventListener("input", () => drawn && move());
+  plots.watch([plot], draw);
+  solids.copied(() => [plot]);
+})();
