@@ -13,6 +13,7 @@ from idtool.cli import (  # noqa: F401  # each adds its command
     excite,
     export,
     fit,
+    init,
     inspect,
     simulate,
     study,

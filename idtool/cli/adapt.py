@@ -35,13 +35,13 @@ def adapt_command(
 ) -> None:
     """Identify online, sample by sample and within the constraints, and write the parameters over time."""
     from idtool.adapt import adapt, adapt_report
+    from idtool.description import robot_and_logs
     from idtool.experiment import prepare
     from idtool.identified import choose_sets
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
     from idtool.pages import adapt_page
     from idtool.report import HEADER
-    from idtool.robot import read_robot
     from idtool.terminal import Terminal
     from idtool.terminal.adapt import show_adaptation
 
@@ -49,15 +49,14 @@ def adapt_command(
     folder = out or Path(f"{urdf.stem}_idtool")
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, holdout=0.0)
+        robot, logs = robot_and_logs(urdf, logs)
+        experiment = prepare(robot, config_of(urdf, config), logs, holdout=0.0)
         sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
         result = adapt(experiment, sets, forgetting, progress=progress)
         report = {
             **HEADER,
             **adapt_report(result, experiment),
             "warnings": [*experiment.warnings, *remarks],
-            "logs": [str(path) for path in logs],
-            "urdf": str(urdf),
         }
         write_all(folder, {"adapt.json": dump(report), "adapt.html": adapt_page(report, command())})
     show_adaptation(terminal, report, folder)

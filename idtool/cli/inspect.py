@@ -13,7 +13,7 @@ from idtool.cli.options import JsonOption, QuietOption, finish
 
 @app.command("inspect", epilog="Example: idtool inspect run1.mcap")
 def inspect_command(
-    log: Annotated[Path, typer.Argument(help="A log: MCAP or CSV.", show_default=False)],
+    log: Annotated[Path, typer.Argument(help="A log: MCAP, CSV or a rosbag2 folder.", show_default=False)],
     config: Annotated[Path | None, typer.Option("--config", help="Configuration; its log section is used.")] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

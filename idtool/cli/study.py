@@ -36,12 +36,12 @@ def study_command(
     quiet: QuietOption = False,
 ) -> None:
     """Compare all constraint sets, priors and estimators on the same data, and error against sample count."""
+    from idtool.description import robot_and_logs
     from idtool.experiment import prepare
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
     from idtool.pages import study_page
     from idtool.report import HEADER
-    from idtool.robot import read_robot
     from idtool.study import study
     from idtool.study_report import study_report
     from idtool.terminal import Terminal
@@ -51,7 +51,8 @@ def study_command(
     folder = out or Path(f"{urdf.stem}_idtool")
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        experiment = prepare(read_robot(urdf), config_of(urdf, config), logs, validate or (), holdout)
+        robot, logs = robot_and_logs(urdf, logs)
+        experiment = prepare(robot, config_of(urdf, config), logs, validate or (), holdout)
         result = study(experiment, progress, draws)
         report = {**HEADER, **study_report(result)}
         write_all(folder, {"study.json": dump(report), "study.html": study_page(result.validation, report, command())})

@@ -1,0 +1,92 @@
+"""`idtool init`."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from idtool.cli.app import app
+from idtool.cli.options import JsonOption, LogsArgument, QuietOption, UrdfArgument, finish
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from idtool.starting import Start
+
+
+@app.command("init", epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
+def init_command(
+    urdf: UrdfArgument,
+    logs: LogsArgument,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", help="What is known already, such as controller gains: its keys are kept as they are."
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; default: <urdf stem>.yaml beside the URDF.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a commented configuration with all that URDF and logs tell; what they do not is left to fill in."""
+    from idtool.outputs import write_all
+    from idtool.report import HEADER
+    from idtool.robot import read_robot
+    from idtool.safe_yaml import read_yaml
+    from idtool.starting import start
+    from idtool.terminal import Terminal
+    from idtool.terminal.init import show_start
+
+    terminal = Terminal(quiet, as_json)
+    file = out or urdf.with_suffix(".yaml")
+    _check(file, [urdf, *logs], force)
+    with terminal.progress() as progress:
+        progress("reading", 0.0)
+        robot = read_robot(urdf)
+        given = read_yaml(config) if config else None
+        found = start(robot, logs, given or {}, config, progress)
+        write_all(file.parent, {file.name: found.text})
+    report = {**HEADER, "file": str(file), "urdf": str(urdf), "logs": [str(path) for path in logs], **_report(found)}
+    report["next"] = _next(found, file, urdf, logs)
+    show_start(terminal, report)
+    finish(terminal, report, {})
+
+
+def _check(file: Path, inputs: Sequence[Path], force: bool) -> None:
+    """Before anything is read: whether the file may be written."""
+    from idtool.outputs import OutputError
+
+    if any(file.resolve() == path.resolve() for path in inputs):
+        raise OutputError(file, "is a file that is read; give another --out")
+    if file.is_dir():
+        raise OutputError(file, "is a folder; give a file as --out")
+    if file.exists() and not force:
+        raise OutputError(file, "is there already; give --force to overwrite it, or another --out")
+
+
+def _report(found: Start) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "band_hz": found.band_hz,
+        "config": found.data,
+        "rms": found.rms,
+        "trials": [asdict(trial) for trial in found.trials],
+        "found": list(found.found),
+        "left": [asdict(left) for left in found.left],
+        "warnings": list(found.warnings),
+    }
+
+
+def _next(found: Start, file: Path, urdf: Path, logs: Sequence[Path]) -> str:
+    """The next command: the fit, or the same again with what it cannot do without filled in."""
+    arguments = [str(urdf), *map(str, logs)]
+    beside = file.resolve() == urdf.with_suffix(".yaml").resolve()
+    if found.needed:
+        out = [] if beside else ["--out", str(file)]
+        return shlex.join(["idtool", "init", *arguments, "--config", str(file), *out, "--force"])
+    return shlex.join(["idtool", "fit", *arguments, *([] if beside else ["--config", str(file)])])

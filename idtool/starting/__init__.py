@@ -1,0 +1,6 @@
+"""A first configuration: all that URDF and logs tell, each piece with a word on where it came from."""
+
+from idtool.starting.records import Left, Section, Start, Trial
+from idtool.starting.start import start
+
+__all__ = ["Left", "Section", "Start", "Trial", "start"]

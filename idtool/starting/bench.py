@@ -1,0 +1,149 @@
+"""Where a first configuration's terms are tried: the logs reduced once, and every variant solved from what is left.
+
+A variant has some of the columns that the logs were reduced with, so its R-factors are columns of theirs. It is fitted
+to the training parts and judged by the held-out ones; neither is read again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import Config
+from idtool.effects import build_effects
+from idtool.exceptions import LogError
+from idtool.experiment import Experiment, Progress, Run, tracked
+from idtool.identified import choose_sets
+from idtool.identify import identify
+from idtool.knowledge import knowledge
+from idtool.logs import Log
+from idtool.reduction import Factor, Reduction, empty, merge
+from idtool.regressor import LinearModel
+
+Array = NDArray[np.float64]
+
+MOST = 200_000  # samples of a log that are looked at: more tell trials nothing new
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a variant does.
+
+    Attributes
+    ----------
+    train, held_out
+        Mean squared torque error in the band, shape (nv,) [(N·m)² or N²]; NaN where a joint has no samples.
+    values
+        Coefficients by effect and joint or body.
+    share
+        What a coefficient makes of the joint's training torque, rms, likewise [N·m or N].
+    """
+
+    train: Array
+    held_out: Array
+    values: dict[tuple[str, str], float]
+    share: dict[tuple[str, str], float]
+
+    def rms(self) -> float:
+        """Held-out RMS over the joints that have samples."""
+        return float(np.sqrt(np.nanmean(self.held_out)))
+
+
+class Bench:
+    """Reduced logs.
+
+    Parameters
+    ----------
+    experiment
+        The variant with every column.
+    progress
+        Told how far the reading has come.
+
+    Raises
+    ------
+    LogError
+        If a joint has no sample to fit, or none is left to be held out.
+    """
+
+    def __init__(self, experiment: Experiment, progress: Progress) -> None:
+        self.experiment = experiment
+        self.train = experiment.checked(_reduced(experiment, lambda run: run.train, progress))
+        self.held_out = _reduced(experiment, lambda run: run.held_out, progress)
+        if not any(factor.rows for factor in self.held_out):
+            path = experiment.runs[0].signals.log.path
+            raise LogError(path, "is too short for a part to be held out; log for longer")
+
+    def judge(self, config: Config) -> Verdict:
+        """Fit a variant.
+
+        Parameters
+        ----------
+        config
+            With none but the effects, friction terms and bodies of the bench's experiment.
+
+        Raises
+        ------
+        SolverError
+            If the problem could not be solved.
+        """
+        model = self.experiment.model
+        equation = LinearModel(model.names, build_effects(model, config))
+        train = self._part(self.train, equation)
+        sets, _ = choose_sets(model.bodies, config.constraints)
+        known = knowledge(config, model, equation)
+        theta = identify(equation, model.bodies, train, sets, config.regularization, known).theta
+        held_out = self._part(self.held_out, equation)
+        named = [(c.effect, c.owner) for c in equation.coefficients]
+        values = dict(zip(named, theta.tolist(), strict=True))
+        share = dict(zip(named, _shares(equation, theta, train).tolist(), strict=True))
+        return Verdict(_errors(equation, theta, train), _errors(equation, theta, held_out), values, share)
+
+    def _part(self, whole: Reduction, equation: LinearModel) -> Reduction:
+        """The columns of another equation."""
+        full = self.experiment.equation
+        keys, wanted = ([c.key for c in e.coefficients] for e in (full, equation))
+        parts = []
+        for factor, has, takes in zip(whole, full.active(), equation.active(), strict=True):
+            place = {keys[k]: i for i, k in enumerate(has)}
+            columns = [*(place[wanted[k]] for k in takes), len(has)]
+            parts.append(Factor.joined((replace(factor, R=factor.R[:, columns]),)))
+        return tuple(parts)
+
+
+def _reduced(experiment: Experiment, parts: Callable[[Run], tuple[slice, ...]], progress: Progress) -> Reduction:
+    """Parts of the logs as R-factors."""
+    total = empty(experiment.equation.active())
+    for run in experiment.runs:
+        redundancy = run.signals.low_pass.redundancy
+        stage = f"reading {run.signals.log.path.name}"
+        for batch in tracked(run.signals.batches(parts(run)), parts(run), progress, stage):
+            rows = zip(*experiment.equation.rows(batch), strict=True)
+            total = merge(total, tuple(Factor.of(x[:, kept], redundancy) for x, kept in rows))
+    return total
+
+
+def _errors(equation: LinearModel, theta: Array, data: Reduction) -> Array:
+    pairs = zip(data, equation.active(), strict=True)
+    return np.array([f.squares(theta[active]) / f.rows if f.rows else np.nan for f, active in pairs])
+
+
+def _shares(equation: LinearModel, theta: Array, data: Reduction) -> Array:
+    """Rms of what each coefficient makes of the torque of the joint on which it makes most, shape (p,)."""
+    share = np.zeros(len(theta))
+    for factor, active in zip(data, equation.active(), strict=True):
+        column = np.linalg.norm(factor.R[:, :-1], axis=0) / np.sqrt(max(factor.rows, 1))
+        share[active] = np.maximum(share[active], np.abs(theta[active]) * column)
+    return share
+
+
+def shortened(log: Log) -> Log:
+    """The log, of a long one its first samples."""
+    kept, left = [], MOST
+    for segment in log.segments:
+        if left > 1:
+            kept.append(slice(segment.start, min(segment.stop, segment.start + left)))
+            left -= segment.stop - segment.start
+    return replace(log, segments=tuple(kept))

@@ -1,0 +1,98 @@
+"""Bounding ellipsoids for a first configuration: those of whole bodies, and why others have none."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from idtool.body import Body
+from idtool.bounding import as_config, bounding_ellipsoids
+from idtool.ellipsoid import Ellipsoid
+from idtool.inertia import mass_com_inertia
+from idtool.model import Model
+from idtool.robot import Robot
+
+_DIGITS = 4  # of a length in m
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Ellipsoids by link, as under ``bounding_ellipsoids``.
+
+    Attributes
+    ----------
+    found
+        Of links whose whole body is bounded.
+    unused
+        Of links whose body has another part that nothing bounds.
+    missing
+        Why a link with mass has none, by link.
+    """
+
+    found: Mapping[str, Any]
+    unused: Mapping[str, Any]
+    missing: Mapping[str, str]
+
+
+def find_bounds(robot: Robot, model: Model) -> Bounds:
+    """The bounding ellipsoids of the links that move."""
+    ellipsoids, notes = bounding_ellipsoids(robot)
+    rounded = {link: _rounded(entries) for link, entries in as_config(ellipsoids).items()}
+    found: dict[str, Any] = {}
+    unused: dict[str, Any] = {}
+    missing = {}
+    for body in model.bodies:
+        links = [member.link for member in body.members if member.link in robot.links and body.kind == "link"]
+        own = {link: rounded[link] for link in links if link in rounded}
+        lacking = _unbounded(body, ellipsoids)
+        (unused if lacking else found).update(own)
+        for link in lacking:
+            why = (note.partition("; ")[2] or note.partition(", for ")[2] for note in notes if _is_of(note, link))
+            missing[link] = next(why, "no geometry")
+    return Bounds(found, unused, missing)
+
+
+def _is_of(note: str, link: str) -> bool:
+    return note.startswith(f"link {link}: ")
+
+
+def _unbounded(body: Body, ellipsoids: Mapping[str, Ellipsoid]) -> list[str]:
+    """A body's links with mass that have no ellipsoid and whose centre of mass lies in no other's."""
+    if body.kind != "link":
+        return []
+    bounded = [member.frame.of(ellipsoids[member.link]) for member in body.members if member.link in ellipsoids]
+    lacking = []
+    for member in body.members:
+        if member.link in ellipsoids or not member.pi[0] > 0:
+            continue
+        centre = mass_com_inertia(member.pi_in_body)[1]
+        if not any(ellipsoid.contains(centre) for ellipsoid in bounded):
+            lacking.append(member.link)
+    return lacking
+
+
+def _rounded(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same to a tenth of a millimetre, semi-axes rounded up."""
+    scale = 10**_DIGITS
+    return [
+        {
+            "center": [round(x, _DIGITS) for x in entry["center"]],
+            "semi_axes": [math.ceil(scale * x) / scale for x in entry["semi_axes"]],
+            "rpy": [round(x, _DIGITS) for x in entry["rpy"]],
+        }
+        for entry in entries
+    ]
+
+
+def search_paths(robot: Robot) -> str:
+    """Where meshes are looked for, in words."""
+    variables = (f"{name}{_value(name)}" for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"))
+    return f"looked for in {robot.path.absolute().parent} and the folders above, {', '.join(variables)}"
+
+
+def _value(name: str) -> str:
+    value = os.environ.get(name, "")
+    return f" ({value})" if value else " (not set)"

@@ -1,0 +1,63 @@
+"""Sections → YAML with comments. All names are a stranger's: none may end the comment that it stands in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from idtool.outputs import as_yaml
+from idtool.starting.records import Section
+
+_WIDTH = 116  # characters of a line, less those of a comment's sign
+
+
+def one_line(text: str) -> str:
+    """The text on one line, characters that cannot be printed, ends of lines among them, escaped."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def written(header: Sequence[str], sections: Sequence[Section]) -> str:
+    """The configuration as text.
+
+    Parameters
+    ----------
+    header
+        Comments at its head, a line each.
+    sections
+        Its keys.
+    """
+    return "\n".join([_comment(header), *map(_block, sections)])
+
+
+def _comment(lines: Sequence[str]) -> str:
+    return "".join(f"# {one_line(line)}\n" for line in lines)
+
+
+def _block(section: Section) -> str:
+    text = _comment(section.comments)
+    if section.value is not None:
+        text += _yaml({section.key: section.value})
+    text += _comment(section.remarks)
+    if section.template is not None:
+        lines = _yaml({section.key: section.template}).splitlines()
+        text += _comment(lines if section.value is None else lines[1:])  # there, entries of the key that is there
+    return text
+
+
+def _yaml(data: Mapping[str, Any]) -> str:
+    """Plain data as YAML, an entry of a key on a line of its own where it fits one."""
+    node = yaml.compose(as_yaml(data, ""), Loader=yaml.SafeLoader)
+    _lay_out(node, 0)
+    return str(yaml.serialize(node, Dumper=yaml.SafeDumper, width=_WIDTH))
+
+
+def _lay_out(node: yaml.Node | None, depth: int) -> int:
+    """Choose which collections stand on one line; how deeply the node is nested."""
+    if not isinstance(node, yaml.CollectionNode):
+        return 0
+    pairs = node.value if isinstance(node, yaml.SequenceNode) else [child for pair in node.value for child in pair]
+    height = 1 + max((_lay_out(child, depth + 1) for child in pairs), default=0)
+    node.flow_style = depth > 0 and height <= (1 if depth == 1 else 2)
+    return height

@@ -1,0 +1,229 @@
+"""Terms that the data may show: offsets, reflected rotor inertia and a delay of the torque, by trial.
+
+All are fitted together; then each is left out, and stays out unless that makes the held-out torque error of its joint
+larger. A delay is looked for first: it would pass for the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.config import Config, parse_config
+from idtool.effects.time_delay import WITHIN
+from idtool.experiment import Experiment, Progress, prepare
+from idtool.robot import Robot
+from idtool.starting.bench import Bench, Verdict, shortened
+from idtool.starting.records import Trial
+
+Array = NDArray[np.float64]
+
+HOLDOUT = 0.3  # share at the end of every log
+_WORTH = 0.02  # share by which held-out RMS must fall: less is no reason for another parameter
+_STEP = 0.05  # periods of the band's edge, of a delay that is tried: the error is a parabola within
+_LONGEST = 0.1  # s, of a delay
+_ROUNDS = 8
+_NARROWER = 0.4
+_TINY = 1e-30  # (N·m)², so that nothing is divided by zero
+
+Data = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What trials found.
+
+    Attributes
+    ----------
+    offsets
+        Joints with an offset.
+    inertia
+        Reflected rotor inertia by joint [kg·m² or kg].
+    delay
+        Of the torque [s]; 0: none.
+    trials
+        What was tried.
+    rms
+        Held-out RMS with viscous and Coulomb friction alone, and with what was found, by joint and ``overall``.
+    differentiated
+        Joints whose velocity ``velocity: auto`` takes from q in some log.
+    warnings
+        What a user should know.
+    """
+
+    offsets: tuple[str, ...]
+    inertia: Mapping[str, float]
+    delay: float
+    trials: tuple[Trial, ...]
+    rms: Mapping[str, Mapping[str, float]]
+    differentiated: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a variant has beside rigid bodies, viscous and Coulomb friction: joints by term, and the delay [s]."""
+
+    offsets: tuple[str, ...] = ()
+    rotors: tuple[str, ...] = ()
+    delay: float = 0.0
+
+    def without(self, effect: str, joint: str) -> Terms:
+        """The same less one term of a joint."""
+        kind = {"torque_offset": "offsets", "rotor_inertia": "rotors"}[effect]
+        left: dict[str, Any] = {kind: tuple(name for name in getattr(self, kind) if name != joint)}
+        return replace(self, **left)
+
+
+class Workshop:
+    """Variants of a configuration on some logs.
+
+    Parameters
+    ----------
+    robot
+        From the URDF.
+    data
+        The configuration so far, plain data.
+    logs
+        The logs.
+    progress
+        Told the stage and how far it has come.
+    """
+
+    def __init__(self, robot: Robot, data: Data, logs: Sequence[Path], progress: Progress) -> None:
+        self.robot, self.data, self.logs, self.progress = robot, data, logs, progress
+        self.joints: list[str] = list(data["joints"])
+
+    def config(self, terms: Terms) -> Config:
+        """A variant."""
+        data, offsets, rotors, delay = dict(self.data), terms.offsets, terms.rotors, terms.delay
+        if offsets:
+            data["friction"] = {j: {"viscous": True, "coulomb": True, "offset": j in offsets} for j in self.joints}
+        entries = [{"effect": "rotor_inertia", "joint": j, "parameters": {"inertia": 0.0}} for j in rotors]
+        if delay:
+            entries.append({"effect": "time_delay", "parameters": {"delay": delay}})
+        if entries:
+            data["effects"] = [*data.get("effects", ()), *entries]
+        return parse_config(data, "trial")
+
+    def bench(self, config: Config) -> Bench:
+        """A variant's logs, reduced."""
+        return Bench(prepare(self.robot, config, self.logs, holdout=HOLDOUT, seen_as=shortened), self.progress)
+
+
+def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) -> Found:
+    """Try what the data may show.
+
+    Parameters
+    ----------
+    shop
+        Variants.
+    offsets
+        Whether offsets are tried.
+    rotors
+        Joints on which a rotor's inertia is tried.
+    delays
+        Whether a delay is tried.
+
+    Raises
+    ------
+    IdtoolError
+        If the logs cannot be used, or a problem could not be solved.
+    """
+    terms = Terms(tuple(shop.joints) if offsets else (), tuple(rotors))
+    first = shop.bench(shop.config(terms))
+    base, full = first.judge(shop.config(Terms())), first.judge(shop.config(terms))
+    trials: list[Trial] = []
+    bench = first
+    if delays:
+        terms, trials, bench = _delay(shop, terms, first, full)
+    kept, more = _pruned(shop, terms, bench)
+    last = bench.judge(shop.config(kept))
+    if last.rms() > base.rms() and not kept.delay:
+        kept, last, more = Terms(), base, [replace(trial, kept=False) for trial in more]
+    return Found(
+        offsets=kept.offsets,
+        inertia={j: last.values["rotor_inertia", j] for j in kept.rotors},
+        delay=kept.delay,
+        trials=(*trials, *more),
+        rms={"friction": _rms(shop.joints, base), "found": _rms(shop.joints, last)},
+        differentiated=_differentiated(bench.experiment),
+        warnings=bench.experiment.warnings,
+    )
+
+
+def _pruned(shop: Workshop, terms: Terms, bench: Bench) -> tuple[Terms, list[Trial]]:
+    """The terms without those that the held-out torque of their joint does not need, left out one after the other."""
+    trials: list[Trial] = []
+    full = bench.judge(shop.config(terms))
+    for effect, joint in [
+        *(("rotor_inertia", j) for j in terms.rotors),
+        *(("torque_offset", j) for j in terms.offsets),
+    ]:
+        shop.progress(f"trying {effect} of {joint}", len(trials) / (len(terms.rotors) + len(terms.offsets)))
+        j, value = shop.joints.index(joint), full.values[effect, joint]
+        without = terms.without(effect, joint)
+        # what is that small is not missed, with the others fitted anew even less
+        slight = full.share[effect, joint] ** 2 < ((1 + _WORTH) ** 2 - 1) * full.train[j]
+        other = full if slight else bench.judge(shop.config(without))
+        before, after = (None if np.isnan(v.held_out[j]) else float(np.sqrt(v.held_out[j])) for v in (other, full))
+        keep = before is not None and after is not None and after < (1 - _WORTH) * before
+        trials.append(Trial(effect, joint, value, before, after, keep))
+        if not keep:
+            terms, full = without, other
+    return terms, trials
+
+
+def _delay(shop: Workshop, terms: Terms, first: Bench, full: Verdict) -> tuple[Terms, list[Trial], Bench]:
+    """The delay at which the training error is least, where the held-out error says so too."""
+    known = {0.0: (first, full)}
+
+    def cost(delay: float) -> float:
+        if delay not in known:
+            shop.progress("trying a delay of the torque", min(len(known) / (3 * _ROUNDS), 1.0))
+            config = shop.config(replace(terms, delay=delay))
+            bench = shop.bench(config)
+            known[delay] = bench, bench.judge(config)
+        return float(np.mean(known[delay][1].train / np.maximum(full.train, _TINY)))
+
+    dt = min(run.signals.log.dt for run in first.experiment.runs)
+    best = _least(cost, _STEP / first.experiment.band_hz, dt)
+    cost(best)
+    bench, other = known[best]
+    ratio = float(np.sqrt(np.nanmean(other.held_out / np.maximum(full.held_out, _TINY))))
+    kept = abs(best) > WITHIN * dt and ratio < 1 - _WORTH
+    trial = Trial("time_delay", None, best, full.rms(), other.rms(), kept)
+    return (replace(terms, delay=best), [trial], bench) if kept else (terms, [trial], first)
+
+
+def _least(cost: Callable[[float], float], step: float, dt: float) -> float:
+    """Where the cost is least, by parabolas through three values around the best so far; to 10 µs.
+
+    Friction that may not be negative gives way to a delay on one side only, so that the parabola is bent: it is made
+    narrower until that matters no more, at half a sample time ``dt`` [s].
+    """
+    best = 0.0
+    for _ in range(_ROUNDS):
+        a, b, c = (cost(round(best + k * step, 5)) for k in (-1, 0, 1))
+        bend = a - 2 * b + c
+        shift = 0.5 * (a - c) / bend if bend > 0 else (2.0 if c < a else -2.0)
+        best = round(float(np.clip(best + step * np.clip(shift, -2, 2), -_LONGEST, _LONGEST)), 5)
+        step *= _NARROWER if abs(shift) < 1 else 1.0
+        if step < 0.5 * dt or abs(best) < 0.5 * dt:
+            break
+    return best
+
+
+def _rms(joints: Sequence[str], verdict: Verdict) -> dict[str, float]:
+    squares = dict(zip(joints, verdict.held_out.tolist(), strict=True))
+    return {**{j: float(np.sqrt(x)) for j, x in squares.items() if np.isfinite(x)}, "overall": verdict.rms()}
+
+
+def _differentiated(experiment: Experiment) -> tuple[str, ...]:
+    flags = np.any([run.signals.differentiated for run in experiment.runs], axis=0)
+    return tuple(name for name, flag in zip(experiment.equation.joints, flags, strict=True) if flag)
