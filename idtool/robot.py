@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +25,7 @@ _MOST_BYTES = 64 << 20
 _MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
 _KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
-_XACRO = "{http://www.ros.org/wiki/xacro}"
+_XACRO = "xacro"  # in the namespaces that xacro has had
 _MOMENTS = ("ixx", "iyy", "izz")  # the parser takes 1 kg·m² for one that is missing
 
 
@@ -106,11 +107,31 @@ def read_robot(path: Path) -> Robot:
     ModelError
         If the file cannot be read, is not a URDF, or its links and joints make no tree.
     """
+    if path.suffix == ".xacro" and path.is_file():  # also where it has no macros: by its name it will have
+        raise ModelError(path, _expand(path))
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
     except OSError as error:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
+    return parse_robot(path, data)
+
+
+def parse_robot(path: Path, data: bytes) -> Robot:
+    """The robot in a URDF's text.
+
+    Parameters
+    ----------
+    path
+        Where the text comes from; errors name it.
+    data
+        The text.
+
+    Raises
+    ------
+    ModelError
+        If it is not a URDF, or its links and joints make no tree.
+    """
     if len(data) > _MOST_BYTES:
         raise ModelError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no URDF is")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -151,9 +172,14 @@ def parse_xml(path: Path, data: bytes) -> etree._Element:
 
 def _reduced(path: Path, data: bytes) -> bytes:
     """The URDF with only what is read here, so that a strange visual or plugin tag cannot stop the parser."""
-    root = parse_xml(path, data)
-    if any(str(element.tag).startswith(_XACRO) for element in root.iter()):
-        raise ModelError(path, "holds xacro macros; run xacro on it and give the result")
+    try:
+        root = parse_xml(path, data)
+    except ModelError:
+        if b"<xacro:" in data:  # a prefix that it does not declare
+            raise ModelError(path, _expand(path)) from None
+        raise
+    if any(_XACRO in str(etree.QName(element).namespace) for element in root.iter(etree.Element)):
+        raise ModelError(path, _expand(path))
     if root.tag != "robot":
         raise ModelError(path, f"is not a URDF: its root element is <{root.tag}>, not <robot>")
     reduced = etree.Element("robot", name=root.get("name", "robot"))
@@ -164,7 +190,16 @@ def _reduced(path: Path, data: bytes) -> bytes:
         _check_parts(path, element)
         copy = etree.SubElement(reduced, element.tag, {str(name): str(value) for name, value in element.attrib.items()})
         copy.extend([child for child in element if child.tag in kept])
+    if any(sign in value for element in reduced.iter() for value in element.attrib.values() for sign in ("${", "$(")):
+        raise ModelError(path, _expand(path))
     return bytes(etree.tostring(reduced))
+
+
+def _expand(path: Path) -> str:
+    """What to do with xacro macros."""
+    plain = path.name.removesuffix(".xacro").removesuffix(".urdf")
+    urdf = shlex.quote(f"{plain}.urdf" if path.suffix == ".xacro" else f"{plain}_expanded.urdf")
+    return f"holds xacro macros; run xacro on it and give the result: xacro {shlex.quote(path.name)} > {urdf}"
 
 
 def _check_parts(path: Path, element: etree._Element) -> None:

@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.exceptions import LogError
+from idtool.logs.bag import SQLITE, is_bag, not_mcap
 from idtool.logs.log import SIGNALS, Log, make_log
 from idtool.names import nearest
 
-__all__ = ["SIGNALS", "Log", "make_log", "read_log", "write_log"]
+__all__ = ["SIGNALS", "Log", "is_bag", "make_log", "read_log", "write_log"]
 
 _HEAD_BYTES = 4096
 
@@ -51,9 +52,9 @@ def read_log(
     Parameters
     ----------
     path
-        The file. What it holds tells the format, not its name.
+        The file, or a rosbag2 folder. What a file holds tells the format, not its name.
     topic
-        The topic that carries the joint states, where the file has several.
+        The topic that carries the joint states, where the log has several.
     columns
         Canonical name (``t``, ``q_hip``, …) to the column of the file that holds it, for CSV.
     scale
@@ -66,8 +67,13 @@ def read_log(
     """
     path = Path(path)
     try:
+        if path.is_dir():
+            from idtool.logs.mcap import read
+
+            named = path if path.name or not is_bag(path) else path.resolve()  # the folder one is in
+            return _scaled(read(named, topic, columns), scale)
         if not path.is_file():
-            raise LogError(path, "is a folder; name a file in it" if path.is_dir() else "there is no such file")
+            raise LogError(path, "there is no such file")
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
         if not head:
@@ -77,6 +83,8 @@ def read_log(
                 return _scaled(form.read(path, topic, columns), scale)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
+    if head.startswith(SQLITE):
+        raise LogError(path, not_mcap(path, "sqlite3"))
     raise LogError(path, f"is no log that can be read: {' or '.join(_endings())}, CSV in UTF-8")
 
 

@@ -30,7 +30,7 @@ class Log:
     Attributes
     ----------
     path
-        The file they came from.
+        The file or folder they came from.
     joints
         Joint names, in the order of the columns.
     t

@@ -12,10 +12,11 @@ from typing import BinaryIO
 import numpy as np
 
 from idtool.exceptions import LogError
+from idtool.logs.bag import MCAP, ZSTD, files_of
+from idtool.logs.files import records
 from idtool.logs.interleaved import log_of
 from idtool.logs.log import Array, Log
 from idtool.logs.payloads.cdr import DEFINITION, TYPE, encode
-from idtool.logs.records import MAGIC, Records
 from idtool.logs.series import Series
 from idtool.logs.topics import COMMANDS_OF, Topics
 
@@ -28,33 +29,41 @@ _BLOCK = 4096  # messages built together
 
 
 def matches(head: bytes) -> bool:
-    """Whether a file that begins with ``head`` is MCAP."""
-    return head.startswith(MAGIC[:5])  # what follows is the version
+    """Whether a file that begins with ``head`` is MCAP, or compressed as rosbag2 compresses MCAP."""
+    return head.startswith((MCAP, ZSTD))  # what follows the former is the version
 
 
 def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     """Read the joint states of ``topic``, or of the only topic that carries some; ``columns`` concern CSV alone.
 
+    Parameters
+    ----------
+    path
+        The file, or the rosbag2 folder, whose files are parts of one log.
+
     Raises
     ------
     LogError
-        If the file is damaged, or no topic or several can be meant.
+        If a file is damaged, or no topic or several can be meant.
     """
-    with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            raise LogError(path, "is MCAP of an unknown version; convert it with the mcap command line tool")
-        records = Records(path, file)
-        topics = Topics(path, topic)
-        for batch in records:
-            topics.take(batch)
-    if records.cut and not len(topics):
+    files = files_of(path)
+    topics, cut = Topics(path, topic), []
+    for file in files:
+        topics.begin(file)
+        with records(file) as found:
+            for batch in found:
+                topics.take(batch)
+        if found.cut:
+            cut.append(file)
+    if cut and not len(topics):
         raise LogError(path, "was cut off before its first message")
     states, commands = topics.chosen()
     t, joints, signals = states.arrays()
-    warnings = []
-    if records.cut:
+    warnings = [f"{file.name} was cut off in mid-write; its end is missing" for file in cut if file != files[-1]]
+    if files[-1] in cut:
         kept = f"{len(t)} samples, up to t = {t[-1]:.3f} s" if len(t) else "no samples"
-        warnings.append(f"the file was cut off in mid-write; kept: {kept}")
+        name = "the file" if files == [path] else files[-1].name
+        warnings.append(f"{name} was cut off in mid-write; kept: {kept}")
     if commands:
         try:
             signals |= _aligned(commands, t, joints)

@@ -127,8 +127,8 @@ class Records:
         """Where they stand in the file, runs of records, and whether the last record is whole."""
         loose, start = bytearray(), 0
         at = self._file.seek(len(MAGIC))
-        while len(head := self._file.read(RECORD.size)) == RECORD.size:
-            opcode, length = RECORD.unpack(head)
+        while at + RECORD.size <= self._size:  # what follows is what a file system leaves
+            opcode, length = RECORD.unpack(head := self._file.read(RECORD.size))
             at += RECORD.size
             there = min(length, self._size - at)
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):

@@ -43,17 +43,18 @@ class Samples:
 
 
 class Series:
-    """Samples in the order they came. Values that no sample gave are NaN.
+    """Samples in the order they came, parts in the order of their times. Values that no sample gave are NaN.
 
     Parameters
     ----------
     path
-        The file they come from; errors name it.
+        The log they come from; errors name it.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._size = 0
+        self._parts: list[int] = []
         self._t: Array = np.empty(0)
         self._columns: dict[str, int] = {}
         self._signals: dict[str, Array] = {}
@@ -87,10 +88,24 @@ class Series:
             for name, values in piece.signals.items():
                 self._signals[name][block] = values
 
+    def part(self) -> None:
+        """What is added from now on is a part of its own, as the next file is of a log in several."""
+        self._parts.append(self._size)
+
     def arrays(self) -> tuple[Array, tuple[str, ...], dict[str, Array]]:
         """Times (N,), joints, and signals (N, nj), without a copy; the series must not be added to after."""
         self._resize(self._size)
+        self._sort()
         return self._t, tuple(self._columns), self._signals
+
+    def _sort(self) -> None:
+        """Put the parts in the order of their first samples, a column at a time, so that none is held twice."""
+        bounds = [*sorted({0, *self._parts} - {self._size}), self._size]
+        order = np.argsort(self._t[bounds[:-1]], kind="stable")
+        if (np.diff(order) > 0).all():
+            return
+        for column in (self._t, *(column for array in self._signals.values() for column in array.T)):
+            column[:] = np.concatenate([column[bounds[i] : bounds[i + 1]] for i in order])
 
     def _admit(self, piece: Samples) -> None:
         """Make room for the joints and signals of a piece that are new."""

@@ -1,22 +1,19 @@
-"""The topics of an MCAP file: which one carries the joint states, and what its messages hold."""
+"""The topics of MCAP files: which one carries the joint states, and what its messages hold."""
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from idtool.exceptions import LogError
+from idtool.logs.definitions import Definitions, kind_of
 from idtool.logs.payloads import decoder_for
 from idtool.logs.payloads.base import Decoder, PayloadError
-from idtool.logs.records import HEAD, MESSAGE_FIELDS, RECORD, SCHEMA, Batch
+from idtool.logs.records import HEAD, MESSAGE_FIELDS, Batch
 from idtool.logs.series import Samples, Series
 from idtool.names import nearest, shown, some
 
@@ -33,7 +30,7 @@ class _Topic:
 
 
 class Topics:
-    """Takes the messages of a file and keeps those that may be wanted.
+    """Takes the messages of a log's files, one after the other, and keeps those that may be wanted.
 
     A topic whose metadata says that it carries commands is read with the topic of the states, and for states only
     when it is asked for.
@@ -41,7 +38,7 @@ class Topics:
     Parameters
     ----------
     path
-        The file; errors name it.
+        The log; errors name it.
     wanted
         The topic to read; None to find it.
     """
@@ -49,9 +46,15 @@ class Topics:
     def __init__(self, path: Path, wanted: str | None) -> None:
         self._path = path
         self._wanted = wanted
-        self._schemas: dict[int, Schema] = {}
+        self._definitions = Definitions(path)
         self._channels: dict[int, tuple[str, Decoder | None]] = {}
         self._topics: dict[str, _Topic] = {}
+
+    def begin(self, file: Path) -> None:
+        """What is taken from now on is from this file, in which channels have other numbers."""
+        self._definitions = Definitions(file)
+        for topic in self._topics.values():
+            topic.series.part()
 
     def take(self, batch: Batch) -> None:
         """Decode what is wanted of a batch.
@@ -61,15 +64,14 @@ class Topics:
         LogError
             If a definition or a message cannot be read.
         """
-        for at in batch.definitions:
-            self._define(batch.buffer, at)
+        for added in self._definitions.take(batch):
+            self._add(*added)
         if not len(batch.messages):
             return
         heads = batch.heads
         pieces: dict[str, list[Samples]] = {}
         for channel in np.unique(heads["channel"]).tolist():
-            if channel not in self._channels:
-                raise LogError(self._path, f"is damaged: it has messages of channel {channel}, but not the channel")
+            self._definitions.check(channel)
             name, decoder = self._channels[channel]
             which = np.flatnonzero(heads["channel"] == channel)
             if decoder and self._follows(name):
@@ -129,24 +131,11 @@ class Topics:
             return self._wanted in (name, topic.commands_of)
         return topic.commands_of is not None or self._candidates()[:1] in ([], [name])
 
-    def _define(self, buffer: bytes, at: int) -> None:
-        begin, length = at + RECORD.size, RECORD.unpack_from(buffer, at)[1]
-        stream = ReadDataStream(BytesIO(buffer[begin : begin + length]))
-        try:
-            if buffer[at] == SCHEMA:
-                schema = Schema.read(stream)
-                self._schemas.setdefault(schema.id, schema)
-                return
-            channel = Channel.read(stream)
-        except (McapError, struct.error, UnicodeDecodeError):
-            raise LogError(self._path, "is damaged: a schema or channel cannot be read") from None
-        if channel.id in self._channels:
-            return
-        of = self._schemas.get(channel.schema_id)
-        decoder = decoder_for(channel.message_encoding, of) if of else None
-        kind = f"{of.name if of else 'no schema'}, {channel.message_encoding}"
+    def _add(self, channel: Channel, schema: Schema | None) -> None:
+        decoder = decoder_for(channel.message_encoding, schema) if schema else None
         commands_of = channel.metadata.get(COMMANDS_OF)
-        topic = self._topics.setdefault(channel.topic, _Topic(kind, False, commands_of, Series(self._path)))
+        new = _Topic(kind_of(channel, schema), False, commands_of, Series(self._path))
+        topic = self._topics.setdefault(channel.topic, new)
         topic.joints |= decoder is not None
         self._channels[channel.id] = channel.topic, decoder
 

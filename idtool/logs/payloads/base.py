@@ -19,6 +19,8 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 
 # A buffer, where in it each message starts and how long it is, to their samples; a message without a stamp has t = 0.
 Decoder = Callable[[bytes, NDArray[np.intp], NDArray[np.intp]], list[Samples]]
+# A message to its text in UTF-8; ValueError where it cannot be decoded.
+TextDecoder = Callable[[bytes], bytes]
 
 
 class PayloadError(Exception):

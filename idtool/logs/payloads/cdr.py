@@ -3,7 +3,7 @@
 Four bytes say which CDR it is. Then, each aligned to its size (at most 4 bytes in XCDR2) from there on:
 int32 sec, uint32 nanosec, string frame_id, string[] name, float64[] position, velocity, effort.
 A string is its length with the closing zero byte, and its bytes; a sequence is its count, and its elements.
-XCDR2 puts the size in bytes before a sequence of strings.
+XCDR2 puts the size in bytes before a sequence of strings. `std_msgs/msg/String` is one string.
 Source: OMG DDS-XTypes 1.3, 7.4 and 7.6.3.1.2; OMG DDSI-RTPS 2.5, 10.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.logs.log import Array
-from idtool.logs.payloads.base import SIGNALS, Decoder, check_counts, check_names
+from idtool.logs.payloads.base import SIGNALS, Decoder, TextDecoder, check_counts, check_names
 from idtool.logs.payloads.template import Bytes, Layout, decode_alike
 from idtool.logs.series import Samples
 
@@ -50,6 +50,16 @@ _HEADER = 4
 def decoder(schema: Schema) -> Decoder | None:
     """Of JointState messages, whatever language their schema is written in."""
     return _decode if schema.name.replace("/msg/", "/") == "sensor_msgs/JointState" else None
+
+
+def text(schema: Schema) -> TextDecoder | None:
+    """Of String messages, whatever language their schema is written in."""
+    return _text if schema.name.replace("/msg/", "/") == "std_msgs/String" else None
+
+
+def _text(message: bytes) -> bytes:
+    cursor = _Cursor(message)
+    return cursor.fixed(cursor.count()).removesuffix(b"\0")
 
 
 def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:

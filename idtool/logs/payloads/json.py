@@ -1,4 +1,4 @@
-"""The fields of `sensor_msgs/msg/JointState` as JSON."""
+"""The fields of `sensor_msgs/msg/JointState` and `std_msgs/msg/String` as JSON."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from idtool.logs.payloads.base import (
     Decoder,
     PayloadError,
     State,
+    TextDecoder,
     samples_of,
 )
 from idtool.logs.series import Samples
@@ -28,10 +29,7 @@ ENCODING = "json"
 
 def decoder(schema: Schema) -> Decoder | None:
     """Of messages whose schema has lists of names and positions, or, where it names no fields, is called JointState."""
-    try:
-        properties = json.loads(schema.data).get("properties")
-    except (ValueError, RecursionError, AttributeError):
-        properties = None
+    properties = _properties(schema)
     if not properties:
         return _decode if schema.name.endswith("JointState") else None
     try:
@@ -39,6 +37,27 @@ def decoder(schema: Schema) -> Decoder | None:
     except (AttributeError, KeyError, TypeError):
         return None
     return _decode if lists else None
+
+
+def text(schema: Schema) -> TextDecoder | None:
+    """Of messages whose schema has a field ``data``, or, where it names no fields, is called String."""
+    properties = _properties(schema)
+    return _text if "data" in properties or (not properties and schema.name.endswith("String")) else None
+
+
+def _properties(schema: Schema) -> Any:
+    """What the schema says of the fields; empty where it names none."""
+    try:
+        return json.loads(schema.data).get("properties") or {}
+    except (ValueError, RecursionError, AttributeError):
+        return {}
+
+
+def _text(message: bytes) -> bytes:
+    try:
+        return str.encode(json.loads(message)["data"])
+    except (ValueError, RecursionError, KeyError, TypeError):
+        raise ValueError("is no text in a field called data") from None
 
 
 def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:

@@ -1,6 +1,6 @@
-"""The fields of `sensor_msgs/msg/JointState` in protobuf, whatever their numbers.
+"""The fields of `sensor_msgs/msg/JointState` and `std_msgs/msg/String` in protobuf, whatever their numbers.
 
-Messages whose values are packed doubles or floats, as proto3 writes them, are read many at once; google.protobuf
+Joint states whose values are packed doubles or floats, as proto3 writes them, are read many at once; google.protobuf
 decodes the others one by one.
 """
 
@@ -23,6 +23,7 @@ from idtool.logs.payloads.base import (
     Decoder,
     PayloadError,
     State,
+    TextDecoder,
     samples_of,
 )
 from idtool.logs.payloads.template import decode_alike
@@ -53,6 +54,26 @@ def decoder(schema: Schema) -> Decoder | None:
     if not (names and positions and names.type == _STRING and names.label == positions.label == _REPEATED):
         return None
     return _Decoder(descriptor)
+
+
+def text(schema: Schema) -> TextDecoder | None:
+    """Of messages that have one string in a field called ``data``."""
+    from google.protobuf.message import DecodeError
+    from google.protobuf.message_factory import GetMessageClass
+
+    descriptor = _descriptor(schema) if b"data" in schema.data else None
+    field = _fields(descriptor).get("data") if descriptor else None
+    if descriptor is None or field is None or field.type != _STRING or field.label == _REPEATED:
+        return None
+    message = GetMessageClass(descriptor)
+
+    def decode(data: bytes) -> bytes:
+        try:
+            return str.encode(getattr(message.FromString(data), "data"))  # noqa: B009  # known to the schema alone
+        except (DecodeError, TypeError, ValueError) as error:
+            raise ValueError(f"is not what its schema says: {error}") from None
+
+    return decode
 
 
 def _descriptor(schema: Schema) -> Descriptor | None:

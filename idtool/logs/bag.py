@@ -1,0 +1,141 @@
+"""Bags: what a ROS user records, and the rosbag2 folder that is one log in several files.
+
+The folder's `metadata.yaml` names its files, in order. It is a stranger's: it is read as plain text of bounded size,
+and only files within the folder are.
+Source: github.com/ros2/rosbag2, rosbag2_storage/include/rosbag2_storage/yaml.hpp
+"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from idtool.exceptions import LogError
+from idtool.names import shown
+
+METADATA = "metadata.yaml"
+MCAP, ZSTD, SQLITE = b"\x89MCAP", b"\x28\xb5\x2f\xfd", b"SQLite format 3\0"  # that files begin with
+
+_INFORMATION = "rosbag2_bagfile_information"
+_MOST_BYTES = 4 << 20
+_MOST_FILES = 10_000
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a log that ROS records, readable or not: a folder with metadata, or a file of its storage."""
+    try:
+        if path.is_dir():
+            return (path / METADATA).is_file()
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(SQLITE)).startswith((MCAP, ZSTD, SQLITE))
+    except OSError:
+        return False
+
+
+def files_of(log: Path) -> list[Path]:
+    """The files of a log: those of a rosbag2 folder, else the log itself; errors as in `bag_files`."""
+    return bag_files(log) if log.is_dir() else [log]
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """The files of a rosbag2 folder, in the order in which its metadata name them.
+
+    Raises
+    ------
+    LogError
+        If it has no metadata, or they name no file that is there and can be read, or one outside of it.
+    """
+    metadata = folder / METADATA
+    if not metadata.is_file():
+        raise LogError(
+            folder,
+            f"is a folder without {METADATA}; a rosbag2 folder holds that and the files it names. Let 'ros2 bag "
+            f"reindex {shlex.quote(str(folder))} -s mcap' write it, or name a file in the folder",
+        )
+    information = _information(metadata)
+    names = _names(information)
+    storage = _text(information.get("storage_identifier"))
+    if any(name.endswith((".db3", ".db3.zstd")) for name in names):
+        storage = "sqlite3"
+    if storage not in ("", "mcap"):  # none after a reindexing
+        raise LogError(folder, not_mcap(folder, storage))
+    if _text(information.get("compression_mode")).upper() == "MESSAGE":
+        raise LogError(
+            folder, f"holds messages that are compressed one by one, which is not read; {_conversion(folder)}"
+        )
+    if not names:
+        raise LogError(metadata, "names no files under relative_file_paths; let 'ros2 bag reindex' write it anew")
+    if len(names) > _MOST_FILES or len(set(names)) < len(names):
+        what = "a file twice" if len(names) <= _MOST_FILES else f"more than {_MOST_FILES} files"
+        raise LogError(metadata, f"names {what}; let 'ros2 bag reindex' write it anew")
+    return [_within(folder, name) for name in names]
+
+
+def not_mcap(path: Path, storage: str) -> str:
+    """What is wrong with a bag of another storage, and how to convert it."""
+    return f"is stored as {shown(storage)}, not mcap; {_conversion(path)}"
+
+
+def _conversion(path: Path) -> str:
+    """How to write a bag anew as MCAP; as ``all`` has always been understood, while ``all_topics`` is new."""
+    target = shown(f"{path.stem}_mcap")
+    return (
+        f"write 'output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]' to out.yaml, "
+        f"run 'ros2 bag convert -i {shlex.quote(str(path))} -o out.yaml' and give {target}"
+    )
+
+
+def _information(metadata: Path) -> dict[str, Any]:
+    """What the metadata say, numbers as text."""
+    with metadata.open("rb") as file:
+        data = file.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise LogError(metadata, f"is larger than {_MOST_BYTES >> 20} MiB, which no bag's is")
+    try:  # the base loader makes nothing but text, lists and mappings, whatever the tags say
+        read = yaml.BaseLoader(data).get_single_data()
+    except yaml.MarkedYAMLError as error:
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise LogError(metadata, f"is not YAML{line}: {error.problem}") from None
+    except Exception as error:  # the parser has no error of its own for what nests too deep, or is no character
+        raise LogError(metadata, f"is not YAML ({type(error).__name__})") from None
+    information = read.get(_INFORMATION) if isinstance(read, dict) else None
+    if not isinstance(information, dict):
+        raise LogError(metadata, f"has no {_INFORMATION}; it is not the metadata of a rosbag2 folder")
+    return information
+
+
+def _names(information: dict[str, Any]) -> list[str]:
+    """The names of the files, as they stand in the metadata."""
+    paths, files = (information.get(key) for key in ("relative_file_paths", "files"))
+    if not (isinstance(paths, list) and paths):
+        paths = [file.get("path") for file in files if isinstance(file, dict)] if isinstance(files, list) else []
+    return [name for name in map(_text, paths) if name]
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _within(folder: Path, name: str) -> Path:
+    """The file of that name, which is in the folder."""
+    outside = f"names {shown(name)}, which is not within the folder; only files there are read"
+    path = folder / name
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise LogError(folder / METADATA, outside)
+    try:
+        if not path.is_file() and (folder / path.name).is_file():
+            path = folder / path.name  # the first recorders that compressed wrote the folder's name before it
+        there = path.is_file()
+        inside = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError):  # a name that no file can have, or a link to itself
+        there = inside = False
+    if there and not inside:
+        raise LogError(folder / METADATA, outside)
+    if not there:
+        raise LogError(folder / METADATA, f"names {shown(name)}, which is not in the folder; add it, or take it out")
+    return path

@@ -1,0 +1,64 @@
+"""The schemas and channels of an MCAP file, by the numbers that its messages bear."""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Channel, Schema
+
+from idtool.exceptions import LogError
+from idtool.logs.records import RECORD, SCHEMA, Batch
+
+
+class Definitions:
+    """What a file has defined so far; the first definition of a number counts.
+
+    Parameters
+    ----------
+    path
+        The file; errors name it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._schemas: dict[int, Schema] = {}
+        self._channels: set[int] = set()
+
+    def take(self, batch: Batch) -> list[tuple[Channel, Schema | None]]:
+        """The channels that a batch adds, each with the schema of its messages.
+
+        Raises
+        ------
+        LogError
+            If a definition cannot be read.
+        """
+        added = []
+        for at in batch.definitions:
+            begin, length = at + RECORD.size, RECORD.unpack_from(batch.buffer, at)[1]
+            stream = ReadDataStream(BytesIO(batch.buffer[begin : begin + length]))
+            try:
+                if batch.buffer[at] == SCHEMA:
+                    schema = Schema.read(stream)
+                    self._schemas.setdefault(schema.id, schema)
+                    continue
+                channel = Channel.read(stream)
+            except (McapError, struct.error, UnicodeDecodeError):
+                raise LogError(self._path, "is damaged: a schema or channel cannot be read") from None
+            if channel.id not in self._channels:
+                self._channels.add(channel.id)
+                added.append((channel, self._schemas.get(channel.schema_id)))
+        return added
+
+    def check(self, channel: int) -> None:
+        """Raise LogError for messages of a channel that the file does not define."""
+        if channel not in self._channels:
+            raise LogError(self._path, f"is damaged: it has messages of channel {channel}, but not the channel")
+
+
+def kind_of(channel: Channel, schema: Schema | None) -> str:
+    """What a channel's messages are, for people."""
+    return f"{schema.name if schema else 'no schema'}, {channel.message_encoding}"
