@@ -28,9 +28,8 @@ SHAPES: dict[str, dict[str, Any]] = {
 
 def page_of(bodies: dict[str, dict[str, Any]]) -> Page:
     """A page of this section alone."""
-    return Page(
-        render("t", [("Bodies", "bodies_3d.html")], ["solids.js", "bodies.js"], body_views(bodies), report={"bodies": bodies})
-    )
+    scripts = ["solids.js", "bodies.js"]
+    return Page(render("t", [("Bodies", "bodies_3d.html")], scripts, body_views(bodies), report={"bodies": bodies}))
 
 
 def view_of(**extra: Any) -> dict[str, Any]:

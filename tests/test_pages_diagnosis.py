@@ -126,7 +126,7 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
 
 
 def test_residuals_are_drawn_before_and_after(found: Diagnosis) -> None:
-    drawn = page_of(found).data["residuals"]
+    drawn = page_of(found).data["residuals"]["joints"]
     assert [joint["name"] for joint in drawn] == list(JOINTS)
     views = drawn[1]["views"]
     titles = ["position [rad]", "velocity [rad/s]", "torque [N·m]", "time [s]", "frequency [Hz]", "periods per turn"]
@@ -137,7 +137,7 @@ def test_residuals_are_drawn_before_and_after(found: Diagnosis) -> None:
 
 def test_no_line_of_a_spectrum_is_lost_in_drawing(found: Diagnosis) -> None:
     maps = {joint: residual(1.0, lines=50_000) for joint in JOINTS}
-    for view in page_of(replace(found, maps_before=maps)).data["residuals"][0]["views"][4:]:
+    for view in page_of(replace(found, maps_before=maps)).data["residuals"]["joints"][0]["views"][4:]:
         assert len(view["before"]["rms"]) <= 200
         assert max(view["before"]["rms"]) == 1.0
         at = view["before"]["at"][int(np.argmax(view["before"]["rms"]))]
@@ -257,7 +257,7 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     large: Any = replace(found, first=fit, last=fit, maps_before=maps, maps_after=maps)  # type: ignore[arg-type]
     page = Page(diagnosis_page(large, report, "idtool diagnose"))
     complete(page)
-    assert len(page.data["residuals"]) == 12
+    assert len(page.data["residuals"]["joints"]) == 12
     assert "diagnosis.json holds them" in page.text
 
 

@@ -74,7 +74,7 @@ def test_names_and_paths_stay_text(fitted: Fit, report: dict[str, Any]) -> None:
         f"Measured and {what} of {name} over time"
         for name in (SCRIPT, SLIDE)
         for what in ("predicted torque and residual", "simulated position")
-    } == {(attrs["aria-label"] or "").removesuffix(", and its position") for _, attrs in page.tags if "data-joint" in attrs}
+    } == {attrs["aria-label"] for _, attrs in page.tags if "data-joint" in attrs}
     bodies = [attrs["aria-label"] or "" for _, attrs in page.tags if "data-body" in attrs]
     assert [label.partition(" in its frame")[0] for label in bodies] == [f"Body {BODY}", "Body l2"]
     for text in (f"idtool fit {SCRIPT} --out ?", "a?", f"with {SCRIPT}", f"{SCRIPT}.csv"):

@@ -14,6 +14,7 @@ from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Body, Friction, Rms, body_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
 from idtool.api.records import Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.diagnosis.maps import residual_maps
 from idtool.experiment import Experiment
 from idtool.fitting import Fit
 from idtool.fitting import fit as identify
@@ -23,6 +24,8 @@ from idtool.report import fit_report, model_config
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+    from idtool.pages.fit import Maps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +56,7 @@ class FitResult:
     simulation: ReadOnly[Any] | None
     warnings: tuple[str, ...]
     _fit: Fit
+    _maps: Maps | None
     _report: Mapping[str, Any]
     _made_by: str
 
@@ -92,7 +96,7 @@ class FitResult:
             IDENTIFIED: identified_text(self._fit),
             SETTINGS: as_yaml(model_config(self._fit), header),
             "report.json": as_json(self._report),
-            "report.html": fit_page(self._fit, dict(self._report), self._made_by if made_by is None else made_by),
+            "report.html": fit_page(self._fit, dict(self._report), made_by or self._made_by, self._maps),
         }
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
@@ -243,6 +247,8 @@ def fit_experiment(
         As in `fit`.
     """
     found = identify(experiment, progress, simulate, question, method)
+    thetas = (experiment.equation.prior, found.estimate.theta)
+    prior, own = (residual_maps(found.experiment, theta, progress) if question else {} for theta in thetas)
     report = fit_report(found)
     return FitResult(
         joints=tuple(report["joints"]),
@@ -253,6 +259,7 @@ def fit_experiment(
         simulation=frozen(report["simulation"]),
         warnings=tuple(report["warnings"]),
         _fit=found,
+        _maps=(prior, own) if question else None,
         _report=report,
         _made_by=made_by,
     )

@@ -43,6 +43,7 @@ def _residual(found: Course, j: int, band: float) -> Residual:
     views = {
         "position": (q, _even(q, _BINS)),
         "velocity": (v, _finer_near_zero(v)),
+        "acceleration": (found.a[j, kept], _even(found.a[j, kept], _BINS)),
         "torque": (found.tau[j, kept], _even(found.tau[j, kept], _BINS)),
         "time": (found.t[kept], _even(found.t, _TIMES)),
     }

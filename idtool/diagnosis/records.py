@@ -138,7 +138,8 @@ class Residual:
     Attributes
     ----------
     against
-        By what it is binned: ``position``, ``velocity``, ``torque``, ``time``: centres of the bins, shape (k,).
+        By what it is binned: ``position``, ``velocity``, ``acceleration``, ``torque``, ``time``: centres of the bins,
+        shape (k,).
     mean, rms
         By the same name, of the residual in each bin [N·m or N], shape (k,).
     frequency, density

@@ -14,14 +14,14 @@ from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]
 
-_MOST_VALUES = 80_000  # that all curves of torque hold together: some 600 kB of text
+_MOST_VALUES = 60_000  # that all curves of torque hold together: some 450 kB of text
 _MOST_LOGS = 6  # that are drawn
 _DIGITS = 5  # of a curve's largest value
 _MOST_DECIMALS = 12
 _LATE = 1e4  # s: later times are drawn as time since the curve's first whole second
 
 
-def curves(evaluation: Evaluation, model: str, units: Mapping[str, str]) -> dict[str, Any]:
+def curves(evaluation: Evaluation, model: str, units: Mapping[str, str], position: bool = True) -> dict[str, Any]:
     """What the plots are drawn from, of bounded size.
 
     Parameters
@@ -32,13 +32,16 @@ def curves(evaluation: Evaluation, model: str, units: Mapping[str, str]) -> dict
         Whose torque is the ``predicted`` one.
     units
         Unit of the torque by joint, in the order of the curves.
+    position
+        Whether the joints' positions are drawn too, where the traces have them.
 
     Returns
     -------
     ``logs``, each with its name, times ``t`` [s] after ``start`` and ``joints``, each of these with its name, unit and
     curves; ``omitted``, the number of logs that are not drawn.
     """
-    names = {"measured": "measured", "predicted": model, "residual": "residual", "prior": "prior", "position": "q"}
+    names = {"measured": "measured", "predicted": model, "residual": "residual", "prior": "prior"}
+    names |= {"position": "q"} if position else {}
     return drawn(evaluation.traces, names, units, _MOST_VALUES)
 
 

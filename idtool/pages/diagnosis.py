@@ -24,13 +24,14 @@ _SECTIONS = (
     ("What was found", "diagnosis_findings.html"),
     ("The gap, step by step", "diagnosis_gap.html"),
     _STEPS,
-    ("Where the torque error lives", "diagnosis_residuals.html"),
+    ("Where the torque error lives", "residuals.html"),
     ("Measured and predicted torque", "diagnosis_torques.html"),
     _SIMULATION,
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
     ("How this was made", "origin.html"),
 )
+_NAMES, _MODELS = ("before", "after"), "the model given and of that with the effects"
 _MOST_VALUES = 50_000  # that all curves of torque hold together: some 400 kB of text
 _MOST_ROWS = 30  # candidates of a step that are listed
 _VERDICTS = {
@@ -62,12 +63,12 @@ def diagnosis_page(diagnosis: Diagnosis, report: Mapping[str, Any], command: str
     return render(
         f"{Path(report['urdf']).stem}: what the model lacks",
         [section for section in _SECTIONS if section not in needs or report[needs[section]]],
-        ["torques.js", "lines.js", "positions.js", "diagnosis.js"],
+        ["torques.js", "lines.js", "positions.js", "diagnosis.js", "residuals.js"],
         {
             **_torques(last.traces, first.traces, units),
             **simulation_view(simulated, report, "identified"),
             "gap": gap_views(report),
-            "residuals": residual_views(diagnosis.maps_before, diagnosis.maps_after, units),
+            "residuals": residual_views(diagnosis.maps_before, diagnosis.maps_after, units, _NAMES, _MODELS),
         },
         report=report,
         groups=by_unit(units),

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from idtool.diagnosis.records import Residual
 from idtool.fitting import Fit
 from idtool.pages.base import render
 from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
+from idtool.pages.residuals import residual_views
 from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
 
+Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]
+
+_RESIDUALS = ("Where the torque error lives", "residuals.html")
+_NAMES, _MODELS = ("prior", "identified"), "the URDF given and of the identified model"
 _SECTIONS = (
     ("What was found", "fit_findings.html"),
     ("Torque error", "fit_errors.html"),
     ("Measured and predicted torque", "torques.html"),
+    _RESIDUALS,
     SIMULATION,
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
@@ -32,7 +40,7 @@ _SECTIONS = (
 )
 
 
-def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
+def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None = None) -> str:
     """report.html.
 
     Parameters
@@ -43,21 +51,26 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
         The content of report.json.
     command
         The command line that made it.
+    maps
+        What the prior and the identified model leave of the torque, by joint; None: not asked for.
     """
     units = report["units"]
     own, prior = report["rms"]["validation"], report["rms"]["prior_validation"]
     held_out = own is not None
     shown, views = fit.validation if held_out else fit.train, body_views(report["bodies"])
     robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
+    left = {"residuals": residual_views(*maps, units, _NAMES, _MODELS)} if maps else {}
+    sections = [section for section in _SECTIONS if section != _RESIDUALS or maps]
     return render(
         f"{Path(report['urdf']).stem}: identified dynamics",
-        with_robot(with_trust(with_simulation(_SECTIONS, report), report), robot),
-        ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js", "bodies.js", "trust.js"],
+        with_robot(with_trust(with_simulation(sections, report), report), robot),
+        ["torques.js", "lines.js", "positions.js", "residuals.js", "solids.js", "robot.js", "bodies.js", "trust.js"],
         {
-            **curves(shown, "identified", units),
+            **curves(shown, "identified", units, position=False),
             **simulation_view(fit.simulation, report, "identified"),
             **views,
             **robot,
+            **left,
         },
         report=report,
         groups=by_unit(units),
@@ -65,6 +78,7 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str) -> str:
         **trust_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
         worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
+        worst=max(report["joints"], key=lambda name: (own or report["rms"]["train"])[name]),
         determined=fit.uncertainty.identifiable,
         closest=fit.estimate.certificate.where,
         command=command,

@@ -18,8 +18,14 @@ Array = NDArray[np.float64]
 _MOST_VALUES = 16_000  # that all residuals hold together: some 130 kB of text
 _LEAST_POINTS = 12  # of a curve
 _MOST_POINTS = 200
-_CURVES = 32  # of a joint: 2 models, each with 4 views of 3 and 2 spectra of 2
-_AXES = {"position": "position [{q}]", "velocity": "velocity [{q}/s]", "torque": "torque [{tau}]", "time": "time [s]"}
+_CURVES = 38  # of a joint: 2 models, each with 5 views of 3 and 2 spectra of 2
+_AXES = {
+    "position": "position [{q}]",
+    "velocity": "velocity [{q}/s]",
+    "acceleration": "acceleration [{q}/s²]",
+    "torque": "torque [{tau}]",
+    "time": "time [s]",
+}
 
 
 def gap_views(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,25 +71,35 @@ def _held_out(level: Mapping[str, Any]) -> Mapping[str, float]:
 
 
 def residual_views(
-    before: Mapping[str, Residual], after: Mapping[str, Residual], units: Mapping[str, str]
-) -> list[dict[str, Any]]:
-    """What is drawn of the residuals, of bounded size.
+    before: Mapping[str, Residual],
+    after: Mapping[str, Residual],
+    units: Mapping[str, str],
+    names: tuple[str, str],
+    of: str,
+) -> dict[str, Any]:
+    """What is drawn of the residuals of two models, of bounded size.
 
     Parameters
     ----------
     before, after
-        Those of the model without and with the effects, by joint.
+        Theirs, by joint.
     units
         Unit of the torque, by joint.
+    names
+        What the two are called.
+    of
+        The same, in a sentence.
 
     Returns
     -------
-    Of each joint its ``name`` and ``views``, each with the titles ``x`` and ``y``, whether y is on a logarithmic axis
-    (``log``), and of the models ``before`` and ``after`` the ``at`` and, as far as there are, ``mean`` and ``rms``.
+    ``names``, by ``before`` and ``after``, ``of``, and ``joints``: of each its ``name`` and ``views``, each with the
+    titles ``x`` and ``y``, whether y is on a logarithmic axis (``log``), and of the models ``before`` and ``after`` the
+    ``at`` and, as far as there are, ``mean`` and ``rms``.
     """
     joints = [joint for joint in units if joint in before and joint in after]
     points = min(max(_MOST_VALUES // max(_CURVES * len(joints), 1), _LEAST_POINTS), _MOST_POINTS)
-    return [{"name": joint, "views": _views(before[joint], after[joint], units[joint], points)} for joint in joints]
+    views = [{"name": joint, "views": _views(before[joint], after[joint], units[joint], points)} for joint in joints]
+    return {"names": dict(zip(("before", "after"), names, strict=True)), "of": of, "joints": views}
 
 
 def _views(before: Residual, after: Residual, tau: str, points: int) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from idtool.body import Body
 from idtool.envelope import Trace
@@ -22,8 +23,9 @@ Array = NDArray[np.float64]
 
 ROBOT = ("The robot in 3D", "robot_3d.html")
 _POSTURES = 60  # at the most
-_MOST_PLACES = 1500  # of bodies in postures
+_MOST_PLACES = 1000  # of bodies in postures
 _DECIMALS = 4
+_FINE = 3  # of a hull [m]
 
 
 def robot_view(model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace]) -> dict[str, Any]:
@@ -41,8 +43,8 @@ def robot_view(model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequen
     Returns
     -------
     ``robot``: None where there is no such trace, else the ``bodies`` with the ``hull`` of their geometry, or None; the
-    name of the ``log``, the times ``t`` [s] of the postures and the bodies' ``frames`` in each, the columns of R and
-    then p [m] in the root link; ``hidden``, the number of bodies that are not drawn.
+    name of the ``log``, the times ``t`` [s] of the postures and the bodies' ``frames`` in each, a quaternion x, y, z, w
+    and a position [m] in the root link; ``hidden``, the number of bodies that are not drawn.
     """
     trace = next((trace for trace in traces if "q" in trace.curves), None)
     if trace is None:
@@ -71,7 +73,7 @@ def _postures(trace: Trace, most: int) -> tuple[Array, Array]:
 
 def _frame(place: tuple[Array, Array], n: int) -> list[float]:
     R, p = (x[min(n, len(x) - 1)] for x in place)
-    return [round(float(x), _DECIMALS) for x in (*R.T.ravel(), *p)]
+    return [round(float(x), _DECIMALS) for x in (*Rotation.from_matrix(R).as_quat(), *p)]
 
 
 def _hull(robot: Robot, body: Body) -> dict[str, Any] | None:
@@ -87,4 +89,4 @@ def _hull(robot: Robot, body: Body) -> dict[str, Any] | None:
     corners = whole[outermost(whole)]
     if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=1e-9) < 3:
         return None
-    return {"points": corners.round(_DECIMALS).tolist(), "faces": ConvexHull(corners).simplices.tolist()}
+    return {"points": corners.round(_FINE).tolist(), "faces": ConvexHull(corners).simplices.tolist()}

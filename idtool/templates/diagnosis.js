@@ -1,8 +1,7 @@
-// The gap closing step by step, and what the model leaves of the torque before and after, by state and frequency.
+// The gap closing step by step.
 (() => {
   const { color } = plots;
-  const { gap, residuals } = plots.data;
-  const shades = { before: "c1", after: "c5" };
+  const { gap } = plots.data;
 
   const line = (x, y, name, shade, extra) => ({
     x, y, name, type: "scatter", mode: "lines+markers", hoverinfo: "x+y+name", hoverlabel: { namelength: -1 },
@@ -33,26 +32,5 @@
     Plotly.react(plot, drawn, layout, plots.config());
   }
 
-  function drawResidual(plot) {
-    const view = residuals[plot.dataset.residual].views[plot.dataset.view];
-    const positive = (y) => (view.log ? y.map((v) => (v > 0 ? v : null)) : y);
-    const drawn = Object.entries(shades).flatMap(([model, shade]) => {
-      const { at, mean, rms } = view[model];
-      const style = (dash) => ({ mode: "lines", line: { color: color(shade), width: 1.6, dash } });
-      return [
-        ...(mean ? [line(at, mean, `mean ${model}`, shade, style("solid"))] : []),
-        line(at, positive(rms), mean ? `RMS ${model}` : model, shade, style(mean ? "dot" : "solid")),
-      ];
-    });
-    const axis = plots.axis();
-    const layout = {
-      ...plots.layout(240), hovermode: "closest",
-      xaxis: { ...axis, title: { text: view.x } },
-      yaxis: { ...axis, title: { text: view.y }, ...(view.log ? { type: "log", exponentformat: "power" } : { rangemode: "tozero" }) },
-    };
-    Plotly.react(plot, drawn, layout, plots.config(["resetScale2d", "toImage"]));
-  }
-
   plots.watch(document.querySelectorAll("[data-gap]"), drawGap);
-  plots.watch(document.querySelectorAll("[data-residual]"), drawResidual);
 })();

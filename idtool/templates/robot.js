@@ -33,7 +33,14 @@
     return [...found.values()];
   }
 
-  const moved = (frame, axis, x, y, z) => frame[axis] * x + frame[axis + 3] * y + frame[axis + 6] * z + frame[axis + 9];
+  // Rows of the rotation of a quaternion, each with the position's entry.
+  function rows([x, y, z, w, ...p]) {
+    return [
+      [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), p[0]],
+      [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), p[1]],
+      [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), p[2]],
+    ];
+  }
 
   // One trace of a group, every body where it is in a posture.
   function posed(group, posture) {
@@ -42,9 +49,12 @@
     if (whole.text) whole.text = [];
     for (const [b, trace] of group) {
       const first = whole.x.length;
-      const frame = robot.frames[posture][b];
-      trace.x.forEach((x, n) => axes.forEach((name, axis) => whole[name].push(x === null ? null : moved(frame, axis, x, trace.y[n], trace.z[n]))));
-      if (whole.i) ["i", "j", "k"].forEach((name) => whole[name].push(...trace[name].map((at) => at + first)));
+      const place = rows(robot.frames[posture][b]);
+      trace.x.forEach((x, n) => axes.forEach((name, axis) => {
+        const [a, b, c, p] = place[axis];
+        whole[name].push(x === null ? null : a * x + b * trace.y[n] + c * trace.z[n] + p);
+      }));
+      if (whole.i) ["i", "j", "k"].forEach((name) => trace[name].forEach((at) => whole[name].push(at + first)));
       if (whole.text) whole.text.push(...trace.text);
     }
     return whole;

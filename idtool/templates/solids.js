@@ -83,8 +83,8 @@ const solids = (() => {
   function box(drawn) {
     const middle = {}, extent = {};
     for (const name of ["x", "y", "z"]) {
-      const values = drawn.flatMap((trace) => trace[name]).filter(Number.isFinite);
-      const [least, most] = [Math.min(...values), Math.max(...values)];
+      let [least, most] = [Infinity, -Infinity];
+      drawn.forEach((trace) => trace[name].filter(Number.isFinite).forEach((x) => { [least, most] = [Math.min(least, x), Math.max(most, x)]; }));
       middle[name] = (least + most) / 2;
       extent[name] = 1.1 * (most - least);
     }

@@ -1,0 +1,222 @@
+"""The documentation as a reader uses it: its blocks in order, run in a folder that holds what the pages speak of."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from commands import SAMPLES, TRAIN, VALIDATE, idtool
+
+from idtool.logs import read_log, write_log
+from idtool.logs.log import make_log
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = DOCS / "pages"
+README = ROOT / "README.md"
+DATA = ROOT.parent / "shared" / "data"
+
+SLOW = ("idtool study", "idtool excite", "idtool diagnose", "python", "make demo")  # what takes more than some seconds
+REAL = ("panda.urdf", "go2.urdf")
+_REAL_FILES = (
+    "panda/panda.urdf",
+    "panda/excitation.mcap",
+    "go2/go2.urdf",
+    *(f"go2/chirp_{k}.csv" for k in range(4, 8)),
+)
+_RUNS = {  # parts of the leg's logs
+    "run1": (TRAIN, slice(0, 2500)),
+    "run2": (TRAIN, slice(2500, 5000)),
+    "run3": (VALIDATE, slice(0, 2500)),
+    "run4": (VALIDATE, slice(2500, 5000)),
+}
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w])")
+_NEAR = 0.1  # of a number in a block of output; standard errors and errors of rollouts differ from machine to machine
+_TIMES = re.compile(r"simulated in .*")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of a page: its language, the text, and the line that it starts at."""
+
+    language: str
+    text: str
+    line: int
+
+    @property
+    def commands(self) -> list[str]:
+        """The command lines of a shell block, joined where they are continued."""
+        lines = self.text.replace("\\\n", " ").splitlines() if self.language == "sh" else []
+        return [line.removeprefix(".venv/bin/") for line in map(str.strip, lines) if line and not line.startswith("#")]
+
+    @property
+    def slow(self) -> bool:
+        """Whether it holds a command that takes long."""
+        return any(line.startswith(SLOW) or "--track" in line for line in self.commands)
+
+    @property
+    def real(self) -> bool:
+        """Whether it needs logs of real robots, which are no part of the project."""
+        return any(name in line for line in self.commands for name in REAL)
+
+    @property
+    def writes(self) -> set[str]:
+        """Files and folders that it writes, by their first name."""
+        found = set(re.findall(r'open\("([^"]*)", "w"', self.text)) if self.language == "python" else set()
+        lines = [one for line in self.commands for one in (demo() if line.startswith("make demo") else [line])]
+        for words in (shlex.split(line, comments=True) for line in lines):
+            if "--out" in words:
+                found.add(words[words.index("--out") + 1])
+            elif urdfs := [word for word in words if word.endswith(".urdf")]:
+                found.add(f"{Path(urdfs[0]).stem}_idtool")
+        return found
+
+
+def pages() -> list[Path]:
+    """All pages of the documentation."""
+    return sorted(PAGES.rglob("*.md"))
+
+
+def blocks(page: Path) -> list[Block]:
+    """The fenced blocks of a page; of README.md also command lines that are indented."""
+    found, lines = [], page.read_text().splitlines()
+    opened: tuple[str, int] | None = None
+    for k, line in enumerate(lines, start=1):
+        if fence := re.match(r"\s*```(\w*)$", line):
+            if opened:
+                found.append(Block(opened[0], "\n".join(lines[opened[1] : k - 1]), opened[1]))
+            opened = None if opened else (fence[1], k)
+        elif not opened and re.match(r" {4}(\.venv/bin/)?(idtool|make demo)\b", line):
+            found.append(Block("sh", line.strip(), k))
+    assert opened is None, f"{page.name}: a block is not closed"
+    return found
+
+
+def part(log: Path, samples: slice, to: Path) -> None:
+    """Write a part of a log."""
+    whole = read_log(log)
+    signals = {name: x[samples] for name, x in whole.signals.items()}
+    write_log(to, make_log(to, whole.t[samples], whole.joints, signals))
+
+
+def demo() -> list[str]:
+    """The commands of `make demo`."""
+    recipe = (ROOT / "Makefile").read_text().partition("\ndemo:")[2].partition("\n\n")[0]
+    return re.findall(r"^\t\$\(BIN\)/(idtool .*)$", recipe, re.M)
+
+
+@dataclass
+class Reader:
+    """Does what a page says, in its order.
+
+    Attributes
+    ----------
+    folder
+        Where: holds the samples, and a robot and logs under the names that pages give them.
+    slow
+        Whether to do what takes long, too.
+    """
+
+    folder: Path
+    slow: bool
+    here: Path = field(init=False)
+    said: str = field(init=False, default="")
+    variables: dict[str, Any] = field(init=False, default_factory=dict)
+    left_out: set[str] = field(init=False, default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.here = self.folder
+        shutil.copytree(SAMPLES, self.folder / "sample_logs")
+        for name in ("configs", "tests"):
+            (self.folder / name).symlink_to(ROOT / name)
+        for stem in ("robot", "leg"):
+            for ending in (".urdf", ".yaml"):
+                shutil.copy((SAMPLES / "leg").with_suffix(ending), self.folder / f"{stem}{ending}")
+        for name, log in _RUNS.items():
+            part(*log, self.folder / f"{name}.mcap")
+
+    def read(self, page: Path) -> None:
+        """Do all of a page."""
+        for block in self._wanted(blocks(page)):
+            if block.real:
+                self._lay_out_real_logs()
+            where = f"{page.name}, line {block.line}"
+            if block.language == "sh":
+                self.said = "".join(self._command(line, where) for line in block.commands)
+            elif block.language == "python":
+                self.said = self._script(block)
+            elif block.language == "text" and self.said:
+                check_output(block.text, self.said, where)
+
+    def _wanted(self, found: list[Block]) -> Iterator[Block]:
+        """The blocks to do: without what takes long, if so, and without what rests on it."""
+        for block in found:
+            rests = any(re.search(rf"(?<!\w){re.escape(name)}\b", block.text) for name in self.left_out)
+            if block.language in ("sh", "python") and (not self.slow and (block.slow or block.real or rests)):
+                self.left_out |= block.writes
+                self.said = ""
+            elif block.real and not DATA.is_dir():
+                self.said = ""
+            else:
+                yield block
+
+    def _lay_out_real_logs(self) -> None:
+        for name in _REAL_FILES:
+            link = self.folder / Path(name).name
+            if not link.exists():
+                link.symlink_to(DATA / name)
+
+    def _command(self, line: str, where: str) -> str:
+        """What a command line prints; it must end with the code that stands behind it, 0 where none does."""
+        words = shlex.split(line, comments=True)
+        stated = re.search(r"#\s*exit (\d)$", line)
+        if line.startswith("make demo"):
+            return "".join(self._command(one, where) for one in demo())
+        if words[0] == "cd":
+            self.here = self.here / words[1]
+            assert self.here.is_dir(), where
+            return ""
+        if words[0] == "python":
+            done = subprocess.run([sys.executable, *words[1:]], cwd=self.here, capture_output=True, text=True)
+            assert done.returncode == 0, f"{where}: {done.stderr}"
+            return done.stdout
+        assert words[0] == "idtool", f"{where}: no test runs {words[0]}"
+        result = idtool(*words[1:], folder=self.here)
+        assert result.code == int(stated[1] if stated else 0), f"{where}: {line}: {result.code}: {result.err}"
+        return result.out
+
+    def _script(self, block: Block) -> str:
+        """What a Python block prints; blocks of a page see each other's names."""
+        script, out = self.folder / "block.py", io.StringIO()
+        script.write_text(block.text)
+        with contextlib.chdir(self.here), contextlib.redirect_stdout(out):
+            self.variables = runpy.run_path(str(script), self.variables)
+        return out.getvalue()
+
+
+def check_output(shown: str, said: str, where: str) -> None:
+    """That every line shown was printed, word for word, and that its numbers are near."""
+    printed = [_split(line) for line in said.splitlines()]
+    for line in filter(None, map(str.strip, shown.splitlines())):
+        words, numbers = _split(line)
+        alike = [others for other, others in printed if other == words]
+        assert alike, f"{where}: no such line is printed: {line}"
+        near = any(np.allclose(numbers, others, rtol=_NEAR, atol=1e-4) for others in alike)
+        assert near, f"{where}: other numbers are printed: {line}: {alike}"
+
+
+def _split(line: str) -> tuple[str, list[float]]:
+    """A line's words, and its numbers."""
+    line = _TIMES.sub("", line)
+    return " ".join(_NUMBER.sub("#", line).split()), [float(x) for x in _NUMBER.findall(line)]

@@ -1,0 +1,223 @@
+"""The reference pages name every key, effect, parameter, command and option that there is, and no others."""
+
+from __future__ import annotations
+
+import re
+import types
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import pytest
+import typer
+import yaml
+from commands import JOINTS, LEG, idtool
+from doc_pages import PAGES, README, Reader, pages
+from doc_tables import codes, keys, misfits, rows, section
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from idtool.cli import app
+from idtool.config import Config, EffectEntry
+from idtool.effects import known_effects
+from idtool.effects.joint_effect import JointEffect
+from idtool.effects.link_effect import LinkEffect
+from idtool.exceptions import ConfigError
+from idtool.model import build_model
+from idtool.robot import read_robot
+
+COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+COMPLETION = {"--install-completion", "--show-completion", "--help"}
+
+REQUIRED = object()
+
+
+def fields(kind: type[BaseModel], at: str = "") -> Iterator[tuple[str, Any, bool]]:
+    """Keys of a record and all within: the path, its default, and whether it is one that holds no others."""
+    for name, info in kind.model_fields.items():
+        yield from _keys(info.annotation, f"{at}{name}", _default(info))
+
+
+def _default(info: FieldInfo) -> Any:
+    if info.is_required():
+        return REQUIRED
+    value = info.get_default(call_default_factory=True)
+    return (
+        value.model_dump(mode="json")
+        if isinstance(value, BaseModel)
+        else list(value)
+        if isinstance(value, tuple)
+        else value
+    )
+
+
+def _keys(kind: Any, at: str, default: Any) -> Iterator[tuple[str, Any, bool]]:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        yield from _keys(arguments[0], at, default)
+    elif origin in (Union, types.UnionType):
+        for one in arguments:
+            if one is not type(None):
+                yield from _keys(one, at, default)
+    elif origin is dict:
+        yield at, default, False
+        yield from _keys(arguments[1], f"{at}.<>", default)
+    elif origin is tuple and arguments[-1] is Ellipsis and _holds_records(arguments[0]):
+        yield from _keys(arguments[0], f"{at}[]", default)
+    elif isinstance(kind, type) and issubclass(kind, BaseModel):
+        yield at, default, False
+        yield from fields(kind, f"{at}.")
+    else:
+        yield at, default, True
+
+
+def _holds_records(kind: Any) -> bool:
+    return any(is_key for _, _, is_key in _keys(kind, "", None)) and "." in next(
+        (at for at, _, is_key in _keys(kind, "", None) if is_key), ""
+    )
+
+
+def plain(key: str) -> str:
+    """A documented key, whatever its placeholders are called."""
+    return re.sub(r"<\w+>", "<>", key)
+
+
+CONFIG = list(fields(Config))
+
+
+def test_every_key_of_the_configuration_is_documented_and_no_other() -> None:
+    documented = {plain(key) for key in keys((PAGES / "config.md").read_text())} | {
+        plain(key)
+        for row in rows((PAGES / "config.md").read_text())
+        for key in codes(row[4])
+        if "." in key and "<" in key
+    }
+    assert {at for at, _, is_key in CONFIG if is_key} - documented == set()
+    assert documented - {at for at, _, _ in CONFIG} == set()
+
+
+def test_the_defaults_of_the_configuration_are_those_documented() -> None:
+    defaults: dict[str, list[Any]] = {}
+    for at, default, _ in CONFIG:
+        defaults.setdefault(at, []).append(default)
+    compared = 0
+    for row in rows((PAGES / "config.md").read_text()):
+        named, stated = codes(row[0]), row[3]
+        if len(named) == 1 and "," not in re.sub(r"\[.*\]", "", stated):
+            expected = REQUIRED if stated == "required" else yaml.safe_load(codes(stated)[0])
+            assert expected in defaults[plain(named[0])], named[0]
+            compared += 1
+    assert compared > 50
+
+
+def parameters(effect: str) -> set[str]:
+    """Names of an effect's parameters: with one more it says which they are."""
+    kind = known_effects()[effect]
+    if issubclass(kind, JointEffect):
+        return {*kind.made(), *(held.name for held in kind.held)}
+    robot = read_robot(LEG)
+    on = {"link": "shank_link"} if issubclass(kind, LinkEffect) else {}
+    with pytest.raises(ConfigError, match="needs the parameters") as caught:
+        kind.of(EffectEntry(effect=effect, **on), build_model(robot, Config(), JOINTS))
+    return set(re.findall(r"\w+", str(caught.value).partition("add ")[2]))
+
+
+def test_every_effect_is_documented_and_no_other() -> None:
+    text = (PAGES / "effects.md").read_text()
+    assert set(re.findall(r"^### (\w+)$", text, re.M)) == {*known_effects(), "unknown"}
+
+
+@pytest.mark.parametrize("effect", sorted(known_effects()))
+def test_an_effect_is_documented_with_its_parameters(effect: str) -> None:
+    kind = known_effects()[effect]
+    said = {row[0]: row[1] for row in rows(section("effects.md", f"### {effect}"))}
+    found = [name for what in ("fit finds", "given") for name in codes(said.get(what, ""))]
+    assert parameters(effect) == set(found) - {"joint"}
+    if issubclass(kind, JointEffect):
+        assert set(kind.made()) == set(codes(said.get("fit finds", "")))
+    assert said["form"]
+    assert said["confused with"]
+    assert said["shows in"] == kind.shows
+
+
+def test_every_command_and_option_is_documented() -> None:
+    text = README.read_text() + "".join(page.read_text() for page in pages())
+    reference = (PAGES / "commands.md").read_text()
+    assert set(re.findall(r"^## (\w+)$", reference, re.M)) == set(COMMANDS)
+    for name, command in COMMANDS.items():
+        for option in {o for p in command.params if p.param_type_name == "option" for o in p.opts} - COMPLETION:
+            assert re.search(rf"{option}\b", reference), f"{name} {option}"
+    known = {o for command in COMMANDS.values() for p in command.params for o in p.opts} | COMPLETION | {"--version"}
+    named = {word for code in re.findall(r"`(--[\w-]+)[^`]*`", text) for word in [code]}
+    lines = [line for line in text.splitlines() if re.match(r"\s*(\.venv/bin/)?idtool ", line)]
+    named |= {word for line in lines for word in re.findall(r"(?<=\s)--[\w-]+", line)}
+    assert named - known == set()
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
+    """A folder with a robot and logs."""
+    return Reader(tmp_path_factory.mktemp("reports"), slow=True)
+
+
+def report(reader: Reader, *command: str) -> dict[str, Any]:
+    """What a command prints as JSON."""
+    done = idtool(*command, "--json", "--quiet", folder=reader.folder)
+    assert done.code == 0, done.err
+    return done.json
+
+
+def config_with(folder: Path, name: str, **changes: Any) -> str:
+    """The leg's configuration with some keys changed."""
+    data = yaml.safe_load((folder / "leg.yaml").read_text()) | changes
+    (folder / name).write_text(yaml.safe_dump(data))
+    return name
+
+
+AS_IN_REPORT = ("friction", "friction_intervals", "rotors", "bodies", "known", "solver")  # of diagnosis.json
+
+
+def check_keys(file: str, *reports: dict[str, Any], whole: Sequence[str] = ()) -> None:
+    """That a section names every key of these reports and no others; ``whole`` are keys named with all they hold."""
+    names = {"joint": {joint for one in reports for joint in (*one["joints"], "overall")}}
+    if isinstance(reports[0].get("bodies"), dict):
+        bodies = {body for one in reports for body in one["bodies"]}
+        names |= {"body": bodies, "rotor": bodies}
+    assert misfits(section("json.md", f"## {file}"), reports, names, whole) == []
+
+
+def test_every_key_of_report_json_is_documented(reader: Reader) -> None:
+    union = {"shank_link": [{"center": [0, 0, -z], "semi_axes": [0.05, 0.05, 0.2]} for z in (0.1, 0.25)]}
+    known = config_with(
+        reader.folder, "known.yaml", known={"total_mass": 3.8}, constraints="none", bounding_ellipsoids={}
+    )
+    parts = config_with(reader.folder, "parts.yaml", bounding_ellipsoids=union)
+    check_keys(
+        "report.json",
+        report(reader, "fit", "leg.urdf", "run1.mcap", "run2.mcap"),
+        report(reader, "fit", "leg.urdf", "run1.mcap", "--quick", "--config", known),
+        report(reader, "fit", "leg.urdf", "run1.mcap", "--quick", "--config", parts),
+    )
+
+
+def test_every_key_of_validation_json_is_documented(reader: Reader) -> None:
+    options = ("--prior", "robot.urdf", "--max-rms", "9", "--max-rms", "hip=9")
+    check_keys("validation.json", report(reader, "validate", "leg.urdf", "run3.mcap", *options))
+
+
+def test_every_key_of_adapt_json_is_documented(reader: Reader) -> None:
+    check_keys("adapt.json", report(reader, "adapt", "leg.urdf", "run1.mcap"))
+
+
+@pytest.mark.slow
+def test_every_key_of_study_json_is_documented(reader: Reader) -> None:
+    check_keys("study.json", report(reader, "study", "leg.urdf", "run1.mcap", "--draws", "5"))
+
+
+@pytest.mark.slow
+def test_every_key_of_diagnosis_json_is_documented(reader: Reader) -> None:
+    less = config_with(reader.folder, "less.yaml", friction={"knee": {"coulomb": False}})
+    effects = "coulomb_friction,presliding_hysteresis,torque_offset"
+    found = report(reader, "diagnose", "leg.urdf", "sample_logs/leg_train.mcap", "--config", less, "--effects", effects)
+    assert found["steps"]
+    check_keys("diagnosis.json", found, whole=AS_IN_REPORT)
