@@ -199,7 +199,11 @@ def _noise_left(experiment: Experiment, noise: Array) -> Array:
     white *= (noise / batch.filter(white).std(axis=1))[:, None]
     noisy = replace(batch.motion, tau=batch.motion.tau + white)
     change = PresentModel(equation, theta, noisy).residual - PresentModel(equation, theta, batch.motion).residual
-    return np.asarray(np.minimum(batch.filter(change).std(axis=1) / noise, 1.0))
+    for j, (x, n, keep) in enumerate(
+        zip(batch.filter(change), batch.filter(white), equation.clear(batch), strict=True)
+    ):
+        left[j] = min(float(np.linalg.norm(x[keep]) / np.linalg.norm(n[keep])), 1.0) if keep.any() else 1.0
+    return left
 
 
 def fold_rows(experiment: Experiment) -> int:
