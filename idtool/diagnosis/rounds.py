@@ -171,7 +171,7 @@ class Search:
 
     def _turning(self) -> tuple[str, ...]:
         """Ids of the effects that may be and have their place around reversals."""
-        own = [name for name, kind in known_effects().items() if kind.friction]
+        own = [name for name, kind in known_effects().items() if kind.friction or kind.turning]
         return tuple(name for name in own if self._effects is None or name in self._effects)
 
     def _bursts(self) -> tuple[tuple[float, float], ...]:

@@ -48,6 +48,7 @@ class JointElasticity(HeldJointEffect):
     shows = "quick reversals at high and at low load"
     rank = 1
     by_torque = True
+    turning = True
     held = (Held("stiffness", positive=True), Held("motor_friction", most=1.0))
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:

@@ -45,6 +45,8 @@ class NamedEffect(Effect):
         own noise.
     friction
         Whether it is friction, which may act on the motor's side of a gear that gives way.
+    turning
+        Whether it shows where a joint turns round, as friction does.
     named
         Whether it is an answer to what a model lacks; what is not is only fitted along, so as not to hide others.
     """
@@ -56,6 +58,7 @@ class NamedEffect(Effect):
     upon: tuple[str, ...] = ()
     worth: float = 0.0
     friction: bool = False
+    turning: bool = False
     named: bool = True
 
     @classmethod
