@@ -10,8 +10,10 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ README = ROOT / "README.md"
 DATA = ROOT.parent / "shared" / "data"
 
 SLOW = ("idtool study", "idtool excite", "idtool diagnose", "python", "make demo")  # what takes more than some seconds
+_SLOW_WORDS = ("--track", "--method iv", "idtool.diagnose(")
 REAL = ("panda.urdf", "go2.urdf")
 _REAL_FILES = (
     "panda/panda.urdf",
@@ -63,7 +66,8 @@ class Block:
     @property
     def slow(self) -> bool:
         """Whether it holds a command that takes long."""
-        return any(line.startswith(SLOW) or "--track" in line for line in self.commands)
+        several = any(line.startswith(SLOW) or line.count(".mcap") > 3 for line in self.commands)
+        return several or any(word in self.text for word in _SLOW_WORDS)
 
     @property
     def real(self) -> bool:
@@ -103,11 +107,17 @@ def blocks(page: Path) -> list[Block]:
     return found
 
 
-def part(log: Path, samples: slice, to: Path) -> None:
-    """Write a part of a log."""
-    whole = read_log(log)
-    signals = {name: x[samples] for name, x in whole.signals.items()}
-    write_log(to, make_log(to, whole.t[samples], whole.joints, signals))
+@cache
+def runs() -> dict[str, bytes]:
+    """The logs that pages call run1.mcap and so on."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (log, samples) in _RUNS.items():
+            whole, to = read_log(log), Path(folder, f"{name}.mcap")
+            signals = {signal: x[samples] for signal, x in whole.signals.items()}
+            write_log(to, make_log(to, whole.t[samples], whole.joints, signals))
+            found[to.name] = to.read_bytes()
+    return found
 
 
 def demo() -> list[str]:
@@ -143,8 +153,8 @@ class Reader:
         for stem in ("robot", "leg"):
             for ending in (".urdf", ".yaml"):
                 shutil.copy((SAMPLES / "leg").with_suffix(ending), self.folder / f"{stem}{ending}")
-        for name, log in _RUNS.items():
-            part(*log, self.folder / f"{name}.mcap")
+        for name, log in runs().items():
+            (self.folder / name).write_bytes(log)
 
     def read(self, page: Path) -> None:
         """Do all of a page."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import types
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from doc_tables import codes, keys, misfits, rows, section
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+import idtool as idtool_library
 from idtool.cli import app
 from idtool.config import Config, EffectEntry
 from idtool.effects import known_effects
@@ -42,13 +44,9 @@ def _default(info: FieldInfo) -> Any:
     if info.is_required():
         return REQUIRED
     value = info.get_default(call_default_factory=True)
-    return (
-        value.model_dump(mode="json")
-        if isinstance(value, BaseModel)
-        else list(value)
-        if isinstance(value, tuple)
-        else value
-    )
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _keys(kind: Any, at: str, default: Any) -> Iterator[tuple[str, Any, bool]]:
@@ -72,9 +70,7 @@ def _keys(kind: Any, at: str, default: Any) -> Iterator[tuple[str, Any, bool]]:
 
 
 def _holds_records(kind: Any) -> bool:
-    return any(is_key for _, _, is_key in _keys(kind, "", None)) and "." in next(
-        (at for at, _, is_key in _keys(kind, "", None) if is_key), ""
-    )
+    return any(at for at, _, _ in _keys(kind, "", None))
 
 
 def plain(key: str) -> str:
@@ -86,12 +82,9 @@ CONFIG = list(fields(Config))
 
 
 def test_every_key_of_the_configuration_is_documented_and_no_other() -> None:
-    documented = {plain(key) for key in keys((PAGES / "config.md").read_text())} | {
-        plain(key)
-        for row in rows((PAGES / "config.md").read_text())
-        for key in codes(row[4])
-        if "." in key and "<" in key
-    }
+    text = (PAGES / "config.md").read_text()
+    by_joint = {key for row in rows(text) for key in codes(row[4]) if "<joint>." in key}
+    documented = {plain(key) for key in {*keys(text), *by_joint}}
     assert {at for at, _, is_key in CONFIG if is_key} - documented == set()
     assert documented - {at for at, _, _ in CONFIG} == set()
 
@@ -152,6 +145,17 @@ def test_every_command_and_option_is_documented() -> None:
     lines = [line for line in text.splitlines() if re.match(r"\s*(\.venv/bin/)?idtool ", line)]
     named |= {word for line in lines for word in re.findall(r"(?<=\s)--[\w-]+", line)}
     assert named - known == set()
+
+
+def test_every_public_name_and_option_is_in_the_python_page() -> None:
+    text = (PAGES / "python.md").read_text()
+    for name in set(idtool_library.__all__) - {"__version__"}:
+        kind = getattr(idtool_library, name)
+        assert re.search(rf"\b{name}\b", text) or name.endswith("Result"), name
+        if inspect.isfunction(kind) and name != "read_log":
+            options = [p.name for p in inspect.signature(kind).parameters.values() if p.kind is p.KEYWORD_ONLY]
+            row = next(row for row in rows(text) if f"idtool.{name}" in codes(row[0]))
+            assert codes(row[1]) == options
 
 
 @pytest.fixture(scope="module")
