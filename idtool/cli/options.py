@@ -83,7 +83,7 @@ RerunOption = Annotated[
     typer.Option(
         "--rerun",
         metavar="FILE.rrd",
-        help="Write a recording for rerun's viewer too; needs idtool[rerun].",
+        help="Write a recording for rerun's viewer too; needs idtool's extra of that name.",
         callback=_recordable,
     ),
 ]

@@ -69,7 +69,10 @@
     move();
   }
 
+  // It is looked at from where it was: plotly.js would go back to where the mouse let go, from where it turned on.
   function move() {
+    const camera = plot._fullLayout?.scene?._scene?.getCamera();
+    Object.assign(view.scene, { uirevision: undefined, ...(camera ? { camera } : {}) });
     time.textContent = `${robot.t[slider.value]} s`;
     show(plot, drawn.map((group) => posed(group, slider.value)), view);
   }
