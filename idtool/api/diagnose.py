@@ -14,7 +14,7 @@ from idtool.api.assumed import Assumed, check_assumed, known_assumption, known_c
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis_report import diagnosis_report
 from idtool.diagnosis_words import on
@@ -24,6 +24,8 @@ from idtool.report import model_config
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+    from idtool.api.records import Recorded
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosisResult:
+class DiagnosisResult(Recordable):
     """What a model lacks, and the model with it.
 
     Attributes
@@ -150,25 +152,11 @@ class DiagnosisResult:
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
 
-    def rerun(self, file: str | os.PathLike[str]) -> Path:
-        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
-
-        Parameters
-        ----------
-        file
-            Where to, FILE.rrd.
-
-        Raises
-        ------
-        ConfigError
-            If rerun is not installed.
-        OutputError
-            If the file cannot be written.
-        """
-        from idtool.api.recording import of_fit, save_recording
+    def _recorded(self) -> Recorded:
+        from idtool.api.recording import of_fit
 
         last = self._diagnosis.last
-        return save_recording(file, last.experiment.model, of_fit(last), "identified")
+        return last.experiment.model, of_fit(last), "identified"
 
     def plot(self) -> Figure:
         """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Body, Friction, Rms, body_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.diagnosis.maps import residual_maps
 from idtool.experiment import Experiment
 from idtool.fitting import Fit
@@ -25,11 +25,12 @@ from idtool.report import fit_report, model_config
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+    from idtool.api.records import Recorded
     from idtool.pages.fit import Maps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FitResult:
+class FitResult(Recordable):
     """An identified model, and how far to trust it.
 
     Attributes
@@ -101,24 +102,10 @@ class FitResult:
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
 
-    def rerun(self, file: str | os.PathLike[str]) -> Path:
-        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
+    def _recorded(self) -> Recorded:
+        from idtool.api.recording import of_fit
 
-        Parameters
-        ----------
-        file
-            Where to, FILE.rrd.
-
-        Raises
-        ------
-        ConfigError
-            If rerun is not installed.
-        OutputError
-            If the file cannot be written.
-        """
-        from idtool.api.recording import of_fit, save_recording
-
-        return save_recording(file, self._fit.experiment.model, of_fit(self._fit), "identified")
+        return self._fit.experiment.model, of_fit(self._fit), "identified"
 
     def plot(self, log: int = 0) -> Figure:
         """Measured and predicted torque and the residual of every joint, on the held-out data where there are any.

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from idtool.envelope import Trace
+    from idtool.model import Model as RobotModel
+
+    Recorded = tuple[
+        RobotModel, Sequence[Sequence[Trace]], str
+    ]  # robot, each log's torque and positions, what is shown
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]  # stage, share of it that is done
@@ -84,3 +95,30 @@ def notes(warnings: Sequence[str]) -> list[str]:
     """What a user should know, a line each."""
     shown = [f"  note: {warning}" for warning in warnings[:_MOST]]
     return [*shown, *([f"  … {len(warnings) - _MOST} more notes"] if len(warnings) > _MOST else [])]
+
+
+class Recordable(ABC):
+    """A result that rerun's viewer can show."""
+
+    def rerun(self, file: str | os.PathLike[str]) -> Path:
+        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
+
+        Parameters
+        ----------
+        file
+            Where to, FILE.rrd.
+
+        Raises
+        ------
+        ConfigError
+            If rerun is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        from idtool.api.recording import save_recording
+
+        return save_recording(file, *self._recorded())
+
+    @abstractmethod
+    def _recorded(self) -> Recorded:
+        """The robot, of each log the torque and the positions, and the model that is shown."""

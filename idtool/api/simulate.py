@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import LogSource, experiment_of
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Array, Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.config import Config
 from idtool.exceptions import ConfigError, LogError
 from idtool.experiment import Experiment
@@ -27,6 +27,8 @@ from idtool.simulation_report import POSITION_UNITS
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+    from idtool.api.records import Recorded
 
 FILE = "simulated.mcap"  # what the log is called in a folder
 _ENDINGS = (".mcap", ".csv")
@@ -49,7 +51,7 @@ class Rmse:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationResult:
+class SimulationResult(Recordable):
     """A model run forwards.
 
     Attributes
@@ -123,25 +125,11 @@ class SimulationResult:
         write_log(file, self.log.record)
         return (file,)
 
-    def rerun(self, file: str | os.PathLike[str]) -> Path:
-        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot and its motion.
-
-        Parameters
-        ----------
-        file
-            Where to, FILE.rrd.
-
-        Raises
-        ------
-        ConfigError
-            If rerun is not installed.
-        OutputError
-            If the file cannot be written.
-        """
-        from idtool.api.recording import of_motion, save_recording
+    def _recorded(self) -> Recorded:
+        from idtool.api.recording import of_motion
 
         motion = of_motion(self._source.name, self.log.t, self._measured, self.log.q)
-        return save_recording(file, self._model, motion, "model")
+        return self._model, motion, "model"
 
     def plot(self) -> Figure:
         """Measured and simulated position of every joint; with ``track`` the trajectory in place of the former."""

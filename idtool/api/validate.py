@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, ReadOnly, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, coefficients_of
 from idtool.model import Model as RobotModel
@@ -26,6 +26,8 @@ from idtool.validation import Evaluation, evaluate
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+    from idtool.api.records import Recorded
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class ModelRms:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ValidationResult:
+class ValidationResult(Recordable):
     """How well a model predicts the torque and the motion of logs.
 
     Attributes
@@ -108,25 +110,11 @@ class ValidationResult:
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
 
-    def rerun(self, file: str | os.PathLike[str]) -> Path:
-        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
-
-        Parameters
-        ----------
-        file
-            Where to, FILE.rrd.
-
-        Raises
-        ------
-        ConfigError
-            If rerun is not installed.
-        OutputError
-            If the file cannot be written.
-        """
-        from idtool.api.recording import beside, save_recording
+    def _recorded(self) -> Recorded:
+        from idtool.api.recording import beside
 
         motions = self._rollouts.traces if self._rollouts else ()
-        return save_recording(file, self._model, beside(self._evaluation, motions), "model")
+        return self._model, beside(self._evaluation, motions), "model"
 
     def plot(self, log: int = 0) -> Figure:
         """Measured and predicted torque and the residual of every joint.
