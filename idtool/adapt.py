@@ -22,6 +22,7 @@ from idtool.exceptions import ConfigError, LogError
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.problem import Problem
+from idtool.provenance import provenance
 from idtool.recursive import RecursiveFit
 from idtool.sets import ConstraintSet
 
@@ -219,6 +220,7 @@ def adapt_report(adaptation: Adaptation, experiment: Experiment) -> dict[str, An
     equation, bodies = experiment.equation, experiment.model.bodies
     theta, finite = adaptation.estimate, np.isfinite(adaptation.forgetting)
     return {
+        **provenance(experiment.sources),
         "joints": list(equation.joints),
         "units": experiment.model.units,
         "bodies": [body.name for body in bodies],

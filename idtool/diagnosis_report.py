@@ -59,7 +59,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> dict[str, Any]:
     model = fit_report(diagnosis.last)
     units = model["units"]
     report = {
-        **{key: model[key] for key in ("idtool", "schema", "urdf", "logs", "joints", "units")},
+        **{key: model[key] for key in ("idtool", "schema", "versions", "inputs", "urdf", "logs", "joints", "units")},
         "inertia": inertia,
         "verdict": diagnosis.verdict,
         "before": _level(diagnosis.before),

@@ -17,6 +17,7 @@ from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
 from idtool.names import some
+from idtool.provenance import Source, source_of
 from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
@@ -85,6 +86,11 @@ class Experiment:
         return tuple(said)
 
     @property
+    def sources(self) -> tuple[Source, ...]:
+        """What was read: the URDF, the configuration and the logs, each once."""
+        return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
+
+    @property
     def band_hz(self) -> float:
         """The low-pass's cut-off, the lowest of the runs' [Hz]."""
         return min(run.signals.band_hz for run in self.runs)
@@ -150,6 +156,14 @@ class Experiment:
             what = "hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints"
             raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
         return data
+
+
+def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:
+    """What a robot, a configuration and logs were read from, each once; a log of arrays has no hash."""
+    read = [source_of("URDF", robot.path, robot.text), *([config.source] if config.source else [])]
+    for log in logs:
+        read += log.sources or [Source("log", str(log.path), None)]
+    return tuple(dict.fromkeys(read))
 
 
 def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress, stage: str) -> Iterable[Batch]:

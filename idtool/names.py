@@ -1,9 +1,10 @@
-"""Names in messages. They come from files of strangers, so they are made to fit a line of a terminal."""
+"""Names in messages and of files. They are strangers', so in messages they are made to fit a line of a terminal."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Collection
+from pathlib import Path
 
 _LONGEST = 60
 _MOST = 6
@@ -26,3 +27,8 @@ def nearest(name: str, known: Collection[str]) -> str:
     """What to write in place of ``name``: the name most like it, or those that there are."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {shown(close[0])}?" if close else f"there are: {some(known)}"
+
+
+def stem(path: Path) -> str:
+    """A file's name without its ending, or a folder's name, in which a dot begins no ending."""
+    return path.name if path.is_dir() else path.stem

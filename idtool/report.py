@@ -16,6 +16,7 @@ from idtool.effects import NamedEffect, named_effect, plain
 from idtool.ellipsoid import Ellipsoid
 from idtool.fitting import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.provenance import Source, provenance
 from idtool.simulation_report import simulation_report
 from idtool.trust_report import intervals, reflected_inertia, rests_on, trust_report
 from idtool.urdf import JointDynamics
@@ -37,6 +38,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
     validated = fit.validation.errors["identified"].samples > 0
     return {
         **HEADER,
+        **provenance(experiment.sources),
         "joints": list(joints),
         "units": experiment.model.units,
         "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
@@ -273,6 +275,7 @@ def validation_report(
     band_hz: float,
     bounds: Mapping[str, float],
     simulation: Mapping[str, Any] | None = None,
+    sources: Sequence[Source] = (),
 ) -> dict[str, Any]:
     """The content of validation.json.
 
@@ -288,11 +291,14 @@ def validation_report(
         Largest rms in the band that is accepted, by joint or ``overall``.
     simulation
         From `simulation_report`.
+    sources
+        What was read.
     """
     joints = tuple(units)
     rms = {model: errors.rms(joints) for model, errors in evaluation.errors.items()}
     return {
         **HEADER,
+        **provenance(sources),
         "joints": list(joints),
         "units": dict(units),
         "samples": evaluation.errors["model"].samples,

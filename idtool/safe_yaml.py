@@ -15,12 +15,17 @@ _MOST_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of
 
 
 def read_yaml(path: Path) -> Any:
-    """The contents of a YAML file from a stranger.
+    """The contents of a YAML file from a stranger; errors as in `yaml_bytes` and `parse_yaml`."""
+    return parse_yaml(path, yaml_bytes(path))
+
+
+def yaml_bytes(path: Path) -> bytes:
+    """The bytes of a YAML file.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, is too large, is not YAML, or repeats a key.
+        If it cannot be read, or is too large.
     """
     try:
         with path.open("rb") as file:
@@ -29,6 +34,24 @@ def read_yaml(path: Path) -> Any:
         raise ConfigError(path, f"cannot be read ({error.strerror})") from None
     if len(data) > _MOST_BYTES:
         raise ConfigError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no configuration is")
+    return data
+
+
+def parse_yaml(path: Path, data: bytes) -> Any:
+    """Plain values from YAML of bounded size.
+
+    Parameters
+    ----------
+    path
+        What errors name.
+    data
+        From `yaml_bytes`.
+
+    Raises
+    ------
+    ConfigError
+        If it is not YAML, or repeats a key.
+    """
     try:
         root = yaml.compose(data, Loader=yaml.SafeLoader)
         _check_nodes(path, root)

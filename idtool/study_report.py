@@ -10,6 +10,7 @@ from idtool.identify import stuck_note
 from idtool.inequality import Inequality
 from idtool.inertia import SIZE
 from idtool.learning import Curve
+from idtool.provenance import provenance
 from idtool.study import Outcome, Study
 
 
@@ -17,6 +18,7 @@ def study_report(study: Study) -> dict[str, Any]:
     """The content of study.json but for its header."""
     experiment, online = study.experiment, study.online
     return {
+        **provenance(experiment.sources),
         "joints": list(experiment.equation.joints),
         "units": experiment.model.units,
         "band_hz": experiment.band_hz,

@@ -149,6 +149,8 @@ def study_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
     rates = {"none": 0.1, "full": 0.5, "ellipsoid": 2.0}
     return {
         "idtool": "0.0",
+        "versions": {"python": "3.14"},
+        "inputs": [{"kind": "log", "path": SCRIPT, "sha256": None}],
         "schema": 1,
         "joints": list(joints),
         "units": dict.fromkeys(joints, "N·m"),

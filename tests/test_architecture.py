@@ -18,7 +18,8 @@ PACKAGE = ROOT / "idtool"
 
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
-    *("exceptions", "names", "safe_yaml", "inertia", "ellipsoid", "inequality", "shapes", "metric", "witness"),
+    *("exceptions", "names", "provenance", "safe_yaml"),
+    *("inertia", "ellipsoid", "inequality", "shapes", "metric", "witness"),
     *("config", "robot", "geometry", "bounding", "logs", "description", "inspection"),
     *(
         "body",

@@ -40,6 +40,8 @@ def adapt_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
     found = body_of()
     return {
         "idtool": "0.0",
+        "versions": {"python": "3.14"},
+        "inputs": [{"kind": "log", "path": SCRIPT, "sha256": None}],
         "schema": 1,
         "joints": list(joints),
         "units": dict.fromkeys(joints, "N·m"),

@@ -17,7 +17,7 @@ from idtool.fitting import Fit
 from idtool.logs import read_log
 from idtool.model import Model as Tree
 from idtool.model import build_model
-from idtool.names import some
+from idtool.names import some, stem
 from idtool.report import joint_dynamics, model_config
 from idtool.robot import Robot, parse_robot
 from idtool.urdf import identified_urdf
@@ -220,6 +220,6 @@ def _settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Con
     """The configuration and what to call it: the one given, the one beside the URDF, or the defaults without a name."""
     if isinstance(given, Mapping):
         return parse_config(given, "config"), "a configuration"
-    beside = [urdf.with_suffix(".yaml"), *([urdf.with_name(SETTINGS)] if urdf.stem == "identified" else [])]
+    beside = [urdf.with_name(f"{stem(urdf)}.yaml"), *([urdf.with_name(SETTINGS)] if urdf.stem == "identified" else [])]
     path = Path(given) if given is not None else next((path for path in beside if path.is_file()), None)
     return (read_config(path), path.name) if path else (Config(), "")

@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.exceptions import ConfigError
-from idtool.experiment import Experiment, coefficients_of
+from idtool.experiment import Experiment, coefficients_of, sources_of
 from idtool.model import Model as RobotModel
 from idtool.names import nearest
 from idtool.outputs import as_json, write_all
@@ -245,14 +245,15 @@ def validate_experiment(
     ModelError
         If ``prior`` is no model of the same robot.
     """
-    models = {"model": experiment.equation.prior}
+    models, sources = {"model": experiment.equation.prior}, experiment.sources
     if prior is not None:
         own = prior.settings if prior.configured else experiment.config.without_friction_values()
         models["prior"] = coefficients_of(prior.robot, own, experiment)
+        sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
     evaluation = evaluate(experiment, models, held_out=True, progress=progress)
     rollouts = replay(experiment, models, held_out=True, progress=progress) if simulate else None
     simulation = simulation_report(rollouts, "model", experiment)
-    report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation)
+    report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources)
     report["warnings"] = [*experiment.warnings, *simulation_notes(rollouts, "model")]
     return ValidationResult(
         joints=tuple(report["joints"]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,8 +15,8 @@ from idtool.cli.options import (
     QuietOption,
     UrdfArgument,
     command,
-    config_of,
     finish,
+    folder_for,
 )
 
 
@@ -35,8 +34,8 @@ def adapt_command(
 ) -> None:
     """Identify online, sample by sample and within the constraints, and write the parameters over time."""
     from idtool.adapt import adapt, adapt_report
-    from idtool.description import robot_and_logs
-    from idtool.experiment import prepare
+    from idtool.api.data import experiment_of
+    from idtool.api.model import Model
     from idtool.identified import choose_sets
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
@@ -46,11 +45,10 @@ def adapt_command(
     from idtool.terminal.adapt import show_adaptation
 
     terminal = Terminal(quiet, as_json)
-    folder = out or Path(f"{urdf.stem}_idtool")
+    folder = folder_for(urdf, out)
     with terminal.progress() as progress:
-        progress("reading", 0.0)
-        robot, logs = robot_and_logs(urdf, logs)
-        experiment = prepare(robot, config_of(urdf, config), logs, holdout=0.0)
+        model, logs = Model.with_logs(urdf, logs, config)
+        experiment = experiment_of(model, logs, holdout=0.0, progress=progress)
         sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
         result = adapt(experiment, sets, forgetting, progress=progress)
         report = {

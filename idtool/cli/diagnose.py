@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from idtool.cli.app import app
 from idtool.cli.options import (
     AssumeOption,
@@ -24,6 +22,7 @@ from idtool.cli.options import (
     ValidateOption,
     command,
     finish,
+    folder_for,
 )
 
 
@@ -53,7 +52,7 @@ def diagnose_command(
     from idtool.terminal import Terminal
     from idtool.terminal.diagnosis import show_diagnosis
 
-    terminal, folder = Terminal(quiet, as_json), out or Path(f"{urdf.stem}_idtool")
+    terminal, folder = Terminal(quiet, as_json), folder_for(urdf, out)
     candidates = None if effects is None else known_candidates(effects.split(","))
     assumed = [known_assumption(text) for text in assume or []]
     with terminal.progress() as progress:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from idtool.cli.app import app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, config_of, finish
+from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish
 from idtool.exceptions import ConfigError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def ellipsoids_command(
     quiet: QuietOption = False,
 ) -> None:
     """Write bounding ellipsoids of the links' meshes and primitives, or check the links' inertias."""
-    from idtool.robot import read_robot
+    from idtool.api.model import Model
     from idtool.terminal import Terminal
 
     if repair is not None and not check:
@@ -46,11 +46,11 @@ def ellipsoids_command(
     if check and out is not None:
         raise ConfigError("--out", "is for the ellipsoids; with --check, --repair names the file to write")
     terminal = Terminal(quiet, as_json)
-    robot = read_robot(urdf)
     if check:
-        _check(terminal, robot, config_of(urdf, config), repair)
+        model = Model(urdf, config)
+        _check(terminal, model.robot, model.settings, repair)
     else:
-        _bound(terminal, robot, margin, out)
+        _bound(terminal, Model.bare(urdf).robot, margin, out)
 
 
 def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) -> None:

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from idtool.cli.app import app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, config_of, finish
+from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, finish, folder_for
 from idtool.exceptions import ConfigError, LogError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from idtool.config import Config
+    from idtool.api.model import Model
     from idtool.excitation.design import Logged
     from idtool.excitation.task import Task
+    from idtool.experiment import Experiment
 
 _CRITERIA = ("d", "a", "e", "condition")
 _ALL = ""  # an option's value for all joints
@@ -62,22 +63,26 @@ def excite_command(
     quiet: QuietOption = False,
 ) -> None:
     """Design a trajectory that makes the parameters visible, and print the standard errors to expect."""
+    from idtool.api.model import Model
     from idtool.excitation.design import Wishes, design
     from idtool.excite_report import excite_report
+    from idtool.experiment import sources_of
+    from idtool.provenance import provenance
     from idtool.report import HEADER
     from idtool.terminal import Terminal
     from idtool.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
-    file, settings = out or Path(f"{urdf.stem}_idtool", "excitation.mcap"), config_of(urdf, config)
+    file = out or folder_for(urdf, None) / "excitation.mcap"
     _check(file, log or [], criterion, duration, rate, margin, clearance, highest)
+    model = Model(urdf, config)
     wishes = Wishes(
         pattern=pattern,
         seconds=duration,
         slow=slow,
         highest=highest,
         iterations=iterations,
-        seed=settings.seed if seed is None else seed,
+        seed=model.settings.seed if seed is None else seed,
         start=_numbers("--start", start or [], for_all=False),
         tip=tip,
     )
@@ -85,11 +90,12 @@ def excite_command(
     asked = {"rate": rate, "margin": margin, "clearance": clearance, "criterion": criterion, "favour": favour or []}
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        task, settings, logged, said = _task(urdf, settings, log or [], noises, asked, progress)
-        found = design(task, settings, wishes, logged, progress)
+        task, logged, experiment = _task(model, log or [], noises, asked, progress)
+        found = design(task, experiment.config if experiment else model.settings, wishes, logged, progress)
         progress("writing", 0.0)
         report = {
             **HEADER,
+            **provenance(experiment.sources if experiment else sources_of(model.robot, model.settings)),
             "file": str(file),
             "urdf": str(urdf),
             "logs": [str(path) for path in log or []],
@@ -97,7 +103,7 @@ def excite_command(
             "samples": math.floor(found.trajectory.seconds * rate + 1e-9) + 1,
             **excite_report(found),
         }
-        report["warnings"] = list(dict.fromkeys([*said, *report["warnings"]]))
+        report["warnings"] = list(dict.fromkeys([*(experiment.warnings if experiment else ()), *report["warnings"]]))
         _write(file, found.log(file), report)
     show_excitation(terminal, report)
     finish(terminal, report, {})
@@ -150,14 +156,13 @@ def _numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, floa
 
 
 def _task(
-    urdf: Path,
-    settings: Config,
+    given: Model,
     logs: Sequence[Path],
     noises: Mapping[str, float],
     asked: Mapping[str, Any],
     progress: Callable[[str, float], None],
-) -> tuple[Task, Config, Logged | None, Sequence[str]]:
-    """The robot and what is to be told; of the joints that are logged already, where some are."""
+) -> tuple[Task, Logged | None, Experiment | None]:
+    """The robot and what is to be told, of the joints that are logged already, where some are; and these logs."""
     from idtool.effects import build_effects
     from idtool.excitation.design import Logged
     from idtool.excitation.task import make_task
@@ -165,15 +170,13 @@ def _task(
     from idtool.knowledge import knowledge
     from idtool.model import build_model
     from idtool.regressor import LinearModel
-    from idtool.robot import read_robot
     from idtool.weights import free_noise
 
-    robot, logged, measured = read_robot(urdf), None, dict[str, float]()
-    said: Sequence[str] = ()
+    robot, settings, measured = given.robot, given.settings, dict[str, float]()
+    logged = experiment = None
     if logs:
         experiment = prepare(robot, settings, logs, holdout=0.0)
-        model, equation, known = experiment.model, experiment.equation, experiment.known
-        settings, said = experiment.config, experiment.warnings
+        model, equation, known, settings = experiment.model, experiment.equation, experiment.known, experiment.config
         reduction = experiment.reduce(progress)
         logged = Logged(reduction, free_noise(equation, reduction, known))
         measured = dict(zip(model.names, logged.noise.tolist(), strict=True))
@@ -185,7 +188,7 @@ def _task(
         known = knowledge(settings, model, equation)
     alike = dict.fromkeys(model.names, noises[_ALL]) if _ALL in noises else {}
     noise = {**measured, **alike, **{name: x for name, x in noises.items() if name != _ALL}}
-    return make_task(model, equation, known, settings, noise=noise, **asked), settings, logged, said
+    return make_task(model, equation, known, settings, noise=noise, **asked), logged, experiment
 
 
 def _write(file: Path, log: Any, report: dict[str, Any]) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from idtool.cli.app import app
 from idtool.cli.options import (
     ConfigOption,
@@ -22,6 +20,7 @@ from idtool.cli.options import (
     bounds_of,
     command,
     finish,
+    folder_for,
 )
 
 
@@ -49,7 +48,7 @@ def fit_command(
     from idtool.terminal.fit import show_fit
 
     terminal = Terminal(quiet, as_json)
-    folder = out or Path(f"{urdf.stem}_idtool")
+    folder = folder_for(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         experiment = experiment_of(model, logs, validate or (), holdout, progress)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from idtool.exceptions import ConfigError
+from idtool.names import stem
 
 if TYPE_CHECKING:
-    from idtool.config import Config
     from idtool.experiment import Experiment
     from idtool.terminal import Terminal
 
 
-def _named(path: Path | None) -> Path | None:
+def named(path: Path | None) -> Path | None:
     """The path with a name, which what is written is called after: the folder one is in has none."""
     return path.resolve() if path and path.name in ("", "..") else path
 
@@ -45,7 +45,7 @@ def _recordable(file: Path | None) -> Path | None:
     return file
 
 
-UrdfArgument = Annotated[Path, typer.Argument(help="The robot's URDF.", show_default=False, callback=_named)]
+UrdfArgument = Annotated[Path, typer.Argument(help="The robot's URDF.", show_default=False, callback=named)]
 LogsArgument = Annotated[
     list[Path],
     typer.Argument(
@@ -120,13 +120,9 @@ ReportOnlyOption = Annotated[
 ExplainOption = Annotated[bool, typer.Option("--explain", help="Tell why each candidate that was rejected lost.")]
 
 
-def config_of(urdf: Path, given: Path | None) -> Config:
-    """The configuration: the one given, else the one beside the URDF, else the defaults."""
-    from idtool.config import Config, read_config
-
-    beside = [urdf.with_suffix(".yaml"), *([urdf.with_name("model.yaml")] if urdf.stem == "identified" else [])]
-    path = given or next((path for path in beside if path.is_file()), None)
-    return read_config(path) if path else Config()
+def folder_for(urdf: Path, given: Path | None) -> Path:
+    """The folder to write to: the one given, or one in the working directory that is called after the URDF."""
+    return given or Path(f"{stem(urdf)}_idtool")
 
 
 def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from idtool.cli.app import app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, RerunOption, UrdfArgument, finish, some_log
+from idtool.cli.options import (
+    ConfigOption,
+    JsonOption,
+    QuietOption,
+    RerunOption,
+    UrdfArgument,
+    finish,
+    folder_for,
+    some_log,
+)
 
 if TYPE_CHECKING:
     from idtool.terminal import Terminal
@@ -69,7 +78,7 @@ def simulate_command(
     from idtool.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
-    file = out or Path(f"{urdf.stem}_idtool", FILE)
+    file = out or folder_for(urdf, None) / FILE
     check_file(file, log or urdf)
     model, logs = Model.with_logs(urdf, [log] if log else [], config)
     with terminal.progress() as progress:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,8 +17,8 @@ from idtool.cli.options import (
     UrdfArgument,
     ValidateOption,
     command,
-    config_of,
     finish,
+    folder_for,
 )
 
 
@@ -36,8 +35,8 @@ def study_command(
     quiet: QuietOption = False,
 ) -> None:
     """Compare all constraint sets, priors and estimators on the same data, and error against sample count."""
-    from idtool.description import robot_and_logs
-    from idtool.experiment import prepare
+    from idtool.api.data import experiment_of
+    from idtool.api.model import Model
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
     from idtool.pages import study_page
@@ -48,11 +47,10 @@ def study_command(
     from idtool.terminal.study import show_study
 
     terminal = Terminal(quiet, as_json)
-    folder = out or Path(f"{urdf.stem}_idtool")
+    folder = folder_for(urdf, out)
     with terminal.progress() as progress:
-        progress("reading", 0.0)
-        robot, logs = robot_and_logs(urdf, logs)
-        experiment = prepare(robot, config_of(urdf, config), logs, validate or (), holdout)
+        model, logs = Model.with_logs(urdf, logs, config)
+        experiment = experiment_of(model, logs, validate or (), holdout, progress)
         result = study(experiment, progress, draws)
         report = {**HEADER, **study_report(result)}
         write_all(folder, {"study.json": dump(report), "study.html": study_page(result.validation, report, command())})

@@ -18,6 +18,8 @@ from idtool.cli.options import (
     bounds_of,
     command,
     finish,
+    folder_for,
+    named,
 )
 from idtool.exceptions import ConfigError
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 @app.command("validate", epilog="Example: idtool validate leg_idtool/identified.urdf run3.mcap --prior leg.urdf")
 def validate_command(
-    urdf: Annotated[Path | None, typer.Argument(help="The model's URDF.", show_default=False)] = None,
+    urdf: Annotated[Path | None, typer.Argument(help="The model's URDF.", show_default=False, callback=named)] = None,
     logs: Annotated[
         list[Path] | None, typer.Argument(help="Logs: MCAP, CSV or rosbag2 folders.", show_default=False)
     ] = None,
@@ -57,7 +59,7 @@ def validate_command(
     from idtool.api.validate import prior_model, validate_experiment
     from idtool.terminal.validation import show_validation
 
-    folder = out or Path(f"{urdf.stem}_idtool")
+    folder = folder_for(urdf, out)
     with terminal.progress() as progress:
         model, every = Model.with_logs(urdf, logs or (), config)
         experiment = experiment_of(model, (), every, progress=progress)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag
 
 from idtool.config.base import Finite, Record, Vector, checked
 from idtool.config.bounds import Bounding, BoundingShape
@@ -16,7 +16,8 @@ from idtool.config.rotors import Rotor
 from idtool.config.signals import Controller, Filter, LogOptions, Simulation
 from idtool.config.terms import EffectEntry, Friction, friction_form
 from idtool.exceptions import ConfigError
-from idtool.safe_yaml import read_yaml
+from idtool.provenance import Source, source_of
+from idtool.safe_yaml import parse_yaml, yaml_bytes
 
 
 def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -53,6 +54,13 @@ class Config(Record):
     simulation: Simulation = Simulation()
     limits: dict[str, JointLimits] = Field(default_factory=dict)
     seed: int = 0
+
+    _source: Source | None = PrivateAttr(default=None)
+
+    @property
+    def source(self) -> Source | None:
+        """The file it was read from, if it was."""
+        return self._source
 
     def without_friction_values(self) -> Config:
         """The same with the terms that friction has, but neither their values nor effects."""
@@ -92,4 +100,7 @@ def read_config(path: Path) -> Config:
     ConfigError
         If the file or a key in it cannot be used.
     """
-    return parse_config(read_yaml(path), str(path))
+    data = yaml_bytes(path)
+    config = parse_config(parse_yaml(path, data), str(path))
+    config._source = source_of("configuration", path, data)
+    return config

@@ -10,14 +10,16 @@ import importlib
 import os
 import pkgutil
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.exceptions import LogError
-from idtool.logs.bag import SQLITE, is_bag, not_mcap
+from idtool.logs.bag import SQLITE, files_of, is_bag, not_mcap
 from idtool.logs.log import SIGNALS, Log, make_log
 from idtool.names import nearest
+from idtool.provenance import source_file
 
 __all__ = ["SIGNALS", "Log", "is_bag", "make_log", "read_log", "write_log"]
 
@@ -67,22 +69,29 @@ def read_log(
     """
     path = Path(path)
     try:
-        if path.is_dir():
-            from idtool.logs.mcap import read
-
-            named = path if path.name or not is_bag(path) else path.resolve()  # the folder one is in
-            return _scaled(read(named, topic, columns), scale)
-        if not path.is_file():
-            raise LogError(path, "there is no such file")
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-        if not head:
-            raise LogError(path, "is empty")
-        for form in _formats():
-            if form.matches(head):
-                return _scaled(form.read(path, topic, columns), scale)
+        log = _read(path, topic, columns)
+        sources = tuple(source_file("log", file) for file in files_of(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
+    return _scaled(replace(log, sources=sources), scale)
+
+
+def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
+    """The log as its format's file reads it; OSError where that cannot."""
+    if path.is_dir():
+        from idtool.logs.mcap import read
+
+        named = path if path.name or not is_bag(path) else path.resolve()  # the folder one is in
+        return read(named, topic, columns)
+    if not path.is_file():
+        raise LogError(path, "there is no such file")
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if not head:
+        raise LogError(path, "is empty")
+    for form in _formats():
+        if form.matches(head):
+            return form.read(path, topic, columns)
     if head.startswith(SQLITE):
         raise LogError(path, not_mcap(path, "sqlite3"))
     raise LogError(path, f"is no log that can be read: {' or '.join(_endings())}, CSV in UTF-8")

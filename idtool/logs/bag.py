@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from idtool.exceptions import LogError
-from idtool.names import shown
+from idtool.names import shown, stem
 
 METADATA = "metadata.yaml"
 MCAP, ZSTD, SQLITE = b"\x89MCAP", b"\x28\xb5\x2f\xfd", b"SQLite format 3\0"  # that files begin with
@@ -83,7 +83,7 @@ def not_mcap(path: Path, storage: str) -> str:
 
 def _conversion(path: Path) -> str:
     """How to write a bag anew as MCAP; as ``all`` has always been understood, while ``all_topics`` is new."""
-    target = shown(f"{path.stem}_mcap")
+    target = shown(f"{stem(path)}_mcap")
     return (
         f"write 'output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]' to out.yaml, "
         f"run 'ros2 bag convert -i {shlex.quote(str(path))} -o out.yaml' and give {target}"

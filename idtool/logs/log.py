@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.exceptions import LogError
+from idtool.provenance import Source
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,8 @@ class Log:
         Nominal sample time [s].
     warnings
         What the reader had to say, one plain sentence each.
+    sources
+        The files that it was read from.
     """
 
     path: Path
@@ -53,6 +56,7 @@ class Log:
     segments: tuple[slice, ...]
     dt: float
     warnings: tuple[str, ...] = ()
+    sources: tuple[Source, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t)

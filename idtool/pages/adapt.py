@@ -48,7 +48,6 @@ def adapt_page(report: dict[str, Any], command: str) -> str:
         groups=by_unit(report["units"]),
         settled={body: settling_time(t - t[0], mass) for body, mass in masses.items()},
         command=command,
-        inputs={"URDF": [report["urdf"]], "logs": report["logs"]},
     )
 
 

@@ -80,7 +80,6 @@ def diagnosis_page(diagnosis: Diagnosis, report: Mapping[str, Any], command: str
         **{"position_groups": by_unit(position_units(units)), **simulation_text(report), **trust_view(report)},
         where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
         command=command,
-        inputs={"URDF": [report["urdf"]], "logs": report["logs"]},
     )
 
 

@@ -37,7 +37,6 @@ def excite_page(report: dict[str, Any], command: str) -> str:
         report=report,
         gain=_gain(report),
         command=command,
-        inputs={"URDF": [report["urdf"]], "logs": report["logs"], "trajectory": [report["file"]]},
     )
 
 

@@ -82,5 +82,4 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None =
         determined=fit.uncertainty.identifiable,
         closest=fit.estimate.certificate.where,
         command=command,
-        inputs={"URDF": [report["urdf"]], "logs": report["logs"]},
     )

@@ -106,7 +106,6 @@ def study_page(evaluation: Evaluation, report: dict[str, Any], command: str) -> 
         online=_online(report["adaptation"]),
         where="Fig. 4 of the paper: on the held-out data, with the tightest set",
         command=command,
-        inputs={"URDF": [report["urdf"]], "logs": report["logs"]},
     )
 
 

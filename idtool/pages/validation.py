@@ -45,5 +45,4 @@ def validation_page(evaluation: Evaluation, report: dict[str, Any], command: str
         **simulation_text(report),
         where="On the validation logs",
         command=command,
-        inputs={"logs": [trace.name for trace in evaluation.traces]},
     )

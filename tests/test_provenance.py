@@ -1,0 +1,102 @@
+"""Every page and its JSON tell what was read, by its hash, with what, and by which command."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import LEG, TRAIN, VALIDATE, idtool, strict_json
+from pages import Page
+
+from idtool import Log, Model, fit
+
+LEG_YAML = LEG.with_suffix(".yaml")
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def entry(kind: str, path: Path, name: object = None) -> dict[str, Any]:
+    return {"kind": kind, "path": str(name or path), "sha256": sha256(path)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a leg without rotors, two seconds of log, and a bag that holds the same."""
+    folder = tmp_path_factory.mktemp("made by")
+    (folder / "leg.urdf").write_bytes(LEG.read_bytes())
+    (folder / "leg.yaml").write_text("friction: {viscous: true}\n")
+    log = Log(TRAIN)
+    few = slice(0, 2000)
+    signals = {"q": log.q[few], "v": log.v[few], "tau": log.tau[few]}
+    (folder / "bag").mkdir()
+    Log.from_arrays("short", log.t[few], log.joints, **signals).save(folder / "bag" / "run 1.mcap")
+    (folder / "bag" / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: ['run 1.mcap']}"
+    )
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("command", "page"),
+    [
+        (["fit", "leg.urdf", "bag", "--quick"], "report"),
+        (["validate", "leg.urdf", "bag", "--no-simulation"], "validation"),
+        (["diagnose", "leg.urdf", "bag", "--effects", "parallel_spring", "--no-simulation"], "diagnosis"),
+        (["study", "leg.urdf", "bag", "--draws", "5"], "study"),
+        (["adapt", "leg.urdf", "bag"], "adapt"),
+    ],
+    ids=lambda given: given if isinstance(given, str) else "",
+)
+def test_a_page_tells_the_command_the_versions_and_the_hashes(folder: Path, command: list[str], page: str) -> None:
+    done = idtool(*command, "--out", f"{page} out", "--quiet", folder=folder)
+    assert done.code == 0, done.err
+    report = strict_json((folder / f"{page} out" / f"{page}.json").read_text())
+    urdf, config, bag = folder / "leg.urdf", folder / "leg.yaml", folder / "bag"
+    read = [entry("URDF", urdf, "leg.urdf"), entry("configuration", config, "leg.yaml")]
+    read += [entry("log", path, path.relative_to(folder)) for path in bag.glob("*.mcap")]
+    assert report["inputs"] == read
+    assert report["versions"]["numpy"] == np.__version__
+    text = Page((folder / f"{page} out" / f"{page}.html").read_text()).text
+    for known in (shlex.join(["idtool", *command, "--out", f"{page} out"]), f"numpy {np.__version__}"):
+        assert known in text
+    assert all(f"SHA-256 {one['sha256']}" in text for one in read)
+
+
+def test_a_designed_trajectory_tells_them_too(folder: Path) -> None:
+    done = idtool("excite", "leg.urdf", "--duration", "5", "--iterations", "1", "--json", "--quiet", folder=folder)
+    assert done.code == 0, done.err
+    assert [one["sha256"] for one in done.json["inputs"]] == [sha256(folder / "leg.urdf"), sha256(folder / "leg.yaml")]
+    assert sha256(folder / "leg.urdf") in (folder / "leg_idtool" / "excitation.html").read_text()
+
+
+def test_a_log_given_twice_stands_once_and_the_prior_apart(folder: Path) -> None:
+    (folder / "prior.urdf").write_bytes(LEG.read_bytes() + b"\n")
+    (folder / "prior.yaml").write_bytes(LEG_YAML.read_bytes() + b"\n")
+    done = idtool("validate", LEG, VALIDATE, VALIDATE, "--prior", "prior.urdf", "--json", "--quiet", folder=folder)
+    assert done.code == 0, done.err
+    assert done.json["inputs"] == [
+        entry("URDF", LEG),
+        entry("configuration", LEG_YAML),
+        entry("log", VALIDATE),
+        entry("prior's URDF", folder / "prior.urdf", "prior.urdf"),
+        entry("prior's configuration", folder / "prior.yaml", "prior.yaml"),
+    ]
+
+
+def test_what_was_made_in_python_has_no_hash_and_says_so(folder: Path, tmp_path: Path) -> None:
+    log = Log(folder / "bag")
+    found = fit(
+        Model(LEG, {"friction": {"viscous": True}}),
+        Log.from_arrays("made up", log.t, log.joints, q=log.q, v=log.v, tau=log.tau),
+        quick=True,
+    )
+    inputs = [(one["kind"], one["path"], one["sha256"]) for one in found.to_json()["inputs"]]
+    assert inputs == [("URDF", str(LEG), sha256(LEG)), ("log", "made up", None)]
+    found.save(tmp_path)
+    assert "not from a file" in Page((tmp_path / "report.html").read_text()).text
