@@ -17,7 +17,7 @@ from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
 from idtool.names import some
-from idtool.provenance import Source, source_of
+from idtool.provenance import Source
 from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
 from idtool.robot import Robot
@@ -160,7 +160,7 @@ class Experiment:
 
 def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:
     """What a robot, a configuration and logs were read from, each once; a log of arrays has no hash."""
-    read = [source_of("URDF", robot.path, robot.text), *([config.source] if config.source else [])]
+    read = [robot.source, *([config.source] if config.source else [])]
     for log in logs:
         read += log.sources or [Source("log", str(log.path), None)]
     return tuple(dict.fromkeys(read))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from idtool.exceptions import ModelError
 from idtool.inertia import SIZE, from_mass_com_inertia
+from idtool.provenance import Source, source_of
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,8 @@ class Robot:
         Link name to inertia parameters in the link's frame, shape (10,); None where the URDF gives no inertial.
     joints
         Joint name to joint, parents before children.
+    source
+        Where the text comes from.
     """
 
     path: Path
@@ -97,6 +100,7 @@ class Robot:
     root: str
     links: dict[str, Array | None]
     joints: dict[str, Joint]
+    source: Source
 
 
 def read_robot(path: Path) -> Robot:
@@ -149,7 +153,7 @@ def parse_robot(path: Path, data: bytes) -> Robot:
     if len(links) != len(urdf.links) or len({joint.name for joint in joints}) != len(joints):
         raise ModelError(path, "two links or two joints have the same name; rename one")
     root, ordered = _tree(path, links, joints)
-    return Robot(path, data, root, links, ordered)
+    return Robot(path, data, root, links, ordered, source_of("URDF", path, data))
 
 
 def parse_xml(path: Path, data: bytes) -> etree._Element:

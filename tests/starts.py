@@ -56,7 +56,7 @@ def init(urdf: Path, *arguments: object) -> dict[str, Any]:
     report = done.json
     file = Path(report["file"])
     assert yaml.safe_load(file.read_text()) == report["config"]
-    assert read_config(file) == parse_config(report["config"], "report")
+    assert read_config(file).model_dump() == parse_config(report["config"], "report").model_dump()
     return report
 
 

@@ -19,6 +19,7 @@ from idtool.check import check, nearest_bodies, repaired
 from idtool.config import Config, parse_config
 from idtool.exceptions import ConfigError
 from idtool.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
+from idtool.provenance import Source
 from idtool.robot import Robot, read_robot
 
 Array = NDArray[np.float64]
@@ -191,7 +192,7 @@ def test_the_moments_move_least_in_the_pullback_metric(rng: np.random.Generator,
     axes, spread = rotation(rng), np.sort(rng.uniform(0.01, 0.1, 3) ** 2)
     sigma = axes @ np.diag([-share * spread[0], *spread[1:]]) @ axes.T
     pi = from_mass_com_inertia(1.2, rng.normal(size=3), 1.2 * (np.trace(sigma) * np.eye(3) - sigma))
-    robot = Robot(Path("r.urdf"), b"", "a", {"a": pi}, {})
+    robot = Robot(Path("r.urdf"), b"", "a", {"a": pi}, {}, Source("URDF", "r.urdf", None))
     nearest = nearest_bodies(check(robot, Config()))["a"]
     inertia = mass_com_inertia(nearest)[2]
     mu = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia) / 1.2

@@ -69,9 +69,20 @@ def test_help_explains_every_option(name: str) -> None:
     options = {opt for parameter in COMMANDS[name].params for opt in parameter.opts}
     assert OPTIONS.get(name, set()) <= options
     for parameter in COMMANDS[name].params:
-        assert parameter.opts[-1] in text
+        assert (parameter.metavar if parameter.param_type_name == "argument" else parameter.opts[-1]) in text
         if parameter.name != "help":
             assert " ".join(parameter.help.split()) in text
+
+
+def test_the_help_lists_the_commands_in_the_order_in_which_they_are_needed() -> None:
+    text = help_of()
+    places = [text.index(f" {name} ") for name in ("First steps inspect", "init", "Identify and check fit", "diagnose")]
+    assert places == sorted(places)
+
+
+def test_a_mistake_in_a_command_names_the_help_of_that_command() -> None:
+    assert idtool("fit").err == "error: command: missing argument 'URDF'; try idtool fit --help\n"
+    assert idtool("fot").err.endswith("try idtool --help\n")
 
 
 def test_no_arguments_show_the_help() -> None:

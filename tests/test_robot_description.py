@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -300,18 +301,36 @@ def test_a_study_takes_the_robot_from_the_bag(folder: Path, monkeypatch: pytest.
 
 
 def test_in_the_folder_of_the_bag(folder: Path) -> None:
+    done = idtool("validate", ".", "--no-simulation", "--quiet", folder=folder / "split")
+    assert (done.code, done.err) == (0, "")
+    assert (folder / "split" / "split_idtool" / "validation.html").exists()
     report = adapted(folder / "split", ".")
     assert report["theta"] == adapted(folder, "split")["theta"]
     assert (folder / "split" / "split_idtool" / "adapt.json").exists()
 
 
+@pytest.mark.parametrize("log", ["run.mcap", "split", "run_1.5kg"])
+def test_a_first_configuration_is_written_beside_the_bag_where_fit_finds_it(folder: Path, log: str) -> None:
+    if not (folder / log).exists():
+        shutil.copytree(folder / "split", folder / log)
+    file = folder / f"{log.removesuffix('.mcap')}.yaml"
+    known = "known.yaml"
+    (folder / known).write_text("filter: {cutoff_hz: 33}\nrotors: {}\n")
+    done = idtool("init", log, "--config", known, "--force", "--json", "--quiet", folder=folder)
+    assert (done.code, done.err) == (0, "")
+    assert (done.json["file"], done.json["next"]) == (file.name, f"idtool fit {log}")
+    fitted = idtool("fit", log, "--quick", "--json", "--quiet", folder=folder)
+    assert (fitted.code, fitted.err, fitted.json["band_hz"]) == (0, "", 33)
+    assert (folder / f"{log.removesuffix('.mcap')}_idtool" / "report.html").exists()
+
+
 def test_a_bag_without_a_robot_needs_one(folder: Path) -> None:
     for arguments, naming in (
         (["more.mcap"], "more.mcap: no topic /robot_description carries"),
-        (["leg.urdf"], "missing argument 'logs'"),
-        (["log.csv"], "missing argument 'logs'"),
-        (["none.mcap"], "missing argument 'logs'"),
-        ([], "missing argument 'urdf'"),
+        (["leg.urdf"], "missing argument 'LOG'"),
+        (["log.csv"], "missing argument 'LOG'"),
+        (["none.mcap"], "none.mcap: there is no such file"),
+        ([], "missing argument 'URDF'"),
     ):
         done = idtool("adapt", *arguments, folder=folder)
         assert (done.code, done.out) == (2, "")

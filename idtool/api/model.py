@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,8 @@ class Model:
         """
         model = cls.__new__(cls)
         original = fit.experiment.model.robot.path
-        model._robot = parse_robot(original, identified_text(fit))  # its meshes are found from there
+        robot = parse_robot(original, identified_text(fit))  # its meshes are found from there
+        model._robot = replace(robot, source=replace(robot.source, path=f"{original}, identified"))
         model._config, model._origin = parse_config(model_config(fit), SETTINGS), _FOUND
         return model
 

@@ -53,4 +53,6 @@ def _fail(message: str) -> int:
 def _usage(error: TyperException) -> str:
     """A mistake in the command's words as one line."""
     text = " ".join(error.format_message().split()).rstrip(".")
-    return f"command: {text[:1].lower()}{text[1:]}; try idtool --help"
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "idtool"
+    return f"command: {text[:1].lower()}{text[1:]}; try {command} --help"

@@ -5,14 +5,38 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
+
+FIRST, MODEL, QUESTIONS, USE = "First steps", "Identify and check", "What the data are worth", "Use the model"
+
+_ORDER = (  # in which a user needs them
+    *("inspect", "init", "ellipsoids", "excite"),
+    *("fit", "validate", "diagnose"),
+    *("study", "adapt"),
+    *("simulate", "export"),
+)
+
+
+class _Commands(TyperGroup):
+    """The commands as the help lists them."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
+        return sorted(super().list_commands(ctx), key=_ORDER.index)
+
 
 app = typer.Typer(
     name="idtool",
+    cls=_Commands,
     help="Identify the dynamics of robot legs and arms from logged joint data.\n\n"
     "Reads a URDF and logs of q, v and tau, writes a URDF with inertias that some body can have, friction and rotors, "
     "and says how far to trust it.",
-    epilog="Start with: idtool inspect LOG, then idtool fit URDF LOG. Exit codes: 0 done, 1 a bound was not met, "
-    "2 the input is unusable.",
+    epilog="From logs to a model:\n\n"
+    "idtool inspect run1.mcap\n\n"
+    "idtool init robot.urdf run1.mcap\n\n"
+    "idtool fit robot.urdf run1.mcap run2.mcap --validate run3.mcap\n\n"
+    "idtool diagnose robot.urdf run1.mcap run2.mcap --validate run3.mcap\n\n"
+    "Each command's --help has its options and an example. "
+    "Exit codes: 0 done, 1 a bound was not met, 2 the input is unusable.",
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",

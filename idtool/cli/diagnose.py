@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.cli.app import app
+from idtool.cli.app import MODEL, app
 from idtool.cli.options import (
     AssumeOption,
     ConfigOption,
@@ -26,7 +26,11 @@ from idtool.cli.options import (
 )
 
 
-@app.command("diagnose", epilog="Example: idtool diagnose leg.urdf run1.mcap run2.mcap --validate run3.mcap")
+@app.command(
+    "diagnose",
+    rich_help_panel=MODEL,
+    epilog="Example: idtool diagnose leg.urdf run1.mcap run2.mcap --validate run3.mcap",
+)
 def diagnose_command(
     urdf: UrdfArgument,
     logs: LogsArgument,

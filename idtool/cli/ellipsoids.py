@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import FIRST, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish
 from idtool.exceptions import ConfigError
 
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from idtool.terminal import Terminal
 
 
-@app.command("ellipsoids", epilog="Example: idtool ellipsoids leg.urdf --check --repair leg_repaired.urdf")
+@app.command(
+    "ellipsoids", rich_help_panel=FIRST, epilog="Example: idtool ellipsoids leg.urdf --check --repair leg_repaired.urdf"
+)
 def ellipsoids_command(
     urdf: UrdfArgument,
     config: ConfigOption = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import FIRST, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, finish, folder_for
 from idtool.exceptions import ConfigError, LogError
 
@@ -24,7 +24,11 @@ _CRITERIA = ("d", "a", "e", "condition")
 _ALL = ""  # an option's value for all joints
 
 
-@app.command("excite", epilog="Example: idtool excite leg.urdf --duration 30 --noise 0.1 --favour shank_link")
+@app.command(
+    "excite",
+    rich_help_panel=FIRST,
+    epilog="Example: idtool excite leg.urdf --duration 30 --noise 0.1 --favour shank_link",
+)
 def excite_command(
     urdf: UrdfArgument,
     config: ConfigOption = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import USE, app
 from idtool.cli.options import JsonOption, QuietOption, finish
 from idtool.exceptions import ConfigError
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from idtool.terminal import Terminal
 
 
-@app.command("export", epilog="Example: idtool export leg_idtool --to mujoco")
+@app.command("export", rich_help_panel=USE, epilog="Example: idtool export leg_idtool --to mujoco")
 def export_command(
     folder: Annotated[
         Path, typer.Argument(help="The folder that idtool fit wrote to.", metavar="OUT", show_default=False)

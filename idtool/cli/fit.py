@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.cli.app import app
+from idtool.cli.app import MODEL, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
@@ -24,7 +24,9 @@ from idtool.cli.options import (
 )
 
 
-@app.command("fit", epilog="Example: idtool fit leg.urdf run1.mcap run2.mcap --validate run3.mcap")
+@app.command(
+    "fit", rich_help_panel=MODEL, epilog="Example: idtool fit leg.urdf run1.mcap run2.mcap --validate run3.mcap"
+)
 def fit_command(
     urdf: UrdfArgument,
     logs: LogsArgument,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import FIRST, app
 from idtool.cli.options import JsonOption, LogsArgument, QuietOption, UrdfArgument, finish
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from idtool.starting import Start
 
 
-@app.command("init", epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
+@app.command("init", rich_help_panel=FIRST, epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
 def init_command(
     urdf: UrdfArgument,
     logs: LogsArgument,
@@ -33,25 +33,27 @@ def init_command(
     quiet: QuietOption = False,
 ) -> None:
     """Write a commented configuration with all that URDF and logs tell; what they do not is left to fill in."""
+    from idtool.description import robot_and_logs
+    from idtool.names import stem
     from idtool.outputs import write_all
     from idtool.report import HEADER
-    from idtool.robot import read_robot
     from idtool.safe_yaml import read_yaml
     from idtool.starting import start
     from idtool.terminal import Terminal
     from idtool.terminal.init import show_start
 
     terminal = Terminal(quiet, as_json)
-    file = out or urdf.with_suffix(".yaml")
+    beside = urdf.with_name(f"{stem(urdf)}.yaml")  # where the other commands look for it
+    file = out or beside
     _check(file, [urdf, *logs], force)
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        robot = read_robot(urdf)
+        robot, every = robot_and_logs(urdf, logs)
         given = read_yaml(config) if config else None
-        found = start(robot, logs, given or {}, config, progress)
+        found = start(robot, every, given or {}, config, progress)
         write_all(file.parent, {file.name: found.text})
     report = {**HEADER, "file": str(file), "urdf": str(urdf), "logs": [str(path) for path in logs], **_report(found)}
-    report["next"] = _next(found, file, urdf, logs)
+    report["next"] = _next(found, file, [urdf, *logs], file.resolve() == beside.resolve())
     show_start(terminal, report)
     finish(terminal, report, {})
 
@@ -82,10 +84,9 @@ def _report(found: Start) -> dict[str, Any]:
     }
 
 
-def _next(found: Start, file: Path, urdf: Path, logs: Sequence[Path]) -> str:
+def _next(found: Start, file: Path, given: Sequence[Path], beside: bool) -> str:
     """The next command: the fit, or the same again with what it cannot do without filled in."""
-    arguments = [str(urdf), *map(str, logs)]
-    beside = file.resolve() == urdf.with_suffix(".yaml").resolve()
+    arguments = list(map(str, given))
     if found.needed:
         out = [] if beside else ["--out", str(file)]
         return shlex.join(["idtool", "init", *arguments, "--config", str(file), *out, "--force"])

@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import FIRST, app
 from idtool.cli.options import JsonOption, QuietOption, finish
 
 
-@app.command("inspect", epilog="Example: idtool inspect run1.mcap")
+@app.command("inspect", rich_help_panel=FIRST, epilog="Example: idtool inspect run1.mcap")
 def inspect_command(
-    log: Annotated[Path, typer.Argument(help="A log: MCAP, CSV or a rosbag2 folder.", show_default=False)],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A log: MCAP, CSV or a rosbag2 folder.", show_default=False)
+    ],
     config: Annotated[Path | None, typer.Option("--config", help="Configuration; its log section is used.")] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

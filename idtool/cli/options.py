@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from idtool.exceptions import ConfigError
+from idtool.exceptions import ConfigError, ModelError
 from idtool.names import stem
 
 if TYPE_CHECKING:
@@ -24,15 +24,15 @@ def named(path: Path | None) -> Path | None:
     return path.resolve() if path and path.name in ("", "..") else path
 
 
-def some_log(context: typer.Context, parameter: typer.CallbackParam, given: Any) -> Any:
+def some_log(context: typer.Context, given: Any) -> Any:
     """The log or logs as given: none is enough where what stands in the URDF's place is a bag."""
-    from typer.exceptions import TyperException
-
     from idtool.logs import is_bag
 
     urdf = context.params.get("urdf")
     if not (given or context.resilient_parsing or (urdf and is_bag(urdf))):
-        raise TyperException(f"Missing argument '{parameter.name}'.")
+        if urdf and not urdf.exists():
+            raise ModelError(urdf, "there is no such file")
+        raise ConfigError("command", f"missing argument 'LOG'; try {context.command_path} --help")
     return given
 
 
@@ -45,10 +45,13 @@ def _recordable(file: Path | None) -> Path | None:
     return file
 
 
-UrdfArgument = Annotated[Path, typer.Argument(help="The robot's URDF.", show_default=False, callback=named)]
+UrdfArgument = Annotated[
+    Path, typer.Argument(metavar="URDF", help="The robot's URDF.", show_default=False, callback=named)
+]
 LogsArgument = Annotated[
     list[Path],
     typer.Argument(
+        metavar="LOG",
         help="Logs: MCAP, CSV or rosbag2 folders. Where the first one is a bag with /robot_description, the URDF may "
         "be left out.",
         show_default=False,

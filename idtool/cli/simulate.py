@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import USE, app
 from idtool.cli.options import (
     ConfigOption,
     JsonOption,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 LogArgument = Annotated[
     Path | None,
     typer.Argument(
+        metavar="LOG",
         help="A log or, with --track, a trajectory: MCAP, CSV or a rosbag2 folder. Without a URDF, a bag with "
         "/robot_description.",
         show_default=False,
@@ -59,7 +60,7 @@ TrackOption = Annotated[
 ]
 
 
-@app.command("simulate", epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap")
+@app.command("simulate", rich_help_panel=USE, epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap")
 def simulate_command(
     urdf: UrdfArgument,
     log: LogArgument = None,

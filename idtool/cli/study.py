@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import QUESTIONS, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
@@ -22,7 +22,7 @@ from idtool.cli.options import (
 )
 
 
-@app.command("study", epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap")
+@app.command("study", rich_help_panel=QUESTIONS, epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap")
 def study_command(
     urdf: UrdfArgument,
     logs: LogsArgument,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import app
+from idtool.cli.app import MODEL, app
 from idtool.cli.options import (
     JsonOption,
     MaxRmsOption,
@@ -27,11 +27,17 @@ if TYPE_CHECKING:
     from idtool.terminal import Terminal
 
 
-@app.command("validate", epilog="Example: idtool validate leg_idtool/identified.urdf run3.mcap --prior leg.urdf")
+@app.command(
+    "validate",
+    rich_help_panel=MODEL,
+    epilog="Example: idtool validate leg_idtool/identified.urdf run3.mcap --prior leg.urdf",
+)
 def validate_command(
-    urdf: Annotated[Path | None, typer.Argument(help="The model's URDF.", show_default=False, callback=named)] = None,
+    urdf: Annotated[
+        Path | None, typer.Argument(metavar="URDF", help="The model's URDF.", show_default=False, callback=named)
+    ] = None,
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="Logs: MCAP, CSV or rosbag2 folders.", show_default=False)
+        list[Path] | None, typer.Argument(metavar="LOG", help="Logs: MCAP, CSV or rosbag2 folders.", show_default=False)
     ] = None,
     config: Annotated[
         Path | None,
