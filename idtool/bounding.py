@@ -47,10 +47,7 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
 
 def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
     """Ellipsoids by link as the value of the configuration's ``bounding_ellipsoids``: plain data, lengths in m."""
-    return {
-        link: [{"center": list(S.center), "semi_axes": list(S.semi_axes), "rpy": list(S.rpy)}]
-        for link, S in ellipsoids.items()
-    }
+    return {link: [ellipsoid.to_dict()] for link, ellipsoid in ellipsoids.items()}
 
 
 def bounding_shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:

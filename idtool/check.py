@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from idtool.body import Body, Frame
 from idtool.bounding import bounding_shape
 from idtool.config import Config
 from idtool.exceptions import ConfigError
+from idtool.inertia import mass_com_inertia, six
 from idtool.names import nearest
 from idtool.projection import project
 from idtool.robot import Robot
@@ -78,3 +80,33 @@ def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
 def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
     """The URDF's text with these inertials, every other byte kept."""
     return rewrite(robot.text, inertials, {})
+
+
+def check_report(checks: Sequence[LinkCheck], found: Mapping[str, Array]) -> dict[str, Any]:
+    """What `idtool ellipsoids --check` prints as JSON.
+
+    Parameters
+    ----------
+    checks
+        The links.
+    found
+        Inertials that some body can have, for those that none can, shape (10,) each.
+    """
+    return {
+        "links": {
+            c.body.name: {
+                "mass": float(c.body.pi[0]),
+                "violations": list(c.violations),
+                "nearest": _repair(c.body.pi, found[c.body.name]) if c.body.name in found else None,
+            }
+            for c in checks
+        }
+    }
+
+
+def _repair(pi: Array, nearest: Array) -> dict[str, Any]:
+    """A repaired inertial, and how much of the inertia about the centre of mass it changes, of its largest entry."""
+    mass, com, inertia = mass_com_inertia(nearest)
+    before = mass_com_inertia(pi)[2]
+    moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
+    return {"mass": mass, "com": com.tolist(), "inertia_com": six(inertia).tolist(), "moved": moved}

@@ -46,6 +46,10 @@ class Ellipsoid:
         """Its image in which x, y and z have these signs, shape (3,)."""
         return Ellipsoid.along(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
 
+    def to_dict(self) -> dict[str, list[float]]:
+        """As JSON and YAML have it."""
+        return {"center": list(self.center), "semi_axes": list(self.semi_axes), "rpy": list(self.rpy)}
+
     @property
     def rotation(self) -> Array:
         """Axes as columns, shape (3, 3)."""

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from idtool import __version__
 from idtool.body import Body
-from idtool.check import LinkCheck
 from idtool.config import Config, EffectEntry
 from idtool.effects import NamedEffect, named_effect, plain
-from idtool.ellipsoid import Ellipsoid
 from idtool.fitting import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.provenance import Source, provenance
@@ -123,9 +121,9 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
         "copy_of": fit.experiment.model.bodies[copy[0]].name if copy else None,
         "lumped": list(body.lumped),
         "prior": body.pi.tolist(),
-        "ellipsoids": [_plain(ellipsoid) for ellipsoid in body.ellipsoids],
+        "ellipsoids": [ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
         "shapes": [shape.to_dict() for shape in body.shapes],
-        "deviation_ellipsoid": _plain(deviation_ellipsoid(pi)) if mass > 0 else None,
+        "deviation_ellipsoid": deviation_ellipsoid(pi).to_dict() if mass > 0 else None,
         "split": None if verdict.pieces is None else [{"mass": p[0], "pi": p} for p in verdict.pieces.tolist()],
         "witness": _witness(verdict) if len(verdict.masses) else None,
         "violations": list(verdict.violations),
@@ -134,40 +132,6 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
 
 def _witness(verdict: Verdict) -> dict[str, Any]:
     return {"masses": verdict.masses.tolist(), "points": verdict.points.tolist()}
-
-
-def _plain(ellipsoid: Ellipsoid) -> dict[str, list[float]]:
-    return {"center": list(ellipsoid.center), "semi_axes": list(ellipsoid.semi_axes), "rpy": list(ellipsoid.rpy)}
-
-
-def check_report(checks: Sequence[LinkCheck], nearest: Mapping[str, Array]) -> dict[str, Any]:
-    """What `idtool ellipsoids --check` prints as JSON.
-
-    Parameters
-    ----------
-    checks
-        The links.
-    nearest
-        Inertials that some body can have, for those that none can, shape (10,) each.
-    """
-    return {
-        "links": {
-            c.body.name: {
-                "mass": float(c.body.pi[0]),
-                "violations": list(c.violations),
-                "nearest": _nearest(c.body.pi, nearest[c.body.name]) if c.body.name in nearest else None,
-            }
-            for c in checks
-        }
-    }
-
-
-def _nearest(pi: Array, nearest: Array) -> dict[str, Any]:
-    """A repaired inertial, and how much of the inertia about the centre of mass it changes, of its largest entry."""
-    mass, com, inertia = mass_com_inertia(nearest)
-    before = mass_com_inertia(pi)[2]
-    moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
-    return {"mass": mass, "com": com.tolist(), "inertia_com": six(inertia).tolist(), "moved": moved}
 
 
 def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | None:

@@ -20,7 +20,7 @@ PACKAGE = ROOT / "idtool"
 ORDER = (
     *("exceptions", "names", "provenance", "safe_yaml"),
     *("inertia", "ellipsoid", "inequality", "shapes", "metric", "witness"),
-    *("config", "robot", "geometry", "bounding", "logs", "description", "inspection"),
+    *("config", "robot", "meshes", "geometry", "bounding", "logs", "description", "inspection"),
     *(
         "body",
         "model",
@@ -111,7 +111,7 @@ WALLS = {
     "yourdfpy": {"robot"},
     "typer": {"cli"},
     "rich": {"cli", "terminal", "progress"},
-    "trimesh": {"geometry"},
+    "trimesh": {"meshes"},
     "coal": {"pieces"},
     "rerun": {"rerun_recording"},
 }

@@ -56,9 +56,10 @@ def at_rest(opened: Browser) -> dict[str, Any]:
     return dict(now)
 
 
-def test_the_robot_moves_and_turns(pages: Path, opened: Browser) -> None:
+@pytest.mark.parametrize("name", ["report.html", "validation.html", "diagnosis.html"])
+def test_the_robot_moves_and_turns(pages: Path, opened: Browser, name: str) -> None:
     """The slider moves it, the mouse turns it, and it stays turned when it is moved again."""
-    opened.use(pages / "report.html", 1400, False)
+    opened.use(pages / name, 1400, False)
     opened.run(LOOK)
     first = opened.run(ROBOT)
     opened.run(MOVE, 30)

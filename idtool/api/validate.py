@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, coefficients_of, sources_of
 from idtool.model import Model as RobotModel
@@ -74,6 +74,7 @@ class ValidationResult(Recordable):
     ok: ReadOnly[bool]
     warnings: tuple[str, ...]
     _model: RobotModel
+    _models: Mapping[str, Array]
     _evaluation: Evaluation
     _rollouts: Replay | None
     _report: Mapping[str, Any]
@@ -105,7 +106,8 @@ class ValidationResult(Recordable):
         from idtool.pages import validation_page
 
         text = self._made_by if made_by is None else made_by
-        page = validation_page(self._evaluation, dict(self._report), text, self._rollouts)
+        bodies = (self._model, self._models)
+        page = validation_page(self._evaluation, dict(self._report), text, self._rollouts, bodies)
         files = {"validation.json": as_json(self._report), "validation.html": page}
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
@@ -250,7 +252,7 @@ def validate_experiment(
         own = prior.settings if prior.configured else experiment.config.without_friction_values()
         models["prior"] = coefficients_of(prior.robot, own, experiment)
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
-    evaluation = evaluate(experiment, models, held_out=True, progress=progress)
+    evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     rollouts = replay(experiment, models, held_out=True, progress=progress) if simulate else None
     simulation = simulation_report(rollouts, "model", experiment)
     report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources)
@@ -264,6 +266,7 @@ def validate_experiment(
         ok=frozen(report["ok"]),
         warnings=tuple(report["warnings"]),
         _model=experiment.model,
+        _models=models,
         _evaluation=evaluation,
         _rollouts=rollouts,
         _report=report,

@@ -76,9 +76,9 @@ def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) ->
 
 def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None) -> None:
     """Links whose inertia no body can have."""
-    from idtool.check import check, nearest_bodies, repaired
+    from idtool.check import check, check_report, nearest_bodies, repaired
     from idtool.outputs import write_all
-    from idtool.report import HEADER, check_report
+    from idtool.report import HEADER
     from idtool.terminal.check import show_check
 
     checks = check(robot, config)

@@ -1,12 +1,16 @@
 """A list of sections → one HTML file that needs nothing else.
 
 A section is a heading and a template under `templates/`, which reads what `render` is given. All text is escaped by
-the templates: names and paths are a stranger's. The browser draws plots with plotly.js, which is part of the page.
+the templates: names and paths are a stranger's. The browser draws plots with plotly.js, which is in the page,
+compressed.
 """
 
 from __future__ import annotations
 
+import base64
+import gzip
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import jinja2
@@ -43,5 +47,11 @@ def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str
     environment.filters.update(number=number, with_error=with_error, metres=metres, percent=percent)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     page = environment.get_template("page.html")
-    html = page.render(title=title, sections=sections, drawing=drawing, data=data, plotly=get_plotlyjs(), **context)
+    html = page.render(title=title, sections=sections, drawing=drawing, data=data, plotly=_library(), **context)
     return html.encode(errors="replace").decode()  # a path need not be text
+
+
+@cache
+def _library() -> str:
+    """plotly.js as `templates/load.js` takes it: gzip in base64."""
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), compresslevel=6, mtime=0)).decode()

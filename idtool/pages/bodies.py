@@ -1,4 +1,4 @@
-"""Bodies in three dimensions: what `templates/bodies.js` draws of report.json."""
+"""Bodies in three dimensions: what `templates/bodies.js` and `robot.js` draw."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from idtool.inertia import SIZE
+from idtool.model import Model
 from idtool.witness import deviation_ellipsoid, explain
+
+Array = NDArray[np.float64]
 
 _DECIMALS = 6  # of lengths in m
 _MOST_NUMBERS = 60_000  # that all bodies hold together
@@ -46,17 +50,39 @@ def _view(name: str, body: Mapping[str, Any]) -> dict[str, Any]:
         "name": name,
         "bounds": _rounded(bounds),
         "found": _rounded(body["deviation_ellipsoid"]),
-        "prior": _rounded(_prior(body["prior"])),
+        "prior": _rounded(_spread(body["prior"])),
         "masses": _heaviest(body["witness"]),
     }
 
 
-def _prior(pi: list[float]) -> dict[str, Any] | None:
-    """The standard-deviation ellipsoid of the prior, if some density has these parameters."""
+def bodies_of(model: Model, theta: Array, prior: Array | None) -> dict[str, dict[str, Any]]:
+    """What `body_views` reads of report.json, of bodies that were not identified.
+
+    Parameters
+    ----------
+    model
+        The tree of bodies.
+    theta, prior
+        Coefficients of the torque equation, shape (p,), the bodies' first; of the prior None where there is none.
+    """
+    found = {}
+    for i, body in enumerate(model.bodies):
+        part = slice(SIZE * i, SIZE * (i + 1))
+        found[body.name] = {
+            "ellipsoids": [ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
+            "shapes": [shape.to_dict() for shape in body.shapes],
+            "deviation_ellipsoid": _spread(theta[part].tolist()),
+            "prior": [] if prior is None else prior[part].tolist(),
+            "witness": None,
+        }
+    return found
+
+
+def _spread(pi: list[float]) -> dict[str, Any] | None:
+    """The standard-deviation ellipsoid, if some density has these parameters."""
     if len(pi) != SIZE or explain(pi):
         return None
-    spread = deviation_ellipsoid(pi)
-    return {"center": list(spread.center), "semi_axes": list(spread.semi_axes), "rpy": list(spread.rpy)}
+    return deviation_ellipsoid(pi).to_dict()
 
 
 def _heaviest(witness: Mapping[str, Any] | None) -> dict[str, Any] | None:

@@ -11,9 +11,11 @@ from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis_words import UNKNOWN, effect_name, on, position_units
 from idtool.envelope import Trace
 from idtool.pages.base import render
+from idtool.pages.bodies import body_views
 from idtool.pages.curves import drawn
 from idtool.pages.figures import by_unit, number, with_error
 from idtool.pages.residuals import gap_views, residual_views
+from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import simulation_text, simulation_view
 from idtool.pages.trust import trust_view
 from idtool.replay import Replay
@@ -29,6 +31,7 @@ _SECTIONS = (
     _SIMULATION,
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
+    ROBOT,
     ("How this was made", "origin.html"),
 )
 _NAMES, _MODELS = ("before", "after"), "the model given and of that with the effects"
@@ -58,15 +61,18 @@ def diagnosis_page(diagnosis: Diagnosis, report: Mapping[str, Any], command: str
     simulated = _side_by_side(diagnosis)
     report = {**report, "simulation": simulation_report(simulated, "identified", diagnosis.last.experiment)}
     held_out = report["before"]["validation"] is not None
+    views = body_views(report["bodies"])["bodies"]
     last, first = (fit.validation if held_out else fit.train for fit in (diagnosis.last, diagnosis.first))
+    robot = robot_view(diagnosis.last.experiment.model, views, last.traces)
     needs = {_STEPS: "steps", _SIMULATION: "simulation"}
     return render(
         f"{Path(report['urdf']).stem}: what the model lacks",
-        [section for section in _SECTIONS if section not in needs or report[needs[section]]],
-        ["torques.js", "lines.js", "positions.js", "diagnosis.js", "residuals.js"],
+        with_robot([section for section in _SECTIONS if section not in needs or report[needs[section]]], robot),
+        ["torques.js", "lines.js", "positions.js", "diagnosis.js", "residuals.js", "solids.js", "robot.js"],
         {
             **_torques(last.traces, first.traces, units),
             **simulation_view(simulated, report, "identified"),
+            **robot,
             "gap": gap_views(report),
             "residuals": residual_views(diagnosis.maps_before, diagnosis.maps_after, units, _NAMES, _MODELS),
         },

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Body
 from idtool.envelope import Trace
-from idtool.geometry import link_geometry
+from idtool.geometry import link_surface
 from idtool.kinematics import body_places
+from idtool.meshes import Mesh, simplified, together
 from idtool.model import Model
 from idtool.pages.base import Sections
-from idtool.pieces import outermost
 from idtool.robot import Robot
 
 Array = NDArray[np.float64]
@@ -25,10 +24,14 @@ ROBOT = ("The robot in 3D", "robot_3d.html")
 _POSTURES = 60  # at the most
 _MOST_PLACES = 1000  # of bodies in postures
 _DECIMALS = 4
-_FINE = 3  # of a hull [m]
+_FINE = 3  # of its surface [m]
+_MOST_FACES = 10_000  # of all bodies
+_FEWEST_FACES = 10  # of a body
 
 
-def robot_view(model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace]) -> dict[str, Any]:
+def robot_view(
+    model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace], shown: str = "identified"
+) -> dict[str, Any]:
     """What is drawn of the robot, of bounded size.
 
     Parameters
@@ -39,23 +42,32 @@ def robot_view(model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequen
         As `body_views` returns them.
     traces
         The first with the joints' positions, ``q``, shape (nv, 2 stretches), gives the postures.
+    shown
+        What the bodies are, beside the prior's.
 
     Returns
     -------
-    ``robot``: None where there is no such trace, else the ``bodies`` with the ``hull`` of their geometry, or None; the
-    name of the ``log``, the times ``t`` [s] of the postures and the bodies' ``frames`` in each, a quaternion x, y, z, w
-    and a position [m] in the root link; ``hidden``, the number of bodies that are not drawn.
+    ``robot``: None where there is no such trace, else the ``bodies``, each with the ``surface`` of its geometry, or
+    None; what is ``shown``; the name of the ``log``, the times ``t`` [s] of the postures and the bodies' ``frames`` in
+    each, a quaternion x, y, z, w and a position [m] in the root link; ``hidden``, the number of bodies not drawn.
     """
     trace = next((trace for trace in traces if "q" in trace.curves), None)
     if trace is None:
         return {"robot": None}
     t, q = _postures(trace, min(_POSTURES, max(_MOST_PLACES // max(len(bodies), 1), 1)))
-    places, shown = body_places(model, q), {view["name"]: view for view in bodies}
-    drawn = [(i, body) for i, body in enumerate(model.bodies) if body.name in shown][:_MOST_PLACES]
+    places, known = body_places(model, q), {view["name"]: view for view in bodies}
+    drawn = [(i, body) for i, body in enumerate(model.bodies) if body.name in known][:_MOST_PLACES]
     frames = [[_frame(places[i], n) for i, _ in drawn] for n in range(len(t))]
-    views = [{**shown[body.name], "masses": None, "hull": _hull(model.robot, body)} for _, body in drawn]
-    hidden = len(model.bodies) - len(drawn)
-    return {"robot": {"bodies": views, "log": trace.name, "t": t.round(2).tolist(), "frames": frames, "hidden": hidden}}
+    most = max(_MOST_FACES // max(len(drawn), 1), _FEWEST_FACES)
+    view = {
+        "bodies": [{**known[b.name], "masses": None, "surface": _surface(model.robot, b, most)} for _, b in drawn],
+        "shown": shown,
+        "log": trace.name,
+        "t": t.round(2).tolist(),
+        "frames": frames,
+        "hidden": len(model.bodies) - len(drawn),
+    }
+    return {"robot": view}
 
 
 def with_robot(sections: Sections, view: Mapping[str, Any]) -> Sections:
@@ -76,17 +88,12 @@ def _frame(place: tuple[Array, Array], n: int) -> list[float]:
     return [round(float(x), _DECIMALS) for x in (*Rotation.from_matrix(R).as_quat(), *p)]
 
 
-def _hull(robot: Robot, body: Body) -> dict[str, Any] | None:
-    """The convex hull of the geometry of a body's links, in its frame, of some of its corners."""
-    points = [
-        link_geometry(robot, member.link).points @ member.frame.R.T + member.frame.p
-        for member in body.members
-        if member.link in robot.links
-    ]
-    whole = np.concatenate([np.empty((0, 3)), *points])
-    if len(whole) < 4 or np.linalg.matrix_rank(whole - whole[0], tol=1e-9) < 3:
-        return None
-    corners = whole[outermost(whole)]
-    if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=1e-9) < 3:
-        return None
-    return {"points": corners.round(_FINE).tolist(), "faces": ConvexHull(corners).simplices.tolist()}
+def _surface(robot: Robot, body: Body, most: int) -> dict[str, Any] | None:
+    """The visual geometry of a body's links in its frame, of so many faces at the most; None without any."""
+    found = []
+    for member in body.members:
+        if member.link in robot.links:
+            mesh = link_surface(robot, member.link)
+            found.append(Mesh(mesh.points @ member.frame.R.T + member.frame.p, mesh.faces))
+    whole = simplified(together(found), most)
+    return {"points": whole.points.round(_FINE).tolist(), "faces": whole.faces.tolist()} if len(whole.faces) else None

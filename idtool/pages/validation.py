@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.model import Model
 from idtool.pages.base import render
+from idtool.pages.bodies import bodies_of, body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
+from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.replay import Replay
 from idtool.validation import Evaluation
+
+Array = NDArray[np.float64]
 
 _SECTIONS = (
     ("What was found", "validation_findings.html"),
     ("Torque error", "validation_errors.html"),
     ("Measured and predicted torque", "torques.html"),
     SIMULATION,
+    ROBOT,
     ("How this was made", "origin.html"),
 )
 
 
-def validation_page(evaluation: Evaluation, report: dict[str, Any], command: str, replay: Replay | None = None) -> str:
+def validation_page(
+    evaluation: Evaluation,
+    report: dict[str, Any],
+    command: str,
+    replay: Replay | None = None,
+    bodies: tuple[Model, Mapping[str, Array]] | None = None,
+) -> str:
     """validation.html.
 
     Parameters
@@ -33,13 +49,19 @@ def validation_page(evaluation: Evaluation, report: dict[str, Any], command: str
         The command line that made it.
     replay
         The same models run forwards, if they were.
+    bodies
+        The tree of bodies, and coefficients of the same models, shape (p,) each: the robot is drawn.
     """
     units = report["units"]
+    robot: dict[str, Any] = {"robot": None}
+    if bodies:
+        views = body_views(bodies_of(bodies[0], bodies[1]["model"], bodies[1].get("prior")))["bodies"]
+        robot = robot_view(bodies[0], views, evaluation.traces, "model's")
     return render(
         "Validation of a dynamics model",
-        with_simulation(_SECTIONS, report),
-        ["torques.js", "lines.js", "positions.js"],
-        {**curves(evaluation, "model", units), **simulation_view(replay, report, "model")},
+        with_robot(with_simulation(_SECTIONS, report), robot),
+        ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js"],
+        {**curves(evaluation, "model", units, position=False), **simulation_view(replay, report, "model"), **robot},
         report=report,
         groups=by_unit(units),
         **simulation_text(report),

@@ -1,4 +1,3 @@
-"use strict";
 // What all plots share. A plot is drawn when it comes near the screen, and again when the page's colours change.
 const plots = (() => {
   const root = document.documentElement;

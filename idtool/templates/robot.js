@@ -21,14 +21,14 @@
         if (face) add(group, b, [face]);
         add(`${group} centre`, b, [markers([own.center], group, [`${body.name}: centre of mass, ${group}`], { color: shade, symbol: "diamond", size: 4 })]);
       };
-      if (body.hull) {
-        const [i, j, k] = [0, 1, 2].map((at) => body.hull.faces.map((face) => face[at]));
-        add("geometry", b, [surface(body.hull.points, { i, j, k }, "geometry", color("measured"), 0.35)]);
+      if (body.surface) {
+        const [i, j, k] = [0, 1, 2].map((at) => body.surface.faces.map((face) => face[at]));
+        add("geometry", b, [surface(body.surface.points, { i, j, k }, "geometry", color("measured"), 0.35)]);
       }
       body.bounds.filter((shape) => shape.kind !== "hull").forEach((shape) =>
         add("bounding shape", b, solid(shape, "bounding shape", color("measured"), 0, "solid")));
       spread(body.prior, "prior", color("prior"), 0, "dash");
-      spread(body.found, "identified", color("predicted"), 0.45, "solid");
+      spread(body.found, robot.shown, color("predicted"), 0.45, "solid");
     });
     return [...found.values()];
   }
