@@ -146,7 +146,7 @@ def _warnings(design: Design) -> list[str]:
     if task.noise_assumed:
         said.append(f"torque noise is not known; 1 % of the largest torque is taken: {some(task.noise_assumed)}")
     if task.collision is None or not task.collision.pairs:
-        said.append("the URDF has no geometry of links that could collide: self-collision was not checked")
+        said.append("no geometry of links that could collide was found: self-collision was not checked")
     said += task.collision.warnings if task.collision else ()
     untold = untold_names(design, task.base)
     if untold:

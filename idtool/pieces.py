@@ -23,12 +23,12 @@ from scipy.spatial.transform import Rotation
 from idtool.body import Frame
 from idtool.exceptions import ModelError
 from idtool.geometry import link_geometry, link_vertices
+from idtool.meshes import UnreadableError, numbers
 from idtool.names import some
 from idtool.robot import Robot, parse_xml
 
 Array = NDArray[np.float64]
 
-_MOST = 1e6  # m; what is larger is no robot
 _MOST_PIECES = 16  # of a link; more are taken as their common hull
 _MOST_VERTICES = 400  # of a hull
 _THICKNESS = 1e-3  # m, of a mesh that spans no volume
@@ -84,10 +84,6 @@ class Distances:
         return distance - self._beyond[pair]
 
 
-class _UnreadableError(Exception):
-    """Why a piece of geometry cannot be used, in words."""
-
-
 def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
     """The pieces of links, and a line on what could not be read, if anything.
 
@@ -132,7 +128,7 @@ def _of_parts(robot: Robot, parts: Sequence[etree._Element], link: str, frame: F
     for part in parts:
         try:
             pieces.append(_piece(robot, part, link, frame))
-        except _UnreadableError as error:
+        except UnreadableError as error:
             missing.append(f"line {part.sourceline}: {error}")
     return pieces, missing
 
@@ -142,25 +138,25 @@ def _piece(robot: Robot, element: etree._Element, link: str, frame: Frame) -> Pi
     origin = element.find("origin")
     part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
     if part is None:
-        raise _UnreadableError(f"{element.tag} has no geometry")
+        raise UnreadableError(f"{element.tag} has no geometry")
     if origin is not None:
-        xyz, rpy = (_numbers(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
+        xyz, rpy = (numbers(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
         frame = frame.then(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
     if part.tag == "mesh":
         try:
             points = link_vertices(robot, link, part.get("filename", ""))
         except ModelError as error:
-            raise _UnreadableError(error.what.removesuffix("; give another file")) from None
-        return _hull(link, points * _numbers(part, "scale", 3, "1 1 1"), frame)
+            raise UnreadableError(error.what.removesuffix("; give another file")) from None
+        return _hull(link, points * numbers(part, "scale", 3, "1 1 1"), frame)
     if part.tag == "box":
-        size = np.abs(_numbers(part, "size", 3))
+        size = np.abs(numbers(part, "size", 3))
         return Piece(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
     if part.tag not in ("sphere", "cylinder", "capsule"):
-        raise _UnreadableError(f"{part.tag} is not a geometry that is read here")
-    radius = abs(float(_numbers(part, "radius", 1)[0]))
+        raise UnreadableError(f"{part.tag} is not a geometry that is read here")
+    radius = abs(float(numbers(part, "radius", 1)[0]))
     if part.tag == "sphere":
         return Piece(link, coal.Sphere(radius), frame, radius)
-    length = abs(float(_numbers(part, "length", 1)[0]))
+    length = abs(float(numbers(part, "length", 1)[0]))
     if part.tag == "cylinder":
         return Piece(link, coal.Cylinder(radius, length), frame, math.hypot(radius, length / 2))
     return Piece(link, coal.Capsule(radius, length), frame, radius + length / 2)
@@ -218,15 +214,3 @@ def _convex(corners: Array, faces: NDArray[np.intp]) -> coal.Convex:
     for face in faces.tolist():
         triangles.append(coal.Triangle(*face))
     return coal.Convex(points, triangles)
-
-
-def _numbers(element: etree._Element, name: str, count: int, default: str = "") -> Array:
-    """An attribute's numbers, shape (count,)."""
-    try:
-        values = np.array([float(word) for word in element.get(name, default).split()])
-    except ValueError:
-        values = np.empty(0)
-    if len(values) != count or not (np.abs(values) < _MOST).all():
-        expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise _UnreadableError(f"{element.tag} {name} should be {expected}")
-    return values
