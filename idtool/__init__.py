@@ -12,10 +12,10 @@ Examples
 """
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from idtool.api.diagnose import DiagnosisResult, diagnose
     from idtool.api.fit import FitResult, fit
     from idtool.api.log import Log, read_log
@@ -27,13 +27,17 @@ else:  # a type checker is not to take every name for a public one
 
     def __getattr__(name: str) -> Any:
         """A public name, imported now (PEP 562)."""
-        if name not in _HOMES:
+        if name == "__version__":
+            from importlib.metadata import version
+
+            value: Any = version("idtool")
+        elif name in _HOMES:
+            value = getattr(import_module(_HOMES[name]), name)
+        else:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+        globals()[name] = value
         return value
 
-
-__version__ = version("idtool")
 
 __all__ = [
     "ConfigError",

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from idtool.exceptions import IdtoolError
+from idtool.interrupt import held_back
+
+LOG_ENDINGS = (".mcap", ".csv")
 
 
 class OutputError(IdtoolError):
@@ -46,7 +49,51 @@ def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
             for name, content in files.items():
                 data = content.encode() if isinstance(content, str) else content
                 Path(scratch, name).write_bytes(data)
-            for name in files:
-                os.replace(Path(scratch, name), folder / name)
+            with held_back():
+                for name in files:
+                    os.replace(Path(scratch, name), folder / name)
     except OSError as error:
         raise OutputError(folder, f"cannot be written to ({error.strerror}); give another --out") from None
+
+
+def check_folder(folder: Path) -> None:
+    """Before the work is done: whether files can be written into a folder.
+
+    Raises
+    ------
+    OutputError
+        If not.
+    """
+    there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
+    if not there.is_dir():
+        raise OutputError(there, "is a file, where a folder is needed; give another --out")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(folder, "cannot be written to (Permission denied); give another --out")
+
+
+def check_file(file: Path, inputs: Iterable[Path]) -> None:
+    """Before the work is done: whether a file can be written and is none that is read.
+
+    Raises
+    ------
+    OutputError
+        If not.
+    """
+    if any(file.resolve() == path.resolve() for path in inputs):
+        raise OutputError(file, "is a file that is read; give another --out")
+    if file.is_dir():
+        raise OutputError(file, "is a folder; give a file as --out")
+    check_folder(file.parent)
+
+
+def check_log(file: Path, inputs: Iterable[Path]) -> None:
+    """The same for a log.
+
+    Raises
+    ------
+    OutputError
+        Also if no log is written under its ending.
+    """
+    if file.suffix.lower() not in LOG_ENDINGS:
+        raise OutputError(file, f"has an ending that no log is written under; use {' or '.join(LOG_ENDINGS)}")
+    check_file(file, inputs)

@@ -197,7 +197,7 @@ def test_simulate_returns_and_writes_what_the_command_does(result: idtool.FitRes
     assert found.save(tmp_path / "folder") == (tmp_path / "folder" / "simulated.mcap",)
     np.testing.assert_array_equal(idtool.Log(tmp_path / "folder" / "simulated.mcap").q, found.log.q)
     assert repr(found).startswith("SimulationResult: 2.999 s open loop, 0.5 s at a time\n")
-    with pytest.raises(idtool.LogError, match="is the log that is read"):
+    with pytest.raises(idtool.IdtoolError, match="is a file that is read"):
         found.save(out / "log.csv")
 
 

@@ -18,7 +18,7 @@ PACKAGE = ROOT / "idtool"
 
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
-    *("exceptions", "names", "provenance", "safe_yaml"),
+    *("exceptions", "interrupt", "names", "provenance", "safe_yaml"),
     *("inertia", "ellipsoid", "inequality", "shapes", "metric", "witness"),
     *("config", "robot", "meshes", "geometry", "bounding", "logs", "description", "inspection"),
     *(
@@ -101,7 +101,7 @@ ORDER = (
         "pages",
         "starting",
     ),
-    *("api", "terminal", "cli"),
+    *("api", "terminal", "cli", "__main__"),
 )
 
 WALLS = {

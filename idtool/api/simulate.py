@@ -16,11 +16,11 @@ from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.config import Config
-from idtool.exceptions import ConfigError, LogError
+from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment
 from idtool.logs import write_log
 from idtool.model import Model as RobotModel
-from idtool.outputs import OutputError, as_json
+from idtool.outputs import LOG_ENDINGS, OutputError, as_json, check_log
 from idtool.report import HEADER
 from idtool.simulated_log import SimulatedLog, as_command, as_logged, simulated_log, under_controller
 from idtool.simulation_report import POSITION_UNITS
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from idtool.api.records import Recorded
 
 FILE = "simulated.mcap"  # what the log is called in a folder
-_ENDINGS = (".mcap", ".csv")
 
 
 @dataclass(frozen=True)
@@ -110,13 +109,11 @@ class SimulationResult(Recordable):
 
         Raises
         ------
-        OutputError
-            If the folder cannot be made.
-        LogError
+        IdtoolError
             If the log cannot be written, or would take the place of the one that was read.
         """
-        file = Path(place) if Path(place).suffix.lower() in _ENDINGS else Path(place, FILE)
-        check_file(file, self._source)
+        file = Path(place) if Path(place).suffix.lower() in LOG_ENDINGS else Path(place, FILE)
+        check_log(file, [self._source])
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -214,25 +211,6 @@ def simulate(
         _source=experiment.runs[0].signals.log.path,
         _report=report,
     )
-
-
-def check_file(file: Path, log: Path) -> None:
-    """Whether the result can be written there, and not over what is read.
-
-    Parameters
-    ----------
-    file, log
-        What is to be written, and what is read.
-
-    Raises
-    ------
-    LogError
-        If not.
-    """
-    if file.suffix.lower() not in _ENDINGS:
-        raise LogError(file, "has an ending that no log is written under; use .mcap or .csv")
-    if file.resolve() == log.resolve():
-        raise LogError(file, "is the log that is read; give another --out")
 
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:

@@ -21,6 +21,7 @@ from idtool.cli import (  # noqa: F401  # each adds its command
 )
 from idtool.cli.app import app
 from idtool.exceptions import IdtoolError
+from idtool.interrupt import CODE, LINE
 
 if TYPE_CHECKING:
     from typer.exceptions import TyperException
@@ -33,16 +34,29 @@ def main() -> None:
     from typer.exceptions import Abort, TyperException
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would wait for each other
-
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        sys.stdout.flush()
     except IdtoolError as error:
         code = _fail(str(error))
     except TyperException as error:
         code = _fail(_usage(error))
     except (Abort, KeyboardInterrupt):
-        code = 130
+        sys.stderr.write(LINE)
+        code = CODE
+    except (BrokenPipeError, SystemExit):  # who reads the output has had enough; rich makes the latter of it
+        code = _unread()
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        code = _unread() or _fail(f"standard output: cannot be written to ({error.strerror})")
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _unread() -> int:
+    """Give up standard output, so that the interpreter does not try it again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _fail(message: str) -> int:

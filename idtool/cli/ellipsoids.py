@@ -41,6 +41,7 @@ def ellipsoids_command(
 ) -> None:
     """Write bounding ellipsoids of the links' meshes and primitives, or check the links' inertias."""
     from idtool.api.model import Model
+    from idtool.outputs import check_file
     from idtool.terminal import Terminal
 
     if repair is not None and not check:
@@ -48,6 +49,10 @@ def ellipsoids_command(
     if check and out is not None:
         raise ConfigError("--out", "is for the ellipsoids; with --check, --repair names the file to write")
     terminal = Terminal(quiet, as_json)
+    if out is not None:
+        check_file(out, [urdf, urdf.with_suffix(".yaml"), *([config] if config else [])])
+    if repair is not None:  # the URDF itself may be repaired
+        check_file(repair, [])
     if check:
         model = Model(urdf, config)
         _check(terminal, model.robot, model.settings, repair)

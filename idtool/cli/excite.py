@@ -10,7 +10,7 @@ import typer
 
 from idtool.cli.app import FIRST, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, finish, folder_for
-from idtool.exceptions import ConfigError, LogError
+from idtool.exceptions import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -71,6 +71,7 @@ def excite_command(
     from idtool.excitation.design import Wishes, design
     from idtool.excite_report import excite_report
     from idtool.experiment import sources_of
+    from idtool.outputs import check_log
     from idtool.provenance import provenance
     from idtool.report import HEADER
     from idtool.terminal import Terminal
@@ -78,7 +79,8 @@ def excite_command(
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / "excitation.mcap"
-    _check(file, log or [], criterion, duration, rate, margin, clearance, highest)
+    check_log(file, [urdf, *(log or []), *([config] if config else [])])
+    _check(criterion, duration, rate, margin, clearance, highest)
     model = Model(urdf, config)
     wishes = Wishes(
         pattern=pattern,
@@ -114,8 +116,6 @@ def excite_command(
 
 
 def _check(
-    file: Path,
-    logs: Sequence[Path],
     criterion: str,
     duration: float,
     rate: float,
@@ -126,10 +126,6 @@ def _check(
     """Before anything is read: whether the options can be meant."""
     from idtool.names import nearest
 
-    if file.suffix.lower() not in (".mcap", ".csv"):
-        raise LogError(file, "has an ending that no log is written under; use .mcap or .csv")
-    if any(file.resolve() == path.resolve() for path in logs):
-        raise LogError(file, "is a log that is read; give another --out")
     if criterion not in _CRITERIA:
         raise ConfigError("--criterion", f"{criterion} is none; {nearest(criterion, _CRITERIA)}")
     for option, value, least, most in (
@@ -196,9 +192,12 @@ def _task(
 
 
 def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
+    from idtool.interrupt import held_back
     from idtool.logs import write_log
     from idtool.outputs import write_all
     from idtool.pages.excite import excite_page
 
-    write_all(file.parent, {f"{file.stem}.html": excite_page(report, command())})
-    write_log(file, log)
+    page = excite_page(report, command())
+    with held_back():
+        write_all(file.parent, {f"{file.stem}.html": page})
+        write_log(file, log)

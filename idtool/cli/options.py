@@ -124,8 +124,18 @@ ExplainOption = Annotated[bool, typer.Option("--explain", help="Tell why each ca
 
 
 def folder_for(urdf: Path, given: Path | None) -> Path:
-    """The folder to write to: the one given, or one in the working directory that is called after the URDF."""
-    return given or Path(f"{stem(urdf)}_idtool")
+    """The folder to write to: the one given, or one in the working directory that is called after the URDF.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written to; found out before the work is done.
+    """
+    from idtool.outputs import check_folder
+
+    folder = given or Path(f"{stem(urdf)}_idtool")
+    check_folder(folder)
+    return folder
 
 
 def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:

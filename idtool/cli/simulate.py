@@ -75,14 +75,15 @@ def simulate_command(
 ) -> None:
     """Run a model forwards along a log, or along a trajectory under its controller, and write the motion as a log."""
     from idtool.api.model import Model
-    from idtool.api.simulate import FILE, check_file, simulate
+    from idtool.api.simulate import FILE, simulate
+    from idtool.outputs import check_log
     from idtool.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / FILE
-    check_file(file, log or urdf)
-    model, logs = Model.with_logs(urdf, [log] if log else [], config)
+    check_log(file, [path for path in (urdf, log, config) if path])
     with terminal.progress() as progress:
+        model, logs = Model.with_logs(urdf, [log] if log else [], config)
         result = simulate(model, logs[-1], window=window, closed_loop=closed_loop, track=track, progress=progress)
         progress("writing", 0.0)
         result.save(file)
