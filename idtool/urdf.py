@@ -1,14 +1,19 @@
 """An estimate into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
 
+In another folder than its own, relative names of mesh files are made to hold there.
+
 The file is edited at byte positions that expat reports, so that comments, order, quoting and indentation stay.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,3 +211,36 @@ def identified_urdf(
     for body, pi in bodies.values():
         links.update(link_parameters(body, pi, robot.links))
     return rewrite(robot.text, links, joints)
+
+
+def moved(text: bytes, urdf: Path, folder: Path) -> bytes:
+    """The URDF's text for a file in another folder: relative names of files that are there, meshes and textures.
+
+    Parameters
+    ----------
+    text
+        The text.
+    urdf
+        The file it stood in.
+    folder
+        Where it will stand.
+    """
+    home, there = os.path.realpath(urdf.parent), os.path.realpath(folder)
+    places: list[tuple[int, str]] = []
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        name = attributes.get("filename", "")
+        if tag in ("mesh", "texture") and name and "://" not in name and not os.path.isabs(name):
+            places.append((parser.CurrentByteIndex, name))
+
+    parser.StartElementHandler = start
+    parser.Parse(text, True)
+    for at, name in reversed(places if home != there else []):
+        file = os.path.join(home, name)
+        if os.path.isfile(file):
+            tag = text[at : (stop := _tag_end(text, at))]
+            low, high = next(m.span(2) for m in _ATTRIBUTE.finditer(tag) if m.group(1) == b"filename")
+            new = quoteattr(Path(os.path.relpath(file, there)).as_posix()).encode("ascii", "xmlcharrefreplace")
+            text = text[:at] + tag[:low] + new + tag[high:] + text[stop:]
+    return text

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from lxml import etree
 from numpy.typing import NDArray
 
 from idtool.inertia import from_mass_com_inertia
 from idtool.robot import Robot
-from idtool.urdf import JointDynamics, rewrite
+from idtool.urdf import JointDynamics, moved, rewrite
 
 Array = NDArray[np.float64]
 
@@ -168,3 +170,37 @@ def test_latin_1(robot_of: Callable[[bytes], Robot]) -> None:
     head = old[: old.index(b"<inertial>")]
     assert new.startswith(head)
     assert same(robot_of(new).links["arm"])
+
+
+MESHES = """<robot name="r">
+  <!-- <mesh filename="meshes/a.stl"/> -->
+  <link name="a"><visual><geometry><mesh scale="1 1 1" filename = 'meshes/a &amp; é.stl'/></geometry></visual>
+    <visual><geometry><mesh filename="package://r/meshes/b.stl"/></geometry></visual>
+    <collision><geometry><mesh filename="meshes/none.stl"/></geometry></collision>
+    <visual><geometry><mesh filename="/abs/b.stl"/></geometry>
+      <material name="m"><texture filename="meshes/b.png"/></material></visual></link>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("encoding", ["UTF-8", "ISO-8859-1"])
+def test_relative_names_of_meshes_hold_in_another_folder(tmp_path: Path, encoding: str) -> None:
+    text = (f'<?xml version="1.0" encoding="{encoding}"?>\n' + MESHES).encode(encoding)
+    (tmp_path / "robot" / "meshes").mkdir(parents=True)
+    (tmp_path / "robot" / "meshes" / "a & é.stl").touch()
+    (tmp_path / "robot" / "meshes" / "b.png").touch()
+    urdf = tmp_path / "robot" / "r.urdf"
+    new = moved(text, urdf, tmp_path / "elsewhere" / "out")
+    names = [element.get("filename") for element in etree.fromstring(new).iter("mesh", "texture")]
+    up = "../../robot/meshes"
+    assert names == [
+        f"{up}/a & é.stl",
+        "package://r/meshes/b.stl",
+        "meshes/none.stl",
+        "/abs/b.stl",
+        f"{up}/b.png",
+    ]
+    (tmp_path / "elsewhere" / "out").mkdir(parents=True)
+    back = moved(new, tmp_path / "elsewhere" / "out" / "r.urdf", urdf.parent)
+    assert back.replace(b"&#233;", "é".encode(encoding)) == text.replace(b"'", b'"')
+    assert moved(text, urdf, urdf.parent) == text

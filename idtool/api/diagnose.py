@@ -148,7 +148,7 @@ class DiagnosisResult(Recordable):
             last = self._diagnosis.last
             urdf = last.experiment.model.robot.path.name
             header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
-            files |= {SETTINGS: as_yaml(model_config(last), header), IDENTIFIED: identified_text(last)}
+            files |= {SETTINGS: as_yaml(model_config(last), header), IDENTIFIED: identified_text(last, Path(folder))}
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
 

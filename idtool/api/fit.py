@@ -94,7 +94,7 @@ class FitResult(Recordable):
         urdf = self._fit.experiment.model.robot.path.name
         header = f"Identified by idtool from {urdf}; with identified.urdf it is the identified model."
         files: dict[str, str | bytes] = {
-            IDENTIFIED: identified_text(self._fit),
+            IDENTIFIED: identified_text(self._fit, Path(folder)),
             SETTINGS: as_yaml(model_config(self._fit), header),
             "report.json": as_json(self._report),
             "report.html": fit_page(self._fit, dict(self._report), made_by or self._made_by, self._maps),

@@ -21,7 +21,7 @@ from idtool.model import build_model
 from idtool.names import some, stem
 from idtool.report import joint_dynamics, model_config
 from idtool.robot import Robot, parse_robot
-from idtool.urdf import identified_urdf
+from idtool.urdf import identified_urdf, moved
 
 Source = str | os.PathLike[str]
 IDENTIFIED, SETTINGS = "identified.urdf", "model.yaml"  # what fit and diagnose write
@@ -211,11 +211,12 @@ def as_model(model: Model | Source) -> Model:
     return model if isinstance(model, Model) else Model(model)
 
 
-def identified_text(fit: Fit) -> bytes:
-    """The content of identified.urdf."""
+def identified_text(fit: Fit, folder: Path | None = None) -> bytes:
+    """The content of identified.urdf, in another folder than the URDF's own if one is given."""
     model = fit.experiment.model
     bodies = {body.name: (body, fit.parameters(i)) for i, body in enumerate(model.bodies)}
-    return identified_urdf(model.robot, bodies, joint_dynamics(fit))
+    text = identified_urdf(model.robot, bodies, joint_dynamics(fit))
+    return text if folder is None else moved(text, model.robot.path, folder)
 
 
 def _settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:

@@ -26,7 +26,7 @@ _MOST_PLACES = 1000  # of bodies in postures
 _DECIMALS = 4
 _FINE = 3  # of its surface [m]
 _MOST_FACES = 10_000  # of all bodies
-_FEWEST_FACES = 10  # of a body
+_FEWEST_FACES = 60  # of a body
 
 
 def robot_view(
