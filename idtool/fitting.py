@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.doubts import doubts
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Method, identified
-from idtool.identify import Estimate, stuck_note
-from idtool.inertia import SIZE, pseudo_inertia
-from idtool.prior import moved_priors
+from idtool.identify import Estimate
+from idtool.inertia import SIZE
 from idtool.replay import Replay, replay
 from idtool.sets import ConstraintSet
 from idtool.simulation_report import simulation_notes
@@ -107,7 +107,7 @@ def fit(
         experiment = replace(experiment, equation=experiment.equation.about(found.estimate.theta))
         found = identified(experiment, method, progress)
     estimate = found.estimate
-    warnings = [*experiment.warnings, *found.warnings, *_doubts(experiment, estimate)]
+    warnings = [*experiment.warnings, *found.warnings]
     clock.done("identify")
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
@@ -115,6 +115,7 @@ def fit(
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")
+    warnings += doubts(experiment, estimate, validation if held_out else train, held_out)
     clock.done("evaluate")
     believed = trust(experiment, found, train.independent, progress, questioned)
     warnings += believed.warnings
@@ -146,20 +147,3 @@ class _Clock:
     def done(self, stage: str) -> None:
         now = time.perf_counter()
         self.seconds[stage], self._last = now - self._last, now
-
-
-def _doubts(experiment: Experiment, estimate: Estimate) -> list[str]:
-    """What speaks against an estimate."""
-    bodies, doubts = experiment.model.bodies, []
-    if stuck := stuck_note(estimate.certificate):
-        doubts.append(stuck)
-    unreal = [body.name for i, body in enumerate(bodies) if not _can_be(estimate.theta[SIZE * i : SIZE * (i + 1)])]
-    if unreal:
-        doubts.append(f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them")
-    if moved := moved_priors(experiment.equation, bodies, experiment.config.regularization):
-        doubts.append(f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it")
-    return doubts
-
-
-def _can_be(pi: NDArray[np.float64]) -> bool:
-    return bool(np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0)

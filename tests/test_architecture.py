@@ -75,6 +75,7 @@ ORDER = (
         "validation",
         "identified",
         "trust",
+        "doubts",
         "fitting",
         "regression",
         "pieces",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Body, Friction, Rms, body_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
 from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.diagnosis.faults import faults
 from idtool.diagnosis.maps import residual_maps
 from idtool.experiment import Experiment
 from idtool.fitting import Fit
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
     from idtool.api.records import Recorded
     from idtool.pages.fit import Maps
+
+
+_SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")  # what no model mends
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -234,6 +238,10 @@ def fit_experiment(
         As in `fit`.
     """
     found = identify(experiment, progress, simulate, question, method)
+    if question:
+        wrong = [fault for fault in faults(experiment, progress) if fault.fault in _SERIOUS]
+        said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)
+        found = replace(found, warnings=(*said, *found.warnings))
     thetas = (experiment.equation.prior, found.estimate.theta)
     prior, own = (residual_maps(found.experiment, theta, progress) if question else {} for theta in thetas)
     report = fit_report(found)

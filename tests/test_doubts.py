@@ -1,0 +1,68 @@
+"""What a fit says where its data or its configuration cannot be right, and that it says nothing where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import LEG, TRAIN
+
+import idtool
+
+RIGHT = idtool.Log(TRAIN)
+HEAVY, WORSE, UNIT = "heavier than the whole robot", "worse than the URDF does", "times the measured torque"
+
+
+def said(config: Callable[[dict[str, Any]], None] = lambda data: None, quick: bool = True, **signals: Any) -> str:
+    """The warnings of a fit of the leg with another configuration or other signals, a line each."""
+    data = idtool.Model(LEG).config
+    config(data)
+    given = {"q": RIGHT.q, "v": RIGHT.v, "tau": RIGHT.tau, **signals}
+    log = idtool.Log.from_arrays("log", RIGHT.t, RIGHT.joints, **given)
+    return "\n".join(idtool.fit(idtool.Model(LEG, data), log, simulation=False, quick=quick).warnings)
+
+
+def test_of_data_as_they_should_be_nothing_is_said() -> None:
+    assert said(quick=False) == ""
+
+
+@pytest.mark.parametrize(
+    ("signals", "naming"),
+    [
+        ({"tau": RIGHT.tau * [1, -1, 1]}, "the data: hip: tau has the opposite sign"),
+        ({"tau": RIGHT.tau[:, [0, 2, 1]]}, "the data: knee: its torque stands under hip"),
+        ({"tau": 1000 * RIGHT.tau}, "mN·m"),
+        ({"q": np.degrees(RIGHT.q), "v": np.degrees(RIGHT.v)}, "the data: abad: q is in degrees"),
+    ],
+    ids=["sign", "order", "unit", "degrees"],
+)
+def test_data_that_cannot_be_right_are_named_with_the_remedy(signals: dict[str, Any], naming: str) -> None:
+    found = said(quick=False, **signals)
+    assert naming in found
+    assert "`log.scale`" in found or "put the order of tau right" in found
+    assert HEAVY in found
+
+
+def test_a_known_mass_in_grams_is_worse_than_no_fit() -> None:
+    found = said(lambda data: data.update(known={"mass": {"shank_link": 368}}))
+    assert HEAVY in found
+    assert WORSE in found
+
+
+def test_a_rotor_in_another_unit_shows_in_the_priors_error() -> None:
+    def grams(data: dict[str, Any]) -> None:
+        inertial = data["rotors"]["hip_rotor"]["inertial"]
+        inertial["inertia"] = [1e6 * x for x in inertial["inertia"]]
+
+    assert UNIT in said(grams)
+
+
+def test_links_that_stand_in_for_rotors_are_too_heavy() -> None:
+    def bare(data: dict[str, Any]) -> None:
+        del data["rotors"], data["bounding_ellipsoids"]
+
+    found = said(bare)
+    assert f"abad_link, thigh_link: {HEAVY}" in found
+    assert WORSE not in found
