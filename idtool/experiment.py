@@ -75,6 +75,9 @@ class Experiment:
         """What a user should know, a plain sentence each."""
         several = len(self.runs) > 1
         said = list(self.model.warnings)
+        fits = [source for run in self.runs if run.train for source in run.signals.log.sources]
+        twice = sorted({Path(one.path).name for one in fits if [s.sha256 for s in fits].count(one.sha256) > 1})
+        said += [f"{', '.join(twice)}: the same log more than once; standard errors are too small"] if twice else []
         fitted, kept = (
             {run.signals.log.path.resolve() for run in self.runs if bool(run.train) is trained}
             for trained in (True, False)
@@ -152,6 +155,10 @@ class Experiment:
             If a joint has no sample that counts.
         """
         still = [name for name, factor in zip(self.equation.joints, data, strict=True) if not factor.rows]
+        if len(still) == len(data) and not self.samples(held_out=False):
+            longest = max((part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train)
+            what = f"no stretch without a gap is long enough for the filter; the longest has {longest:.3g} s"
+            raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect tells where samples are missing")
         if still:
             what = "hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints"
             raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")

@@ -133,7 +133,7 @@ class _Builder:
                 if name not in actuated:
                     raise ConfigError(f"joints: {name}", f"is no actuated joint of the URDF; {nearest(name, actuated)}")
                 if name not in self.logged:
-                    raise ConfigError(f"joints: {name}", f"is not in every log; {nearest(name, self.logged)}")
+                    raise ConfigError(f"joints: {name}", f"is not in every log; they have {some(self.logged)}")
             chosen = list(dict.fromkeys(self.config.joints))
         else:
             chosen = [name for name in actuated if name in self.logged]

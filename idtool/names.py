@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Collection
 from pathlib import Path
 
@@ -31,4 +32,4 @@ def nearest(name: str, known: Collection[str]) -> str:
 
 def stem(path: Path) -> str:
     """A file's name without its ending, or a folder's name, in which a dot begins no ending."""
-    return path.name if path.is_dir() else path.stem
+    return path.name if os.path.isdir(path) else path.stem  # of any name, however long

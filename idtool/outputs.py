@@ -64,7 +64,7 @@ def check_folder(folder: Path) -> None:
     OutputError
         If not.
     """
-    there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
+    there = next((path for path in (folder, *folder.absolute().parents) if os.path.exists(path)), Path("/"))
     if not there.is_dir():
         raise OutputError(there, "is a file, where a folder is needed; give another --out")
     if not os.access(there, os.W_OK | os.X_OK):
@@ -81,7 +81,7 @@ def check_file(file: Path, inputs: Iterable[Path]) -> None:
     """
     if any(file.resolve() == path.resolve() for path in inputs):
         raise OutputError(file, "is a file that is read; give another --out")
-    if file.is_dir():
+    if os.path.isdir(file):
         raise OutputError(file, "is a folder; give a file as --out")
     check_folder(file.parent)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ _MOST_BYTES = 64 << 20
 _MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
 _KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_LOGS = (".csv", ".mcap")  # by their endings
 _XACRO = "xacro"  # in the namespaces that xacro has had
 _MOMENTS = ("ixx", "iyy", "izz")  # the parser takes 1 kg·m² for one that is missing
 
@@ -113,11 +115,16 @@ def read_robot(path: Path) -> Robot:
     """
     if path.suffix == ".xacro" and path.is_file():  # also where it has no macros: by its name it will have
         raise ModelError(path, _expand(path))
+    if os.path.isdir(path):
+        identified = path / "identified.urdf"
+        raise ModelError(path, f"is a folder; give {identified if identified.is_file() else 'a URDF'}")
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
     except OSError as error:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
+    if path.suffix.lower() in _LOGS or data.startswith(b"\x89MCAP"):
+        raise ModelError(path, "is a log; the URDF comes first, the logs after it")
     return parse_robot(path, data)
 
 

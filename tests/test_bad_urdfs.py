@@ -98,7 +98,7 @@ def test_files(tmp_path: Path, command: str) -> None:
 
 
 def test_a_folder(tmp_path: Path) -> None:
-    refuse(tmp_path, "fit", ".", "log.csv", naming="cannot be read (Is a directory)")
+    refuse(tmp_path, "fit", ".", "log.csv", naming="is a folder; give a URDF")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")

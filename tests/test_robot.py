@@ -115,6 +115,17 @@ def test_a_urdf_that_makes_no_robot(robot_of: Read, text: str | bytes, expected:
 
 
 def test_a_urdf_that_is_not_there(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.urdf", tmp_path):
-        with pytest.raises(ModelError, match="cannot be read"):
-            read_robot(path)
+    with pytest.raises(ModelError, match="cannot be read"):
+        read_robot(tmp_path / "none.urdf")
+    with pytest.raises(ModelError, match="is a folder; give a URDF"):
+        read_robot(tmp_path)
+    (tmp_path / "identified.urdf").touch()
+    with pytest.raises(ModelError, match="is a folder; give .*/identified.urdf"):
+        read_robot(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.urdf"])
+def test_a_log_in_its_place(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"t,q_a" if name == "log.csv" else b"\x89MCAP0\r\n")
+    with pytest.raises(ModelError, match="is a log; the URDF comes first"):
+        read_robot(tmp_path / name)

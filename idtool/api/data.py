@@ -9,7 +9,7 @@ from typing import Any
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress
-from idtool.exceptions import LogError
+from idtool.exceptions import ConfigError, LogError
 from idtool.experiment import Experiment, prepare
 from idtool.logs import Log as Record
 
@@ -46,7 +46,13 @@ def experiment_of(
     progress("reading", 0.0)
     model = as_model(model)
     fitted, kept = ([_record(log, model) for log in listed(given)] for given in (logs, validate))
-    return prepare(model.robot, model.settings, fitted, kept, holdout, seen_as)
+    try:
+        return prepare(model.robot, model.settings, fitted, kept, holdout, seen_as)
+    except ConfigError as error:
+        source = model.settings.source
+        if source is None or error.where.startswith("--"):
+            raise
+        raise ConfigError(f"{source.path}: {error.where}", error.what) from None
 
 
 def listed(logs: Logs) -> list[LogSource]:

@@ -223,6 +223,7 @@ def _settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Con
     """The configuration and what to call it: the one given, the one beside the URDF, or the defaults without a name."""
     if isinstance(given, Mapping):
         return parse_config(given, "config"), "a configuration"
-    beside = [urdf.with_name(f"{stem(urdf)}.yaml"), *([urdf.with_name(SETTINGS)] if urdf.stem == "identified" else [])]
+    names = [f"{stem(urdf)}.yaml", f"{stem(urdf)}.yml", *([SETTINGS] if urdf.stem == "identified" else [])]
+    beside = map(urdf.with_name, names)
     path = Path(given) if given is not None else next((path for path in beside if path.is_file()), None)
     return (read_config(path), path.name) if path else (Config(), "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import sys
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ def some_log(context: typer.Context, given: Any) -> Any:
 
     urdf = context.params.get("urdf")
     if not (given or context.resilient_parsing or (urdf and is_bag(urdf))):
-        if urdf and not urdf.exists():
+        if urdf and not os.path.exists(urdf):  # of any name, however long
             raise ModelError(urdf, "there is no such file")
         raise ConfigError("command", f"missing argument 'LOG'; try {context.command_path} --help")
     return given
