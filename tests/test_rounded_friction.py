@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from idtool.config import parse_config
 from idtool.diagnosis.diagnose import Options, diagnose
-from idtool.diagnosis.records import Diagnosis
+from idtool.diagnosis.records import Candidate, Diagnosis
+from idtool.diagnosis.words import superseded
 from idtool.experiment import prepare
 from idtool.robot import read_robot
 
@@ -140,3 +141,14 @@ def test_what_that_would_hide_is_found(tmp_path: Path) -> None:
 def test_nothing_is_left_aside_where_friction_is_sharp(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.0, SHARP)
     assert (found.verdict, found.steps, found.warnings) == ("no_disagreement", (), ())
+
+
+def test_why_a_step_was_taken_out_is_said_in_known_words() -> None:
+    spring, drag, rounded = (
+        Candidate(name, "j1", None, 0.5, 0.01, 1) for name in ("parallel_spring", "quadratic_drag", "rounded_friction")
+    )
+    text = "parallel_spring on j1 was taken out again: "
+    assert superseded(spring, drag) == f"{text}with quadratic_drag on j1 it pays no more"
+    found = superseded(spring, rounded)
+    assert found.startswith(f"{text}where friction changes its direction")
+    assert "rounded_friction" not in found

@@ -19,6 +19,7 @@ from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.search import DETERMINED, assumed, searched
 from idtool.diagnosis.trial import Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
+from idtool.diagnosis.words import superseded
 from idtool.effects import known_effects
 from idtool.effects.time_delay import WITHIN, TimeDelay
 from idtool.exceptions import ConfigError, IdtoolError
@@ -221,8 +222,7 @@ class Search:
             out = self.added.pop(i)
             by = self.added[-1].chosen
             if is_answer(out.chosen.effect):
-                what = f"{out.chosen.effect} on {out.chosen.on} was taken out again"
-                self.removed.append(f"{what}: with {by.effect} on {by.on} it pays no more")
+                self.removed.append(superseded(out.chosen, by))
             self._settle(others)
 
     def _trim(self) -> None:

@@ -70,6 +70,13 @@ def aside(entry: EffectEntry) -> str:
     return f"{entry.joint}: {means} ({figures}); that was fitted along, and is not in the model"
 
 
+def superseded(out: Candidate, by: Candidate) -> str:
+    """Why an effect was taken out again, for people."""
+    kind = known_effects()[by.effect]
+    why = f"with {by.effect} on {by.on}" if kind.named else f"where {kind.means}, as on {by.on},"
+    return f"{out.effect} on {out.on} was taken out again: {why} it pays no more"
+
+
 def separating(one: Candidate, other: Candidate) -> str:
     """Which experiment tells two effects apart."""
     kinds = known_effects()
