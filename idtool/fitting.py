@@ -123,18 +123,8 @@ def fit(
     simulation = replay(experiment, models, held_out, progress) if simulated else None
     warnings += simulation_notes(simulation, "identified")
     clock.done("simulate")
-    return Fit(
-        experiment,
-        method,
-        found.sets,
-        estimate,
-        believed,
-        train,
-        validation,
-        simulation,
-        tuple(warnings),
-        clock.seconds,
-    )
+    evaluated = (train, validation, simulation)
+    return Fit(experiment, method, found.sets, estimate, believed, *evaluated, tuple(warnings), clock.seconds)
 
 
 class _Clock:

@@ -14,6 +14,7 @@ from idtool.config import Config, EffectEntry
 from idtool.effects import NamedEffect, named_effect, plain
 from idtool.fitting import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.knowledge import Fact
 from idtool.provenance import Source, provenance
 from idtool.simulation_report import simulation_report
 from idtool.trust_report import intervals, reflected_inertia, rests_on, trust_report
@@ -25,14 +26,14 @@ from idtool.witness import deviation_ellipsoid
 Array = NDArray[np.float64]
 
 HEADER = {"idtool": __version__, "schema": 1}
+_SOLVER = ("name", "status", "objective", "duality_gap", "iterations", "seconds", "violation")
 _FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
 
 
 def fit_report(fit: Fit) -> dict[str, Any]:
     """The content of report.json."""
-    experiment, estimate = fit.experiment, fit.estimate
+    experiment = fit.experiment
     joints = experiment.equation.joints
-    certificate = estimate.certificate
     validated = fit.validation.errors["identified"].samples > 0
     return {
         **HEADER,
@@ -46,36 +47,25 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "rms_raw": _rms(fit, joints, raw=True),
         "nrms": nrms(fit.validation if validated else fit.train, "identified", joints),
         "simulation": simulation_report(fit.simulation, "identified", experiment),
-        "noise": dict(zip(joints, estimate.noise.tolist(), strict=True)),
+        "noise": dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
         "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         "friction": {joint: friction_report(fit, joint) for joint in joints},
         "friction_intervals": {joint: friction_intervals(fit, joint) for joint in joints},
         "rotors": reflected_inertia(fit),
         **trust_report(fit),
         "regularization": experiment.config.regularization.model_dump(mode="json"),
-        "known": [
-            {
-                "what": fact.label,
-                "value": fact.value,
-                "standard_error": fact.standard_error,
-                "identified": float(fact.row @ estimate.theta),
-            }
-            for fact in experiment.known.facts
-        ],
-        "solver": {
-            "name": certificate.name,
-            "status": certificate.status,
-            "objective": certificate.objective,
-            "duality_gap": certificate.duality_gap,
-            "iterations": certificate.iterations,
-            "seconds": certificate.seconds,
-            "violation": certificate.violation,
-        },
+        "known": [_known(fact, fit) for fact in experiment.known.facts],
+        "solver": {name: getattr(fit.estimate.certificate, name) for name in _SOLVER},
         "seconds": fit.seconds,
         "warnings": list(fit.warnings),
         "logs": [str(run.signals.log.path) for run in experiment.runs],
         "urdf": str(experiment.model.robot.path),
     }
+
+
+def _known(fact: Fact, fit: Fit) -> dict[str, Any]:
+    own = float(fact.row @ fit.estimate.theta)
+    return {"what": fact.label, "value": fact.value, "standard_error": fact.standard_error, "identified": own}
 
 
 def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> dict[str, Any]:

@@ -50,15 +50,12 @@ def diagnose_command(
     quiet: QuietOption = False,
 ) -> None:
     """Find where model and data disagree, name the missing effect, add it, and show the gap shrink."""
-    from idtool.api.assumed import known_assumption, known_candidates
     from idtool.api.diagnose import diagnose
     from idtool.api.model import Model
     from idtool.terminal import Terminal
     from idtool.terminal.diagnosis import show_diagnosis
 
     terminal, folder = Terminal(quiet, as_json), folder_for(urdf, out)
-    candidates = None if effects is None else known_candidates(effects.split(","))
-    assumed = [known_assumption(text) for text in assume or []]
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         result = diagnose(
@@ -67,9 +64,9 @@ def diagnose_command(
             validate=validate or (),
             holdout=holdout,
             inertia=inertia,
-            effects=candidates,
+            effects=None if effects is None else effects.split(","),
             most=max_effects,
-            assume=assumed,
+            assume=assume or (),
             simulation=not no_simulation,
             progress=progress,
         )

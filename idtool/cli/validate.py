@@ -52,19 +52,16 @@ def validate_command(
     quiet: QuietOption = False,
 ) -> None:
     """Tell how well a model predicts the torque and the motion of logs; without arguments, run the regression."""
-    from idtool.terminal import Terminal
-
-    terminal = Terminal(quiet, as_json)
-    if urdf is None:
-        if config or prior or out or max_rms or no_simulation or rerun:
-            raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
-        _regression(terminal)
-        return
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
     from idtool.api.validate import prior_model, validate_experiment
+    from idtool.terminal import Terminal
     from idtool.terminal.validation import show_validation
 
+    terminal = Terminal(quiet, as_json)
+    if urdf is None:
+        _regression(terminal, any((config, prior, out, max_rms, no_simulation, rerun)))
+        return
     folder = folder_for(urdf, out)
     with terminal.progress() as progress:
         model, every = Model.with_logs(urdf, logs or (), config)
@@ -80,8 +77,10 @@ def validate_command(
     finish(terminal, report, report["ok"])
 
 
-def _regression(terminal: Terminal) -> None:
+def _regression(terminal: Terminal, options: bool) -> None:
     """`idtool validate` without arguments."""
+    if options:
+        raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
     from idtool.regression import read_manifest, run_case
     from idtool.report import HEADER
     from idtool.terminal.validation import show_regression
