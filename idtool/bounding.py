@@ -13,7 +13,7 @@ from idtool.robot import Robot
 from idtool.shapes import Hull, Shape, known_shapes
 
 
-def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, Ellipsoid], list[str]]:
+def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, Ellipsoid], dict[str, str]]:
     """The smallest ellipsoid around each link's geometry, its semi-axes longer by a margin.
 
     Parameters
@@ -25,10 +25,10 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
 
     Returns
     -------
-    By link that has mass and whose geometry was read in full; and what is said of the others, a line each.
+    By link that has mass and whose geometry was read in full; and why the others with mass have none, by link.
     """
     ellipsoids: dict[str, Ellipsoid] = {}
-    notes = []
+    reasons: dict[str, str] = {}
     for link, pi in robot.links.items():
         if pi is None or not pi[0] > 0:
             continue
@@ -38,11 +38,11 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
             x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
             ellipsoids[link] = replace(least, semi_axes=(x, y, z))
         elif not geometry.missing:
-            notes.append(f"link {link}: no ellipsoid, for the URDF gives it no collision or visual")
+            reasons[link] = "the URDF gives it no collision or visual"
         else:
             more = f" (and {len(geometry.missing) - 1} more)" if len(geometry.missing) > 1 else ""
-            notes.append(f"link {link}: no ellipsoid; {geometry.missing[0]}{more}")
-    return ellipsoids, notes
+            reasons[link] = f"{geometry.missing[0]}{more}"
+    return ellipsoids, reasons
 
 
 def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:

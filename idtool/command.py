@@ -6,7 +6,7 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from idtool.config import Controller
 from idtool.exceptions import LogError
 from idtool.filters import DIFFERENCE_REACH, differentiate
 from idtool.logs.log import Log
+from idtool.names import some
 
 Array = NDArray[np.float64]
 
@@ -81,3 +82,26 @@ class Command:
             earlier = channels.signal(name, slice(part.start - whole - 1, part.stop - whole - 1))
             x = (1 - share) * x + share * earlier
         return np.nan_to_num(x, nan=0.0)
+
+
+def commanded(log: Log, controller: Controller | None) -> Log:
+    """The log without the torque of joints that have a command and gains and whose torque never changes.
+
+    Drivers without a torque sensor publish zeros.
+    """
+    gains = controller.kp if controller else {}
+    empty = [i for i, name in enumerate(log.joints) if name in gains and log.has("qcmd", name) and _is_constant(log, i)]
+    if not empty:
+        return log
+    tau = log.signals["tau"].copy()
+    tau[:, empty] = np.nan
+    said = f"torque that never changes is none, the controller's is taken: {some([log.joints[i] for i in empty])}"
+    return replace(log, signals={**log.signals, "tau": tau}, warnings=(*log.warnings, said))
+
+
+def _is_constant(log: Log, joint: int) -> bool:
+    """Whether there is a torque that never changes."""
+    if "tau" not in log.signals:
+        return False
+    tau = log.signals["tau"][:, joint]
+    return bool(np.nanmin(tau) == np.nanmax(tau)) if np.isfinite(tau).any() else False

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.blocks import Blocks, block_rows, cut, most_blocks, together
+from idtool.command import commanded
 from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.exceptions import ConfigError, LogError, ModelError
@@ -217,7 +218,9 @@ def prepare(
         raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
     if not logs and not validate:
         raise LogError("logs", "none given; name at least one MCAP or CSV file")
-    fitted, kept = ([seen_as(_read(log, config)) for log in given] for given in (logs, validate))
+    fitted, kept = (
+        [seen_as(commanded(_read(log, config), config.controller)) for log in given] for given in (logs, validate)
+    )
     every = (*fitted, *kept)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)

@@ -6,6 +6,8 @@ What cannot be read is said.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -60,22 +62,24 @@ def link_geometry(robot: Robot, link: str) -> Geometry:
 
 
 def link_surface(robot: Robot, link: str) -> Mesh:
-    """How a link looks: its visual geometry or, without any, the collision geometry, as triangles in its frame.
+    """How a link looks: its visual geometry or, where none of that can be read, the collision geometry, as triangles.
 
-    What cannot be read is left out.
+    In the link's frame; what cannot be read is left out.
     """
     element = next(e for e in parse_xml(robot.path, robot.text).iterfind("link") if e.get("name") == link)
-    found = []
-    for one in element.findall("visual") or element.findall("collision"):
-        part = next((e for e in one.iterfind("geometry/*") if isinstance(e.tag, str)), None)
-        try:
-            if part is not None:
-                R, p = _origin(one)
-                mesh = _surface(robot.path, part)
-                found.append(Mesh(mesh.points @ R.T + p, mesh.faces))
-        except (UnreadableError, QhullError):
-            continue
-    return together(found)
+    looks = (together(_surfaces(robot.path, element.findall(tag))) for tag in ("visual", "collision"))
+    return next((mesh for mesh in looks if len(mesh.faces)), together([]))
+
+
+def _surfaces(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
+    """The geometry of a link's <visual> or <collision>, of each that can be read."""
+    for element in elements:
+        part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
+        if part is not None:
+            with suppress(UnreadableError, QhullError):
+                R, p = _origin(element)
+                mesh = _surface(urdf, part)
+                yield Mesh(mesh.points @ R.T + p, mesh.faces)
 
 
 def link_vertices(robot: Robot, link: str, file: str | None = None) -> Array:

@@ -17,8 +17,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from commands import SAMPLES, TRAIN, VALIDATE, idtool
+from commands import LEG, SAMPLES, TRAIN, VALIDATE, idtool
+from doc_outputs import check_output
+from recordings import State, ros2, write_mcap
+from test_logs_rosbag2 import metadata
+from test_robot_description import described
 
 from idtool.logs import read_log, write_log
 from idtool.logs.log import make_log
@@ -30,7 +33,7 @@ README = ROOT / "README.md"
 DATA = ROOT.parent / "shared" / "data"
 
 SLOW = ("idtool study", "idtool excite", "idtool diagnose", "python", "make demo")  # what takes more than some seconds
-_SLOW_WORDS = ("--track", "--method iv", "idtool.diagnose(")
+_SLOW_WORDS = ("--track", "bag1", "--method iv", "idtool.diagnose(")
 REAL = ("panda.urdf", "go2.urdf")
 _REAL_FILES = (
     "panda/panda.urdf",
@@ -44,9 +47,6 @@ _RUNS = {  # parts of the leg's logs
     "run3": (VALIDATE, slice(0, 2500)),
     "run4": (VALIDATE, slice(2500, 5000)),
 }
-_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w])")
-_NEAR = 0.1  # of a number in a block of output; standard errors and errors of rollouts differ from machine to machine
-_TIMES = re.compile(r"simulated in .*")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Block:
     def commands(self) -> list[str]:
         """The command lines of a shell block, joined where they are continued."""
         lines = self.text.replace("\\\n", " ").splitlines() if self.language == "sh" else []
-        return [line.removeprefix(".venv/bin/") for line in map(str.strip, lines) if line and not line.startswith("#")]
+        return [line for line in map(str.strip, lines) if line and not line.startswith("#")]
 
     @property
     def slow(self) -> bool:
@@ -73,6 +73,12 @@ class Block:
     def real(self) -> bool:
         """Whether it needs logs of real robots, which are no part of the project."""
         return any(name in line for line in self.commands for name in REAL)
+
+    @property
+    def file(self) -> str | None:
+        """The file that a reader saves it as: its first line is that name."""
+        named = re.match(r"# (\w+\.yaml)\n", self.text) if self.language == "yaml" else None
+        return named[1] if named else None
 
     @property
     def writes(self) -> set[str]:
@@ -93,7 +99,7 @@ def pages() -> list[Path]:
 
 
 def blocks(page: Path) -> list[Block]:
-    """The fenced blocks of a page; of README.md also command lines that are indented."""
+    """The fenced blocks of a page, which holds no commands elsewhere."""
     found, lines = [], page.read_text().splitlines()
     opened: tuple[str, int] | None = None
     for k, line in enumerate(lines, start=1):
@@ -101,8 +107,8 @@ def blocks(page: Path) -> list[Block]:
             if opened:
                 found.append(Block(opened[0], "\n".join(lines[opened[1] : k - 1]), opened[1]))
             opened = None if opened else (fence[1], k)
-        elif not opened and re.match(r" {4}(\.venv/bin/)?(idtool|make demo)\b", line):
-            found.append(Block("sh", line.strip(), k))
+        else:
+            assert opened or not re.match(r" {4}(\S*bin/)?(idtool|make|python|source) ", line), f"{page.name}, line {k}"
     assert opened is None, f"{page.name}: a block is not closed"
     return found
 
@@ -120,10 +126,30 @@ def runs() -> dict[str, bytes]:
     return found
 
 
+BAG = "bag1"  # what pages call a rosbag2 folder
+
+
+@cache
+def bag() -> bytes:
+    """The file of a bag with half of a log, and a URDF."""
+    whole, half = read_log(TRAIN), slice(0, 5000)
+    values = zip(whole.t[half], *(whole.signals[name][half].tolist() for name in ("q", "v", "tau")), strict=True)
+    items = [State(stamp := round(1e9 * t) + 10**18, whole.joints, *row, logged=stamp) for t, *row in values]
+    with tempfile.TemporaryDirectory() as folder:
+        return write_mcap(Path(folder, "bag.mcap"), described(LEG.read_text()), ros2(items)).read_bytes()
+
+
 def demo() -> list[str]:
     """The commands of `make demo`."""
     recipe = (ROOT / "Makefile").read_text().partition("\ndemo:")[2].partition("\n\n")[0]
     return re.findall(r"^\t\$\(BIN\)/(idtool .*)$", recipe, re.M)
+
+
+def environment() -> str:
+    """The folder that the Makefile makes a virtual environment in."""
+    found = re.search(r"-m venv .*?(\S+)$", (ROOT / "Makefile").read_text(), re.M)
+    assert found
+    return found[1]
 
 
 @dataclass
@@ -161,11 +187,15 @@ class Reader:
         for block in self._wanted(blocks(page)):
             if block.real:
                 self._lay_out_real_logs()
+            if block.language == "sh" and re.search(rf"\b{BAG}\b", block.text):
+                self._lay_out_bag()
             where = f"{page.name}, line {block.line}"
             if block.language == "sh":
                 self.said = "".join(self._command(line, where) for line in block.commands)
             elif block.language == "python":
                 self.said = self._script(block)
+            elif block.file:
+                (self.here / block.file).write_text(block.text)
             elif block.language == "text" and self.said:
                 check_output(block.text, self.said, where)
 
@@ -187,6 +217,13 @@ class Reader:
             if not link.exists():
                 link.symlink_to(DATA / name)
 
+    def _lay_out_bag(self) -> None:
+        folder = self.folder / BAG
+        if not folder.exists():
+            folder.mkdir()
+            (folder / f"{BAG}_0.mcap").write_bytes(bag())
+            (folder / "metadata.yaml").write_text(metadata([f"{BAG}_0.mcap"]))
+
     def _command(self, line: str, where: str) -> str:
         """What a command line prints; it must end with the code that stands behind it, 0 where none does."""
         words = shlex.split(line, comments=True)
@@ -194,17 +231,35 @@ class Reader:
         if line.startswith("make demo"):
             return "".join(self._command(one, where) for one in demo())
         if words[0] == "cd":
-            self.here = self.here / words[1]
+            self.here = (self.here / words[1]).resolve()
             assert self.here.is_dir(), where
             return ""
+        if words[0] == "source":
+            return self._activate(line, where)
         if words[0] == "python":
             done = subprocess.run([sys.executable, *words[1:]], cwd=self.here, capture_output=True, text=True)
             assert done.returncode == 0, f"{where}: {done.stderr}"
             return done.stdout
         assert words[0] == "idtool", f"{where}: no test runs {words[0]}"
+        if words[1] == "init" and not {"--out", "--force"} & set(words):
+            (self.here / words[2]).with_suffix(".yaml").unlink(missing_ok=True)  # as for a reader who has none
         result = idtool(*words[1:], folder=self.here)
         assert result.code == int(stated[1] if stated else 0), f"{where}: {line}: {result.code}: {result.err}"
         return result.out
+
+    def _activate(self, line: str, where: str) -> str:
+        """Do so in a shell that has no environment, with the one that this runs in where `make demo` makes one."""
+        link = self.here / environment()
+        link.symlink_to(sys.prefix)
+        shell = ["env", "-i", "PATH=/usr/bin:/bin", "bash", "-ec", f"{line}\ncommand -v idtool python"]
+        done = subprocess.run(shell, cwd=self.here, capture_output=True, text=True)
+        link.unlink()
+        found = [Path(one) for one in done.stdout.split()]
+        assert [one.resolve().parent for one in found[:1]] == [Path(sys.prefix, "bin").resolve()], (
+            f"{where}: {done.stderr}"
+        )
+        assert len(found) == 2, f"{where}: {done.stdout}"
+        return ""
 
     def _script(self, block: Block) -> str:
         """What a Python block prints; blocks of a page see each other's names."""
@@ -213,20 +268,3 @@ class Reader:
         with contextlib.chdir(self.here), contextlib.redirect_stdout(out):
             self.variables = runpy.run_path(str(script), self.variables)
         return out.getvalue()
-
-
-def check_output(shown: str, said: str, where: str) -> None:
-    """That every line shown was printed, word for word, and that its numbers are near."""
-    printed = [_split(line) for line in said.splitlines()]
-    for line in filter(None, map(str.strip, shown.splitlines())):
-        words, numbers = _split(line)
-        alike = [others for other, others in printed if other == words]
-        assert alike, f"{where}: no such line is printed: {line}"
-        near = any(np.allclose(numbers, others, rtol=_NEAR, atol=1e-4) for others in alike)
-        assert near, f"{where}: other numbers are printed: {line}: {alike}"
-
-
-def _split(line: str) -> tuple[str, list[float]]:
-    """A line's words, and its numbers."""
-    line = _TIMES.sub("", line)
-    return " ".join(_NUMBER.sub("#", line).split()), [float(x) for x in _NUMBER.findall(line)]

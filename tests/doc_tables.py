@@ -54,11 +54,12 @@ def begin_alike(documented: str, real: Path, names: Mapping[str, set[str]]) -> b
 
     ``<joint>`` is one of ``names["joint"]``.
     """
-    for part, found in zip(documented.split("."), real, strict=False):
+    for key, name in zip(documented.split("."), real, strict=False):
+        part, found = key.removesuffix("[]"), name.removesuffix("[]")
         if named := re.fullmatch(r"<(\w+)>", part):
             if named[1] in names and found not in names[named[1]]:
                 return False
-        elif part.removesuffix("[]") != found.removesuffix("[]"):
+        elif part != found:
             return False
     return True
 

@@ -39,10 +39,10 @@ def urdf(*links: tuple[str, str, str]) -> str:
 def test_a_box_s_ellipsoid_is_root_three_times_its_half_sides_and_the_margin(robot_of: Read) -> None:
     robot = robot_of(urdf(("a", MASS, '<box size="0.2 0.4 0.6"/>')))
     for margin in (0.0, 0.05, 0.2):
-        ellipsoids, notes = bounding_ellipsoids(robot, margin)
+        ellipsoids, reasons = bounding_ellipsoids(robot, margin)
         expected = (1 + margin) * np.sqrt(3) * np.array([0.1, 0.2, 0.3])
         np.testing.assert_allclose(np.sort(ellipsoids["a"].semi_axes), expected, rtol=1e-3)
-        assert notes == []
+        assert reasons == {}
     half = np.array(list(product((-0.1, 0.1), (-0.2, 0.2), (-0.3, 0.3))))
     assert bounding_ellipsoids(robot, 0.0)[0]["a"].contains(half).all()
 
@@ -56,7 +56,7 @@ def test_a_ball_s_ellipsoid_is_the_ball(geometry: str, robot_of: Read, tmp_path:
 
 
 def test_links_without_mass_are_left_out_and_those_without_geometry_said(robot_of: Read) -> None:
-    ellipsoids, notes = bounding_ellipsoids(
+    ellipsoids, reasons = bounding_ellipsoids(
         robot_of(
             urdf(
                 ("whole", MASS, '<box size="1 1 1"/>'),
@@ -67,17 +67,17 @@ def test_links_without_mass_are_left_out_and_those_without_geometry_said(robot_o
         )
     )
     assert list(ellipsoids) == ["whole"]
-    assert notes[0] == "link bare: no ellipsoid, for the URDF gives it no collision or visual"
-    assert notes[1].startswith("link lost: no ellipsoid; line 1: mesh package://p/lost.stl is not found")
-    assert len(notes) == 2
+    assert list(reasons) == ["bare", "lost"]
+    assert reasons["bare"] == "the URDF gives it no collision or visual"
+    assert reasons["lost"].startswith("line 1: mesh package://p/lost.stl is not found")
 
 
 def test_a_link_of_which_a_part_is_lost_gets_no_ellipsoid_that_is_too_small(robot_of: Read) -> None:
     part = '<collision><geometry><mesh filename="lost.stl"/></geometry></collision>'
     text = urdf(("a", MASS, '<box size="1 1 1"/>')).replace("</link>", part + "</link>")
-    ellipsoids, (note,) = bounding_ellipsoids(robot_of(text))
+    ellipsoids, reasons = bounding_ellipsoids(robot_of(text))
     assert ellipsoids == {}
-    assert "lost.stl is not found" in note
+    assert "lost.stl is not found" in reasons["a"]
 
 
 def test_the_configuration_takes_them_as_they_are(robot_of: Read) -> None:
@@ -86,8 +86,8 @@ def test_the_configuration_takes_them_as_they_are(robot_of: Read) -> None:
     assert [bound.ellipsoid() for bound in config.bounding_ellipsoids["a"]] == [ellipsoids["a"]]
 
 
-def test_a_robot_without_any_geometry_is_all_notes(robot_of: Read, rng: np.random.Generator) -> None:
+def test_a_robot_without_any_geometry_is_said_why(robot_of: Read, rng: np.random.Generator) -> None:
     robot = robot_of(random_urdf(rng))
-    ellipsoids, notes = bounding_ellipsoids(robot)
+    ellipsoids, reasons = bounding_ellipsoids(robot)
     assert ellipsoids == {}
-    assert len(notes) == sum(pi is not None for pi in robot.links.values())
+    assert len(reasons) == sum(pi is not None for pi in robot.links.values())

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -32,8 +33,8 @@ RUN_NAMES = [NAMES[ALL.index(page)] for page in RUN]
 
 
 def commands(page: Path) -> set[str]:
-    """The command lines of a page."""
-    return {line for block in blocks(page) for line in block.commands}
+    """The command lines of a page, without remarks."""
+    return {line.partition("  #")[0].rstrip() for block in blocks(page) for line in block.commands}
 
 
 @pytest.mark.parametrize("page", RUN, ids=RUN_NAMES)
@@ -136,6 +137,15 @@ def test_links_that_lead_nowhere_stop_the_build(tmp_path: Path) -> None:
     assert done.returncode != 0
     for link in links:
         assert f"'{link}'" in done.stderr
+
+
+@pytest.mark.parametrize("page", ALL, ids=NAMES)
+def test_extras_that_are_to_be_installed_exist(page: Path) -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for line in re.findall(r"`pip install ([^`]*)`", " ".join(page.read_text().split())):
+        named = re.fullmatch(r"-e '\.\[(\w+)\]'", line)
+        assert named, line
+        assert named[1] in extras
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import inspect
 import re
 import types
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import pytest
 import typer
 import yaml
-from commands import JOINTS, LEG, idtool
-from doc_pages import PAGES, README, Reader, pages
-from doc_tables import codes, keys, misfits, rows, section
+from commands import JOINTS, LEG
+from doc_pages import PAGES, README, pages
+from doc_tables import codes, keys, rows, section
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -156,72 +155,3 @@ def test_every_public_name_and_option_is_in_the_python_page() -> None:
             options = [p.name for p in inspect.signature(kind).parameters.values() if p.kind is p.KEYWORD_ONLY]
             row = next(row for row in rows(text) if f"idtool.{name}" in codes(row[0]))
             assert codes(row[1]) == options
-
-
-@pytest.fixture(scope="module")
-def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
-    """A folder with a robot and logs."""
-    return Reader(tmp_path_factory.mktemp("reports"), slow=True)
-
-
-def report(reader: Reader, *command: str) -> dict[str, Any]:
-    """What a command prints as JSON."""
-    done = idtool(*command, "--json", "--quiet", folder=reader.folder)
-    assert done.code == 0, done.err
-    return done.json
-
-
-def config_with(folder: Path, name: str, **changes: Any) -> str:
-    """The leg's configuration with some keys changed."""
-    data = yaml.safe_load((folder / "leg.yaml").read_text()) | changes
-    (folder / name).write_text(yaml.safe_dump(data))
-    return name
-
-
-AS_IN_REPORT = ("friction", "friction_intervals", "rotors", "bodies", "known", "solver")  # of diagnosis.json
-
-
-def check_keys(file: str, *reports: dict[str, Any], whole: Sequence[str] = ()) -> None:
-    """That a section names every key of these reports and no others; ``whole`` are keys named with all they hold."""
-    names = {"joint": {joint for one in reports for joint in (*one["joints"], "overall")}}
-    if isinstance(reports[0].get("bodies"), dict):
-        bodies = {body for one in reports for body in one["bodies"]}
-        names |= {"body": bodies, "rotor": bodies}
-    assert misfits(section("json.md", f"## {file}"), reports, names, whole) == []
-
-
-def test_every_key_of_report_json_is_documented(reader: Reader) -> None:
-    union = {"shank_link": [{"center": [0, 0, -z], "semi_axes": [0.05, 0.05, 0.2]} for z in (0.1, 0.25)]}
-    known = config_with(
-        reader.folder, "known.yaml", known={"total_mass": 3.8}, constraints="none", bounding_ellipsoids={}
-    )
-    parts = config_with(reader.folder, "parts.yaml", bounding_ellipsoids=union)
-    check_keys(
-        "report.json",
-        report(reader, "fit", "leg.urdf", "run1.mcap", "run2.mcap"),
-        report(reader, "fit", "leg.urdf", "run1.mcap", "--quick", "--config", known),
-        report(reader, "fit", "leg.urdf", "run1.mcap", "--quick", "--config", parts),
-    )
-
-
-def test_every_key_of_validation_json_is_documented(reader: Reader) -> None:
-    options = ("--prior", "robot.urdf", "--max-rms", "9", "--max-rms", "hip=9")
-    check_keys("validation.json", report(reader, "validate", "leg.urdf", "run3.mcap", *options))
-
-
-def test_every_key_of_adapt_json_is_documented(reader: Reader) -> None:
-    check_keys("adapt.json", report(reader, "adapt", "leg.urdf", "run1.mcap"))
-
-
-@pytest.mark.slow
-def test_every_key_of_study_json_is_documented(reader: Reader) -> None:
-    check_keys("study.json", report(reader, "study", "leg.urdf", "run1.mcap", "--draws", "5"))
-
-
-@pytest.mark.slow
-def test_every_key_of_diagnosis_json_is_documented(reader: Reader) -> None:
-    less = config_with(reader.folder, "less.yaml", friction={"knee": {"coulomb": False}})
-    effects = "coulomb_friction,presliding_hysteresis,torque_offset"
-    found = report(reader, "diagnose", "leg.urdf", "sample_logs/leg_train.mcap", "--config", less, "--effects", effects)
-    assert found["steps"]
-    check_keys("diagnosis.json", found, whole=AS_IN_REPORT)

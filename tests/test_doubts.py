@@ -66,3 +66,17 @@ def test_links_that_stand_in_for_rotors_are_too_heavy() -> None:
     found = said(bare)
     assert f"abad_link, thigh_link: {HEAVY}" in found
     assert WORSE not in found
+
+
+def test_a_torque_of_zeros_beside_a_command_is_the_controllers() -> None:
+    """Drivers without a torque sensor publish zeros."""
+    gains = {"kp": dict.fromkeys(RIGHT.joints, 40.0), "kd": dict.fromkeys(RIGHT.joints, 1.0)}
+    model = idtool.Model(LEG, {**idtool.Model(LEG).config, "controller": gains})
+    motion: dict[str, Any] = {"q": RIGHT.q, "v": RIGHT.v, "qcmd": RIGHT.q + RIGHT.tau / 40 + RIGHT.v / 40}
+    fits = [
+        idtool.fit(model, idtool.Log.from_arrays("log", RIGHT.t, RIGHT.joints, **motion, **tau), quick=True)
+        for tau in ({}, {"tau": 0 * RIGHT.tau})
+    ]
+    assert fits[0].rms.train == fits[1].rms.train
+    assert fits[0].rms.train["overall"] < 0.2
+    assert any("never changes" in warning for warning in fits[1].warnings)

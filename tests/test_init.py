@@ -43,6 +43,14 @@ def test_of_a_rigid_arm_nothing_is_said_that_is_not_there(tmp_path: Path) -> Non
     assert "found by trial: neither" in Path(report["file"]).read_text()
 
 
+def test_of_torque_with_the_wrong_sign_nothing_is_believed(tmp_path: Path) -> None:
+    log = arm()
+    report = init(robot(tmp_path), as_csv(tmp_path / "run.csv", {**log, "tau": -log["tau"]}))
+    assert report["config"]["effects"] == []
+    assert not any(trial["kept"] for trial in report["trials"])
+    assert any("left unexplained (rms): " in warning and "check its sign" in warning for warning in report["warnings"])
+
+
 def test_cutoff_lies_above_the_motion_which_is_below_3_hz(tmp_path: Path) -> None:
     report = init(robot(tmp_path), as_csv(tmp_path / "run.csv", arm()))
     assert 2.6 < report["band_hz"] < 20

@@ -70,7 +70,11 @@ def test_bodies_with_geometry_are_bounded_and_of_others_it_is_said_what_is_missi
     assert set(report["config"]["bounding_ellipsoids"]) == {"turret"}  # the tool, on the forearm, lies outside its
     written = Path(report["file"]).read_text()
     assert r"mesh package://arm/\nevil: 1.stl is not found" in written
-    assert f"looked for in {tmp_path} and the folders above, ROS_PACKAGE_PATH (not set)" in written
+    where = f"looked for in {tmp_path} and the folders above, ROS_PACKAGE_PATH (not set)"
+    assert where in written.replace("\n# ", " ")
+    (left,) = (left["what"] for left in report["left"] if left["key"] == "bounding_ellipsoids")
+    assert left.startswith("of upper, tool; meshes of upper could not be read (upper: line ")
+    assert where in left
     assert "# tool: the URDF gives it no collision or visual" in written
     assert set(filled(written).bounding_ellipsoids) == {"turret", "upper", "fore", "tool"}
 
@@ -128,7 +132,7 @@ def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
     log = arm(2.0)
     log["q"][:], log["v"][:] = 0.1, 0.0
     run = as_csv(tmp_path / "run.csv", log)
-    refuse(tmp_path, "init", robot(tmp_path), run, naming="turn does not move", file="run.csv")
+    refuse(tmp_path, "init", robot(tmp_path), run, naming="does not move: turn, lift, roll", file="run.csv")
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:

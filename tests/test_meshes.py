@@ -66,7 +66,8 @@ def test_a_link_looks_as_its_visual_does(robot_of: Callable[[str | bytes], Robot
     solid = trimesh.Trimesh(*(getattr(link_surface(robot, "a"), part) for part in ("points", "faces")), process=True)
     assert len(solid.faces) >= len(ring.faces)
     np.testing.assert_allclose(solid.bounds, [[-0.8, -0.8, -0.101], [0.8, 0.8, 1.2]], atol=2e-3)
-    only = robot_of(f'<robot name="r"><link name="a">{box}</link></robot>')
+    unread = '<visual><geometry><mesh filename="none.stl"/></geometry></visual>'
+    only = robot_of(f'<robot name="r"><link name="a">{unread}{box}</link></robot>')
     np.testing.assert_allclose(np.ptp(link_surface(only, "a").points, axis=0), 9)
     assert len(link_surface(robot_of('<robot name="r"><link name="a"/></robot>'), "a").faces) == 0
 

@@ -66,7 +66,8 @@ def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) ->
     from idtool.outputs import as_yaml, write_all
     from idtool.report import HEADER
 
-    found, notes = bounding_ellipsoids(robot, margin)
+    found, reasons = bounding_ellipsoids(robot, margin)
+    notes = [f"link {link}: no ellipsoid; {why}" for link, why in reasons.items()]
     data = {"bounding_ellipsoids": as_config(found)}
     header = f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes {margin:.0%} longer; m, rad."
     text = as_yaml(data, header)

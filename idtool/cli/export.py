@@ -60,17 +60,14 @@ def export_command(
 
 def _show(terminal: Terminal, export: Export, file: Path) -> None:
     """What is carried, a line a kind, and what is not, those alike on one line."""
-    from idtool.names import some
-
     for what in dict.fromkeys(part.what for part in export.carried):
-        terminal.say(
-            f"carried: {what} of {some(dict.fromkeys(part.of for part in export.carried if part.what == what))}"
-        )
+        names = dict.fromkeys(part.of for part in export.carried if part.what == what)
+        terminal.say(f"carried: {what} of {', '.join(names)}")
     groups: dict[tuple[str, str], list[Part]] = {}
     for part in export.not_carried:
         groups.setdefault((part.what, part.detail), []).append(part)
     for (what, detail), parts in groups.items():
         sizes = [(abs(part.value), part.unit) for part in parts if part.value is not None]
         size = ", up to {:.3g} {}".format(*max(sizes)) if sizes else ""
-        terminal.say(f"not carried: {what} of {some([part.of for part in parts])}: {detail}{size}", "yellow")
+        terminal.say(f"not carried: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
     terminal.say(f"written: {file}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -59,7 +60,7 @@ def init_command(
 
 
 def _check(file: Path, inputs: Sequence[Path], force: bool) -> None:
-    """Before anything is read: whether the file may be written."""
+    """Before anything is read: whether the file may and can be written."""
     from idtool.outputs import OutputError
 
     if any(file.resolve() == path.resolve() for path in inputs):
@@ -68,6 +69,9 @@ def _check(file: Path, inputs: Sequence[Path], force: bool) -> None:
         raise OutputError(file, "is a folder; give a file as --out")
     if file.exists() and not force:
         raise OutputError(file, "is there already; give --force to overwrite it, or another --out")
+    folder = next(folder for folder in file.absolute().parents if folder.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(folder, "cannot be written to; give another --out")
 
 
 def _report(found: Start) -> dict[str, Any]:
@@ -80,6 +84,7 @@ def _report(found: Start) -> dict[str, Any]:
         "trials": [asdict(trial) for trial in found.trials],
         "found": list(found.found),
         "left": [asdict(left) for left in found.left],
+        "needed": [left.key for left in found.needed],
         "warnings": list(found.warnings),
     }
 

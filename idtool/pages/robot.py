@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.body import Body
+from idtool.body import Body, Frame
 from idtool.envelope import Trace
 from idtool.geometry import link_surface
 from idtool.kinematics import body_places
@@ -47,9 +47,9 @@ def robot_view(
 
     Returns
     -------
-    ``robot``: None where there is no such trace, else the ``bodies``, each with the ``surface`` of its geometry, or
-    None; what is ``shown``; the name of the ``log``, the times ``t`` [s] of the postures and the bodies' ``frames`` in
-    each, a quaternion x, y, z, w and a position [m] in the root link; ``hidden``, the number of bodies not drawn.
+    ``robot``: None where there is no such trace, else the base and the ``bodies``, each with the ``surface`` of its
+    geometry, or None; what is ``shown``; the name of the ``log``, the times ``t`` [s] of the postures and the bodies'
+    ``frames`` in each, a quaternion x, y, z, w and a position [m] in the root link; ``hidden``, how many are not drawn.
     """
     trace = next((trace for trace in traces if "q" in trace.curves), None)
     if trace is None:
@@ -57,10 +57,12 @@ def robot_view(
     t, q = _postures(trace, min(_POSTURES, max(_MOST_PLACES // max(len(bodies), 1), 1)))
     places, known = body_places(model, q), {view["name"]: view for view in bodies}
     drawn = [(i, body) for i, body in enumerate(model.bodies) if body.name in known][:_MOST_PLACES]
-    frames = [[_frame(places[i], n) for i, _ in drawn] for n in range(len(t))]
-    most = max(_MOST_FACES // max(len(drawn), 1), _FEWEST_FACES)
+    most = max(_MOST_FACES // (len(drawn) + 1), _FEWEST_FACES)
+    views = [_base(model.robot, most)]
+    views += [{**known[body.name], "masses": None, "surface": _surface(model.robot, body, most)} for _, body in drawn]
+    frames = [[_frame(places[i], n) for i in (-1, *(i for i, _ in drawn))] for n in range(len(t))]
     view = {
-        "bodies": [{**known[b.name], "masses": None, "surface": _surface(model.robot, b, most)} for _, b in drawn],
+        "bodies": views,
         "shown": shown,
         "log": trace.name,
         "t": t.round(2).tolist(),
@@ -88,12 +90,26 @@ def _frame(place: tuple[Array, Array], n: int) -> list[float]:
     return [round(float(x), _DECIMALS) for x in (*Rotation.from_matrix(R).as_quat(), *p)]
 
 
+def _base(robot: Robot, most: int) -> dict[str, Any]:
+    """The root link and those fixed to it."""
+    frames = {robot.root: Frame(-1, np.eye(3), np.zeros(3))}
+    for joint in robot.joints.values():
+        if joint.kind == "fixed" and joint.parent in frames:
+            frames[joint.child] = frames[joint.parent].then(joint.R, joint.p)
+    seen: dict[str, Any] = {"bounds": [], "found": None, "prior": None, "masses": None}
+    return {"name": robot.root, **seen, "surface": _drawn(robot, frames.items(), most)}
+
+
 def _surface(robot: Robot, body: Body, most: int) -> dict[str, Any] | None:
-    """The visual geometry of a body's links in its frame, of so many faces at the most; None without any."""
+    """The geometry of a body's links in its frame."""
+    return _drawn(robot, [(member.link, member.frame) for member in body.members if member.link in robot.links], most)
+
+
+def _drawn(robot: Robot, places: Iterable[tuple[str, Frame]], most: int) -> dict[str, Any] | None:
+    """How links at some places look, of so many faces at the most; None without any."""
     found = []
-    for member in body.members:
-        if member.link in robot.links:
-            mesh = link_surface(robot, member.link)
-            found.append(Mesh(mesh.points @ member.frame.R.T + member.frame.p, mesh.faces))
+    for link, frame in places:
+        mesh = link_surface(robot, link)
+        found.append(Mesh(mesh.points @ frame.R.T + frame.p, mesh.faces))
     whole = simplified(together(found), most)
     return {"points": whole.points.round(_FINE).tolist(), "faces": whole.faces.tolist()} if len(whole.faces) else None

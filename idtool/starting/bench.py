@@ -19,13 +19,10 @@ from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.knowledge import knowledge
-from idtool.logs import Log
 from idtool.reduction import Factor, Reduction, empty, merge
 from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
-
-MOST = 200_000  # samples of a log that are looked at: more tell trials nothing new
 
 
 @dataclass(frozen=True)
@@ -50,6 +47,10 @@ class Verdict:
     def rms(self) -> float:
         """Held-out RMS over the joints that have samples."""
         return float(np.sqrt(np.nanmean(self.held_out)))
+
+    def rms_of(self, j: int) -> float | None:
+        """Held-out RMS of a joint [N·m or N]; None where it has no samples."""
+        return None if np.isnan(self.held_out[j]) else float(np.sqrt(self.held_out[j]))
 
 
 class Bench:
@@ -101,6 +102,11 @@ class Bench:
         share = dict(zip(named, _shares(equation, theta, train).tolist(), strict=True))
         return Verdict(_errors(equation, theta, train), _errors(equation, theta, held_out), values, share)
 
+    def torque(self) -> Array:
+        """Mean square of the held-out torque in the band, shape (nv,) [(N·m)² or N²]; NaN where there is none."""
+        nothing = np.zeros(len(self.experiment.equation.coefficients))
+        return _errors(self.experiment.equation, nothing, self.held_out)
+
     def _part(self, whole: Reduction, equation: LinearModel) -> Reduction:
         """The columns of another equation."""
         full = self.experiment.equation
@@ -137,13 +143,3 @@ def _shares(equation: LinearModel, theta: Array, data: Reduction) -> Array:
         column = np.linalg.norm(factor.R[:, :-1], axis=0) / np.sqrt(max(factor.rows, 1))
         share[active] = np.maximum(share[active], np.abs(theta[active]) * column)
     return share
-
-
-def shortened(log: Log) -> Log:
-    """The log, of a long one its first samples."""
-    kept, left = [], MOST
-    for segment in log.segments:
-        if left > 1:
-            kept.append(slice(segment.start, min(segment.stop, segment.start + left)))
-            left -= segment.stop - segment.start
-    return replace(log, segments=tuple(kept))

@@ -36,10 +36,15 @@ class Bounds:
     unused: Mapping[str, Any]
     missing: Mapping[str, str]
 
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Links of which a mesh was not found or could not be read."""
+        return tuple(link for link, why in self.missing.items() if "mesh" in why)
+
 
 def find_bounds(robot: Robot, model: Model) -> Bounds:
     """The bounding ellipsoids of the links that move."""
-    ellipsoids, notes = bounding_ellipsoids(robot)
+    ellipsoids, reasons = bounding_ellipsoids(robot)
     rounded = {link: _rounded(entries) for link, entries in as_config(ellipsoids).items()}
     found: dict[str, Any] = {}
     unused: dict[str, Any] = {}
@@ -49,14 +54,8 @@ def find_bounds(robot: Robot, model: Model) -> Bounds:
         own = {link: rounded[link] for link in links if link in rounded}
         lacking = _unbounded(body, ellipsoids)
         (unused if lacking else found).update(own)
-        for link in lacking:
-            why = (note.partition("; ")[2] or note.partition(", for ")[2] for note in notes if _is_of(note, link))
-            missing[link] = next(why, "no geometry")
+        missing.update({link: reasons[link] for link in lacking})
     return Bounds(found, unused, missing)
-
-
-def _is_of(note: str, link: str) -> bool:
-    return note.startswith(f"link {link}: ")
 
 
 def _unbounded(body: Body, ellipsoids: Mapping[str, Ellipsoid]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,13 @@ from idtool.starting.bounds import Bounds
 from idtool.starting.recorded import Recorded
 from idtool.starting.trials import Found
 
+_UNITS = {  # of a turning joint, and of a sliding one
+    "torque": ("N·m", "N"),
+    "inertia": ("kg·m²", "kg"),
+    "stiffness": ("N·m/rad", "N/m"),
+    "damping": ("N·m·s/rad", "N·s/m"),
+}
+
 
 @dataclass(frozen=True)
 class Draft:
@@ -22,6 +29,8 @@ class Draft:
     ----------
     robot
         From the URDF.
+    paths
+        The logs.
     recorded
         What the logs tell.
     given, source
@@ -39,6 +48,7 @@ class Draft:
     """
 
     robot: Robot
+    paths: tuple[Path, ...]
     recorded: Recorded
     given: Mapping[str, Any]
     source: Path | None
@@ -52,13 +62,17 @@ class Draft:
     @property
     def joints(self) -> tuple[str, ...]:
         """The joints that are identified."""
-        return self.recorded.joints if self.config.joints is None else self.config.joints
+        return self.recorded.joints
 
     @property
     def locked(self) -> dict[str, float]:
         """Where the others are held [rad or m], as given or as found."""
-        found = {name: lock.position for name, lock in self.recorded.locked.items() if name not in self.joints}
-        return found | self.config.locked_joints
+        return {name: lock.position for name, lock in self.recorded.locked.items()} | self.config.locked_joints
+
+    @property
+    def origin(self) -> str:
+        """What is given comes from there, in words."""
+        return self.source.name if self.source else "the configuration"
 
     @property
     def ungained(self) -> tuple[str, ...]:
@@ -66,7 +80,7 @@ class Draft:
         gains = self.config.controller.kp if self.config.controller else {}
         return tuple(name for name in self.recorded.commanded if name not in gains)
 
-    def unit(self, joint: str, what: str) -> str:
-        """A unit that a prismatic joint has another one of."""
-        prismatic = self.robot.joints[joint].kind == "prismatic"
-        return {"angle": ("rad", "m"), "torque": ("N·m", "N"), "inertia": ("kg·m²", "kg")}[what][prismatic]
+    def unit(self, what: str, joints: Sequence[str]) -> str:
+        """The unit of something of some joints, or both where some turn and others slide."""
+        sliding = (self.robot.joints[name].kind == "prismatic" for name in joints)
+        return " or ".join(dict.fromkeys(_UNITS[what][slides] for slides in sorted(sliding)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -63,6 +64,13 @@ def _alike(link: str, joint: str) -> float:
     return difflib.SequenceMatcher(None, link.lower().replace("rotor", ""), joint.lower().replace("joint", "")).ratio()
 
 
+def _rpy(R: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Roll, pitch and yaw of a rotation, shape (3,) [rad]; where only roll and yaw together matter, yaw is zero."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that it did so
+        return Rotation.from_matrix(R).as_euler("xyz")
+
+
 def rotor_template(robot: Robot, joint: Joint, ratio: float | None, link: str | None) -> dict[str, Any]:
     """An entry under ``rotors`` for a joint, null where only a person knows.
 
@@ -82,7 +90,7 @@ def rotor_template(robot: Robot, joint: Joint, ratio: float | None, link: str | 
         pi = robot.links[link]
         com = [0.0, 0.0, 0.0] if pi is None else [round(float(x), 4) + 0.0 for x in mass_com_inertia(pi)[1]]
         return {**drive, "bounding_ellipsoid": {"center": com, "semi_axes": [None] * 3}}
-    rpy = Rotation.from_matrix(joint.R).as_euler("xyz")
+    rpy = _rpy(joint.R)
     return {
         **drive,
         "parent": joint.parent,
@@ -105,7 +113,7 @@ def solid_ellipsoid(pi: NDArray[np.float64]) -> dict[str, Any] | None:
     if not moments[0] > 0:
         return None
     axes = axes * np.sign(np.linalg.det(axes))
-    rpy = Rotation.from_matrix(axes).as_euler("xyz")
+    rpy = _rpy(axes)
     return {
         "center": [round(float(x), 4) + 0.0 for x in com],
         "semi_axes": [float(f"{math.sqrt(5 * x / mass):.3g}") for x in moments],

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,16 +10,15 @@ import numpy as np
 
 from idtool.config import Config
 from idtool.exceptions import LogError
-from idtool.inspection import Inspection, inspect_log
+from idtool.experiment import Progress
 from idtool.inspection.findings import BAND
-from idtool.logs import Log, read_log
-from idtool.logs.choices import state_topics
+from idtool.logs import Log
 from idtool.model import build_model
-from idtool.names import some
+from idtool.names import shown, some
 from idtool.robot import Joint, Robot
 from idtool.signals import default_cutoff
-
-Progress = Callable[[str, float], None]
+from idtool.starting.doubts import doubts
+from idtool.starting.seen import Seen, find_topic, see
 
 _LEAST_BAND = 5.0  # Hz: below it, friction at reversals is blurred into everything else
 
@@ -39,12 +37,18 @@ class Recorded:
 
     Attributes
     ----------
-    paths
-        The logs.
-    joints
+    logs
+        As many of their samples as trials look at.
+    able
         Joints that can be identified, in the URDF's order.
+    joints
+        Those that are: as given, else the same.
+    moving
+        Those of ``joints`` that move.
     locked
         The URDF's other actuated joints.
+    untold
+        Joints that move and have neither torque nor position command, each with the first log that lacks both.
     commanded
         Those of ``joints`` that some log has a position command of, but no torque.
     topic, topics
@@ -59,9 +63,12 @@ class Recorded:
         What a user should know.
     """
 
-    paths: tuple[Path, ...]
+    logs: tuple[Log, ...]
+    able: tuple[str, ...]
     joints: tuple[str, ...]
+    moving: tuple[str, ...]
     locked: dict[str, Locked]
+    untold: dict[str, str]
     commanded: tuple[str, ...]
     topic: str | None
     topics: tuple[str, ...]
@@ -69,14 +76,6 @@ class Recorded:
     motion_hz: float
     cutoff_hz: float
     warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What is kept of a log."""
-
-    inspection: Inspection
-    middle: dict[str, float]  # median position
 
 
 def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progress) -> Recorded:
@@ -87,7 +86,7 @@ def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progr
     robot, paths
         From the URDF; the logs.
     given
-        What is known of how to read them, and which joints are wanted.
+        What is known of how to read them, which joints are wanted and which are held still.
     progress
         Told the stage and how far it has come.
 
@@ -96,95 +95,97 @@ def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progr
     IdtoolError
         If a log cannot be read, or has no joint of the robot that moves and has a torque or a command.
     """
-    topic, topics = _topic(robot, paths, given)
-    seen: list[_Seen] = []
-    for path in paths:
-        progress(f"inspecting {path.name}", len(seen) / len(paths))
-        seen.append(_look(_read(path, given, topic), robot))
-    joints, locked = _divided(robot, given, seen)
-    if not joints:
-        why = some([f"{name} {lock.why}" for name, lock in locked.items()])
-        raise LogError(paths[0], f"no joint of the robot can be identified: {why}")
-    motion = float(np.median([_motion(one, joints) for one in seen]))
+    topic, topics = find_topic(robot, paths, given)
+    seen = see(robot, paths, given, topic, progress)
+    unfit = _unfit(robot, given, seen)
+    able = tuple(name for name, why in unfit.items() if why is None)
+    joints = able if given.joints is None else given.joints
+    untold = {name: lacking[0] for name in unfit if (lacking := _lacking_torque(name, seen))}
+    if not set(able) & set(joints):
+        raise LogError(paths[0], _why_none(unfit, untold, seen))
+    locked = {
+        name: Locked(_resting(robot.joints[name], seen), why or "left out of joints")
+        for name, why in unfit.items()
+        if name not in joints
+    }
+    moving = tuple(name for name in joints if _moves(name, seen))
+    motion = float(np.median([_motion(one, moving) for one in seen]))
     return Recorded(
-        paths=tuple(paths),
-        joints=tuple(joints),
+        logs=tuple(one.log for one in seen),
+        able=able,
+        joints=joints,
+        moving=moving,
         locked=locked,
-        commanded=tuple(name for name in joints if not all("tau" in _signals(one, name) for one in seen)),
+        untold=untold,
+        commanded=tuple(name for name in joints if any(_is_commanded(name, one) for one in seen)),
         topic=topic if topics else None,
         topics=topics,
         rates_hz=tuple(one.inspection.rate_hz for one in seen),
         motion_hz=motion,
         cutoff_hz=_cutoff(motion, min(default_cutoff(one.inspection.dt) for one in seen)),
-        warnings=tuple(_problems(seen, joints)),
+        warnings=doubts(robot, seen, joints, tuple(locked)),
     )
 
 
-def _read(path: Path, given: Config, topic: str | None) -> Log:
-    options = given.log
-    return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale))
-
-
-def _topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str | None, tuple[str, ...]]:
-    """The topic with most of the robot's joints, then most signals, in all logs; and the topics to choose from."""
-    if given.log.topic is not None:
-        return given.log.topic, ()
-    topics = {path: state_topics(path) for path in paths if path.exists()}
-    several = next((path for path, names in topics.items() if len(names) > 1), None)
-    if several is None:
-        return None, ()
-    shared = [name for name in topics[several] if all(name in names for names in topics.values() if names)]
-
-    def worth(name: str) -> tuple[int, int]:
-        log = _read(several, given, name)
-        known = [joint for joint in log.joints if joint in robot.joints]
-        return len(known), sum(log.has(signal, joint) for joint in known for signal in log.signals)
-
-    if not shared:
-        raise LogError(several, f"has none of its topics in common with the other logs: {some(topics[several])}")
-    return max(shared, key=worth), tuple(shared)
-
-
-def _look(log: Log, robot: Robot) -> _Seen:
-    q = log.signals["q"]
-    middle = {name: float(np.nanmedian(q[:, i])) for i, name in enumerate(log.joints) if log.has("q", name)}
-    return _Seen(inspect_log(log), {name: x for name, x in middle.items() if name in robot.joints})
-
-
-def _signals(seen: _Seen, joint: str) -> set[str]:
-    return set(seen.inspection.joints[joint].signals)
-
-
-def _divided(robot: Robot, given: Config, seen: Sequence[_Seen]) -> tuple[list[str], dict[str, Locked]]:
-    """Joints to identify, and those that are held still."""
+def _unfit(robot: Robot, given: Config, seen: Sequence[Seen]) -> dict[str, str | None]:
+    """Why an actuated joint cannot be identified, by joint; None where it can."""
     logged = [name for name in seen[0].inspection.joints if all(name in one.inspection.joints for one in seen)]
-    wanted = build_model(robot, given, logged).names  # refuses logs of another robot
-    joints, locked = [], {}
+    # refuses logs of another robot, and a joint that is not there
+    build_model(robot, given.model_copy(update={"locked_joints": {}}), logged)
+    held = given.locked_joints if given.joints is None else ()
+    found: dict[str, str | None] = {}
     for joint in robot.joints.values():
         if joint.kind == "fixed" or joint.mimic is not None:
             continue
-        why = _unfit(joint.name, seen) if joint.name in logged else "not in every log"
-        if why is None and joint.name not in wanted:
-            why = "left out of joints"
-        if why is None:
-            joints.append(joint.name)
+        if joint.name not in logged:
+            found[joint.name] = "not in every log"
         else:
-            locked[joint.name] = Locked(_resting(joint, seen), why)
-    return joints, locked
+            found[joint.name] = "given as held still" if joint.name in held else _why_not(joint.name, seen)
+    return found
 
 
-def _unfit(joint: str, seen: Sequence[_Seen]) -> str | None:
-    """Why a joint cannot be identified; None where it can."""
-    if not all("q" in _signals(one, joint) for one in seen):
+def _why_not(joint: str, seen: Sequence[Seen]) -> str | None:
+    """Why a joint that is in every log cannot be identified; None where it can."""
+    if not all("q" in one.signals(joint) for one in seen):
         return "has no position in some log"
-    if not any(one.inspection.joints[joint].moves for one in seen):
+    if not _moves(joint, seen):
         return "does not move"
-    if not all({"tau", "qcmd"} & _signals(one, joint) for one in seen):
-        return "has neither torque nor position command in some log"
-    return None
+    lacking = _lacking_torque(joint, seen)
+    return f"has neither torque nor position command in {some(lacking)}" if lacking else None
 
 
-def _resting(joint: Joint, seen: Sequence[_Seen]) -> float:
+def _moves(joint: str, seen: Sequence[Seen]) -> bool:
+    return any(one.moves(joint) for one in seen)
+
+
+def _lacking_torque(joint: str, seen: Sequence[Seen]) -> list[str]:
+    """The logs in which a joint that moves has neither torque nor position command."""
+    if not _moves(joint, seen):
+        return []
+    within = [one for one in seen if joint in one.inspection.joints]
+    return [one.log.path.name for one in within if not {"tau", "qcmd"} & one.signals(joint)]
+
+
+def _is_commanded(joint: str, seen: Seen) -> bool:
+    return "qcmd" in seen.signals(joint) and "tau" not in seen.signals(joint)
+
+
+def _why_none(unfit: Mapping[str, str | None], untold: Mapping[str, str], seen: Sequence[Seen]) -> str:
+    """That no joint can be identified, and what would help."""
+    reasons = {name: why or "left out of joints" for name, why in unfit.items()}
+    said = "; ".join(f"{why}: {some(_keys(reasons, why))}" for why in dict.fromkeys(reasons.values()))
+    if untold:
+        first = shown(next(iter(untold)))
+        said += f"; name the torque's column in log.columns, as tau_{first}, and N·m per its unit in log.scale"
+        said += "".join(f"; {warning}" for one in seen for warning in one.inspection.warnings)
+    return f"no joint of the robot can be identified: {said}"
+
+
+def _keys(reasons: Mapping[str, str], reason: str) -> list[str]:
+    return [name for name, why in reasons.items() if why == reason]
+
+
+def _resting(joint: Joint, seen: Sequence[Seen]) -> float:
     """Where a joint is held: where the logs have it, else at zero or the limit next to it [rad or m]."""
     logged = [one.middle[joint.name] for one in seen if joint.name in one.middle]
     if logged:
@@ -192,7 +193,7 @@ def _resting(joint: Joint, seen: Sequence[_Seen]) -> float:
     return float(min(max(0.0, joint.lower), max(joint.upper, joint.lower)))
 
 
-def _motion(seen: _Seen, joints: Sequence[str]) -> float:
+def _motion(seen: Seen, joints: Sequence[str]) -> float:
     """Frequency below which the joints' velocities lie [Hz]."""
     bands = (seen.inspection.joints[name].band_hz for name in joints)
     return max((band for band in bands if band is not None), default=0.0)
@@ -201,17 +202,3 @@ def _motion(seen: _Seen, joints: Sequence[str]) -> float:
 def _cutoff(motion: float, most: float) -> float:
     """The filter's cut-off for a motion below a frequency, to two digits [Hz]."""
     return float(f"{min(max(BAND * motion, _LEAST_BAND), most):.2g}")
-
-
-def _problems(seen: Sequence[_Seen], joints: Sequence[str]) -> list[str]:
-    """Problems that an inspection finds in what is used, those of one kind together."""
-    found: Counter[tuple[str, str]] = Counter()
-    which: dict[tuple[str, str], list[str]] = {}
-    for one in seen:
-        for finding in one.inspection.findings:
-            if finding.severity == "problem" and finding.joint in (None, *joints):
-                key = Path(one.inspection.path).name, finding.meaning
-                found[key] += 1
-                which.setdefault(key, []).append(f"{finding.joint}: {finding.what}" if finding.joint else finding.what)
-    said = [w for one in seen for w in one.inspection.warnings]
-    return said + [f"{name}: {some(which[name, meaning])}: {meaning}" for name, meaning in found]

@@ -4,37 +4,45 @@ from __future__ import annotations
 
 from typing import Any
 
+from idtool.config import Config
 from idtool.names import some
 from idtool.starting.draft import Draft
 from idtool.starting.records import Section, Trial
+from idtool.starting.seen import MOST
 from idtool.starting.trials import HOLDOUT
+
+HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MOST} samples, where there are more)"
 
 
 def joints(draft: Draft) -> Section:
-    """See `Section`."""
+    """Those that are identified."""
     what = "Joints that are identified: actuated, in every log, moving, with a torque or a command (URDF, logs)."
-    return Section("joints", (what,), list(draft.joints))
+    return Section("joints", (what,), list(draft.recorded.able))
 
 
 def locked_joints(draft: Draft) -> Section:
-    """See `Section`."""
-    locked = {name: lock for name, lock in draft.recorded.locked.items() if name in draft.locked}
-    what = "Joints that are held still, rad or m: at the logs' median (logs), else at 0 or the limit next to it (URDF)."
-    reasons = sorted({lock.why for lock in locked.values()})
-    why = tuple(f"{reason}: {some([n for n, lock in locked.items() if lock.why == reason])}" for reason in reasons)
+    """Those that are held still, with what is given for some of them."""
+    given = [name for name in draft.locked if name in draft.config.locked_joints]
+    reasons = {name: lock.why for name, lock in draft.recorded.locked.items() if name not in given}
+    what = "Joints that are held still, rad or m"
     if not draft.locked:
-        return Section("locked_joints", ("Joints that are held still, rad or m (default: none).",), {})
-    return Section("locked_joints", (what, *why), draft.locked)
+        return Section("locked_joints", (f"{what} (default: none).",), {})
+    if reasons:
+        what += ": at the logs' median (logs), else at 0 or the limit next to it (URDF)"
+    why = [f"{why}: {some([n for n in reasons if reasons[n] == why])}" for why in sorted(set(reasons.values()))]
+    if given:
+        why.append(f"given in {draft.origin}: {some(given)}")
+    return Section("locked_joints", (f"{what}.", *why), draft.locked)
 
 
 def gravity(draft: Draft) -> Section:
-    """See `Section`."""
+    """The default."""
     what = f"Gravity in the frame of the URDF's root link {draft.robot.root}, m/s² (default: its z points up)."
-    return Section("gravity", (what,), list(draft.config.gravity))
+    return Section("gravity", (what,), list(Config().gravity))
 
 
 def log(draft: Draft) -> Section:
-    """See `Section`."""
+    """The topic, where there are several."""
     seen = draft.recorded
     rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
     comments = [f"How the logs are read; their rate is {rates} Hz, from their time stamps (logs)."]
@@ -43,15 +51,17 @@ def log(draft: Draft) -> Section:
         comments.append(f"topic: of {some(seen.topics)}, the one with most of the URDF's joints and signals (logs).")
         value = {"topic": seen.topic}
     first = draft.joints[0]
+    unit = draft.unit("torque", draft.joints)
     remark = (
-        "scale: N·m per logged unit where that is not N·m, e.g. torque constant × gear ratio; columns: other names."
+        f"scale: {unit} per logged unit where that is not {unit}, e.g. torque constant × gear ratio; columns: other "
+        "names."
     )
     template = {"scale": {"tau": {first: None}}, "columns": {f"tau_{first}": None}}
     return Section("log", tuple(comments), value, (remark,), template)
 
 
 def velocity(draft: Draft) -> Section:
-    """See `Section`."""
+    """The default, and what it comes to."""
     what = "Joint velocity: measured, differentiated from q, or auto, the quieter one that can be trusted"
     found = draft.found
     if found is None:
@@ -61,38 +71,37 @@ def velocity(draft: Draft) -> Section:
     else:
         chose = f"q, differentiated, of {some(found.differentiated)}"
         chose += "" if len(found.differentiated) == len(draft.joints) else ", the measured one of the others"
-    return Section("velocity", (f"{what} (default):", f"on these logs auto takes {chose} (logs)."), "auto")
+    return Section("velocity", (f"{what} (default): on these logs auto takes {chose} (logs).",), "auto")
 
 
 def low_pass(draft: Draft) -> Section:
-    """See `Section`."""
+    """The filter, by how fast the joints move."""
     seen = draft.recorded
-    what = "One zero-phase low-pass for every signal alike. cutoff_hz: above what moves the joints, which lies below"
-    kinds = "5 times that, from 5 Hz up to 40 Hz or a fifth of the rate (logs); kind and order (default)."
-    value = {"kind": "butterworth", "cutoff_hz": seen.cutoff_hz, "order": 4}
-    return Section("filter", (f"{what} {seen.motion_hz:.2g} Hz:", kinds), value)
+    what = (
+        "One zero-phase low-pass for every signal alike. cutoff_hz: above what moves the joints, which lies below "
+        f"{seen.motion_hz:.2g} Hz: 5 times that, from 5 Hz up to 40 Hz or a fifth of the rate (logs); kind and order "
+        "(default)."
+    )
+    return Section("filter", (what,), {"kind": "butterworth", "cutoff_hz": seen.cutoff_hz, "order": 4})
 
 
 def friction(draft: Draft) -> Section:
-    """See `Section`."""
+    """Its terms, an offset where trials found one."""
     what = "Friction terms: viscous, Coulomb (default), and offset, a constant"
     found = draft.found
     if found is None:
         return Section("friction", (), None, (f"{what}: not tried, as {draft.untried}.",), _terms(False))
-    tried = [trial for trial in found.trials if trial.effect == "torque_offset"]
-    held = f"where the held-out torque, the logs' last {HOLDOUT:.0%}, needs it (found by trial)."
-    gains = [
-        f"{trial.joint}: {trial.value:.3g} {draft.unit(trial.joint, 'torque')}, held-out RMS {gain(trial)}"
-        for trial in tried
-        if trial.kept and trial.joint is not None
-    ]
-    if len(found.offsets) in (0, len(draft.joints)):
-        return Section("friction", (f"{what},", held, *gains), _terms(bool(found.offsets)))
-    value = {name: _terms(name in found.offsets) for name in draft.joints}
-    return Section("friction", (f"{what},", held, *gains), value)
+    comments = [f"{what}, where the held-out torque, {HELD_OUT}, needs it (found by trial)."]
+    for trial in found.trials:
+        if trial.kept and trial.effect == "torque_offset" and trial.joint is not None:
+            size = f"{trial.value:.3g} {draft.unit('torque', [trial.joint])}"
+            comments.append(f"{trial.joint}: {size}, held-out RMS {errors(trial)}")
+    alike = len(found.offsets) in (0, len(draft.joints))
+    value = _terms(bool(found.offsets)) if alike else {name: _terms(name in found.offsets) for name in draft.joints}
+    return Section("friction", tuple(comments), value)
 
 
-def gain(trial: Trial) -> str:
+def errors(trial: Trial) -> str:
     """The held-out error without and with what was tried, in words."""
     return " -> ".join("unknown" if x is None else f"{x:.3g}" for x in (trial.before, trial.after))
 

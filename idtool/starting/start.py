@@ -2,42 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from idtool.config import parse_config
 from idtool.exceptions import IdtoolError
+from idtool.experiment import Progress
 from idtool.model import Model, build_model
-from idtool.names import some
+from idtool.names import shown, some
 from idtool.robot import Robot
 from idtool.starting import sections, terms
-from idtool.starting.bounds import find_bounds
+from idtool.starting.bounds import find_bounds, search_paths
 from idtool.starting.draft import Draft
 from idtool.starting.gears import gear_ratios, rotor_links
-from idtool.starting.recorded import Progress, recorded
+from idtool.starting.recorded import recorded
 from idtool.starting.records import Left, Section, Start
-from idtool.starting.text import written
+from idtool.starting.text import one_line, written
 from idtool.starting.trials import Workshop, try_out
 
-_SECTIONS = (
-    sections.joints,
-    sections.locked_joints,
-    sections.gravity,
-    sections.log,
-    sections.velocity,
-    sections.low_pass,
-    sections.friction,
-    terms.rotors,
-    terms.effects,
-    terms.bounding_ellipsoids,
-    terms.controller,
-    terms.known,
-)
-
-
-_MERGED = ("locked_joints", "controller")  # their sections hold what is given
+_SECTIONS: Mapping[str, Callable[[Draft], Section | None]] = {
+    "joints": sections.joints,
+    "locked_joints": sections.locked_joints,
+    "gravity": sections.gravity,
+    "log": sections.log,
+    "velocity": sections.velocity,
+    "filter": sections.low_pass,
+    "friction": sections.friction,
+    "rotors": terms.rotors,
+    "effects": terms.effects,
+    "bounding_ellipsoids": terms.bounding_ellipsoids,
+    "controller": terms.controller,
+    "known": terms.known,
+}
+_FOR_TRIALS = ("joints", "locked_joints", "log", "filter", "bounding_ellipsoids", "controller")
+_MERGED = ("locked_joints", "controller")  # their sections hold what is given, and say so
+_BY_TRIAL = ("friction", "effects")  # not tried where they are given
 
 
 def start(
@@ -62,8 +63,8 @@ def start(
         If a log or the configuration cannot be used, or no joint can be identified.
     """
     draft = _drafted(robot, logs, given, source, progress)
-    parts = [part for part in (_section(draft, make) for make in _SECTIONS) if part is not None]
-    parts += [_given(draft, key, ()) for key in given if key not in {part.key for part in parts}]
+    parts = [part for key in _SECTIONS if (part := _section(draft, key)) is not None]
+    parts += [_given(draft, key) for key in draft.given if key not in _SECTIONS]
     data = {part.key: part.value for part in parts if part.value is not None}
     parse_config(data, "idtool init")  # what is written can be read
     found = draft.found
@@ -85,19 +86,19 @@ def _drafted(
     """All that the sections are written from."""
     config = parse_config(given, str(source))
     seen = recorded(robot, logs, config, progress)
-    names = seen.joints if config.joints is None else config.joints
     progress("reading geometry", 0.0)
-    held = {name: lock.position for name, lock in seen.locked.items() if name not in names} | config.locked_joints
-    model = build_model(robot, config.model_copy(update={"joints": names, "locked_joints": held}), names)
+    held = {name: lock.position for name, lock in seen.locked.items()} | config.locked_joints
+    model = build_model(robot, config.model_copy(update={"joints": seen.joints, "locked_joints": held}), seen.joints)
     plain = Draft(
         robot=robot,
+        paths=tuple(logs),
         recorded=seen,
-        given=given,
+        given={key: value for key, value in given.items() if value is not None},
         source=source,
         config=config,
         bounds=find_bounds(robot, model),
         ratios=gear_ratios(robot),
-        rotors=rotor_links(robot, names),
+        rotors=rotor_links(robot, seen.joints),
     )
     return _tried(plain, model, progress)
 
@@ -106,42 +107,41 @@ def _tried(draft: Draft, model: Model, progress: Progress) -> Draft:
     """The draft with what trials find, or why there are none."""
     if draft.ungained:
         return replace(draft, untried=f"there is no torque without the gains of {some(draft.ungained)}")
-    given, commanded = draft.given, draft.recorded.commanded
-    makes = (sections.joints, sections.locked_joints, sections.log, sections.low_pass, terms.bounding_ellipsoids)
-    parts = [_section(draft, make) for make in (*makes, terms.controller)]
-    data = {**given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
+    parts = [_section(draft, key) for key in _FOR_TRIALS]
+    data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
     rotors = [body.ratios for body in model.bodies if body.kind == "rotor"]
     spinning = {name for j, name in enumerate(model.names) if any(ratios[j] for ratios in rotors)}
-    without = [] if "effects" in given else [name for name in draft.joints if name not in spinning]
-    shop = Workshop(draft.robot, data, draft.recorded.paths, progress)
-    late = not commanded and "effects" not in given  # a controller's torque is its own, in time with its command
+    without = [] if "effects" in draft.given else [name for name in draft.joints if name not in spinning]
+    shop = Workshop(draft.robot, data, draft.recorded.logs, progress)
+    # a controller's torque is its own, in time with its command
+    late = not draft.recorded.commanded and "effects" not in draft.given
     try:
-        return replace(draft, found=try_out(shop, "friction" not in given, without, late))
+        return replace(draft, found=try_out(shop, "friction" not in draft.given, without, late))
     except IdtoolError as error:
         return replace(draft, untried=f"the fit fails: {error}")
 
 
-def _section(draft: Draft, make: Any) -> Section | None:
+def _section(draft: Draft, key: str) -> Section | None:
     """A section; what is given there takes its place, but for a log's topic and a controller's delay that was found."""
-    part: Section | None = make(draft)
-    key = part.key if part is not None else "controller"
-    if key not in draft.given or (part is not None and (key in _MERGED or part.value == draft.given[key])):
+    part = _SECTIONS[key](draft)
+    if key not in draft.given or (part is not None and key in _MERGED):
         return part
+    if part is None or key in _BY_TRIAL:
+        return _given(draft, key)
+    if part.value == draft.given[key]:
+        return replace(part, comments=(f"Given in {draft.origin}, and the same as is found here.", *part.comments))
     if key == "log" and draft.recorded.topic is not None:
-        return _given(
-            draft, key, ("topic: the one with most of the URDF's joints (logs)",), part.value if part else None
-        )
-    return _given(draft, key, ())
+        topic = "topic: the one with most of the URDF's joints and signals (logs)."
+        return replace(_given(draft, key, topic), value={**draft.given[key], **part.value})
+    return _given(draft, key)
 
 
-def _given(draft: Draft, key: str, comments: tuple[str, ...], more: Mapping[str, Any] | None = None) -> Section:
-    source = draft.source.name if draft.source else "the configuration"
-    value = draft.given[key]
-    return Section(key, (f"Given in {source}.", *comments), {**value, **more} if more else value)
+def _given(draft: Draft, key: str, *comments: str) -> Section:
+    return Section(key, (f"Given in {draft.origin}.", *comments), draft.given[key])
 
 
 def _header(draft: Draft) -> list[str]:
-    logs = some([path.name for path in draft.recorded.paths])
+    logs = some([path.name for path in draft.paths])
     return [
         f"First configuration for {draft.robot.path.name}, by idtool init from {logs}. SI units.",
         "Each key says what it is and, in brackets, where it came from. What is commented out is left to fill in.",
@@ -151,24 +151,24 @@ def _header(draft: Draft) -> list[str]:
 def _found(draft: Draft) -> list[str]:
     """What was found out, a line each."""
     seen, found = draft.recorded, draft.found
-    lines = [f"{len(draft.joints)} joints that move: {some(draft.joints)}"]
+    count = len(seen.moving)
+    lines = [f"{count} joints that move: {some(seen.moving)}" if count > 1 else f"1 joint that moves: {seen.moving[0]}"]
     if draft.locked:
         lines.append(f"held still: {some(draft.locked)}")
     if seen.topic is not None:
         lines.append(f"topic {seen.topic}, of {some(seen.topics)}")
-    lines.append(f"motion below {seen.motion_hz:.2g} Hz, hence filter.cutoff_hz {seen.cutoff_hz:g}")
+    if "filter" not in draft.given:
+        lines.append(f"motion below {seen.motion_hz:.2g} Hz, hence filter.cutoff_hz {seen.cutoff_hz:g}")
     if draft.bounds.found:
         lines.append(f"bounding ellipsoids of {some(draft.bounds.found)}")
-    if draft.ratios:
-        lines.append(f"gear ratios of {some(draft.ratios)}")
-    if found is not None:
-        lines += [f"offset of the torque: {some(found.offsets)}"] if found.offsets else []
-        lines += (
-            [f"rotor inertia: {some([f'{name} {x:.3g}' for name, x in found.inertia.items()])}"]
-            if found.inertia
-            else []
-        )
-        lines += [f"delay of the torque: {1e3 * found.delay:.3g} ms"] if found.delay else []
+    if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
+        lines.append(f"gear ratios of {some(geared)}")
+    if found is not None and found.offsets:
+        lines.append(f"offset of the torque: {some(found.offsets)}")
+    if found is not None and found.inertia:
+        lines.append(f"rotor inertia: {some([f'{name} {x:.3g}' for name, x in found.inertia.items()])}")
+    if found is not None and found.delay:
+        lines.append(f"delay of the torque: {1e3 * found.delay:.3g} ms")
     return lines
 
 
@@ -177,11 +177,26 @@ def _left(draft: Draft) -> list[Left]:
     left = []
     if draft.ungained:
         left.append(Left("controller", f"kp and kd of {some(draft.ungained)}: no torque was logged", True))
-    if draft.untried and not draft.ungained:
+    elif draft.untried:
         left.append(Left("friction, effects", f"nothing was tried, as {draft.untried}"))
-    bounded = dict(draft.bounds.found)
-    if draft.bounds.missing and draft.given.get("bounding_ellipsoids", bounded) == bounded:
-        left.append(Left("bounding_ellipsoids", f"of {some(draft.bounds.missing)}"))
+    if untold := draft.recorded.untold:
+        named = some([f"tau_{name} (not in {log})" for name, log in untold.items()])
+        left.append(Left("log.columns", f"the torque of joints that move, or log their command: {named}"))
+    if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.found:
+        left += _unbounded(draft)
     if "rotors" not in draft.given:
         left.append(Left("rotors", "mass, inertia and gear ratio, where the joints are geared"))
     return left
+
+
+def _unbounded(draft: Draft) -> list[Left]:
+    bounds = draft.bounds
+    if not bounds.missing:
+        return []
+    what = f"of {some(bounds.missing)}"
+    if bounds.unread:
+        first = bounds.unread[0]
+        which = "their meshes" if len(bounds.unread) == len(bounds.missing) else f"meshes of {some(bounds.unread)}"
+        what += f"; {which} could not be read ({shown(first)}: {one_line(bounds.missing[first])}); they were "
+        what += search_paths(draft.robot)
+    return [Left("bounding_ellipsoids", what)]

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from typing import Any
 
+from idtool.names import some
 from idtool.starting.bounds import search_paths
 from idtool.starting.draft import Draft
 from idtool.starting.gears import rotor_template, solid_ellipsoid
 from idtool.starting.records import Section
-from idtool.starting.sections import gain
+from idtool.starting.sections import errors
+from idtool.starting.trials import Found
 
 
 def rotors(draft: Draft) -> Section:
-    """See `Section`."""
+    """Templates, with what the URDF says."""
+    known = {name: ratio for name, ratio in draft.ratios.items() if name in draft.joints}
+    told = [f"{name}: {ratio:g}" for name, ratio in known.items() if abs(ratio) != 1]
     comments = [
-        "Geared motors' rotors, bodies that spin with a joint at gear_ratio times its speed: to fill in where null."
+        "Geared motors' rotors, bodies that spin with a joint at gear_ratio times its speed: to fill in where null.",
+        f"gear_ratio: {', '.join(told) or 'none there'} (URDF, <transmission>); inertial: about the com.",
     ]
-    known = [f"{name}: {ratio:g}" for name, ratio in draft.ratios.items() if name in draft.joints]
-    comments.append(f"gear_ratio: {', '.join(known) or 'none there'} (URDF, <transmission>); inertial: about the com.")
+    if len(told) < len(known):
+        one = some([name for name, ratio in known.items() if abs(ratio) == 1])
+        comments.append(f"A ratio of 1, which URDFs give where none is known, was not taken over: {one}.")
     if draft.rotors:
         comments.append(
             "A rotor with the name of a URDF link on a fixed joint is that link, with its place and inertia (URDF)."
@@ -25,9 +31,9 @@ def rotors(draft: Draft) -> Section:
     comments.append("A rotor takes the place of its joint's rotor_inertia under effects: remove that one.")
     template = {}
     for name in draft.joints:
-        link = draft.rotors.get(name)
-        joint = draft.robot.joints[name]
-        template[link or _free_name(draft, name)] = rotor_template(draft.robot, joint, draft.ratios.get(name), link)
+        link, ratio = draft.rotors.get(name), known.get(name, 1.0)
+        key = link or _free_name(draft, name)
+        template[key] = rotor_template(draft.robot, draft.robot.joints[name], None if abs(ratio) == 1 else ratio, link)
     return Section("rotors", (), None, tuple(comments), template)
 
 
@@ -39,32 +45,41 @@ def _free_name(draft: Draft, joint: str) -> str:
 
 
 def effects(draft: Draft) -> Section:
-    """See `Section`."""
+    """What trials found."""
     what = "What the model carries beside rigid bodies and friction"
     found = draft.found
     if found is None:
         return Section("effects", (), None, (f"{what}: not tried, as {draft.untried}.",), [])
+    kept = [trial for trial in found.trials if trial.kept and trial.effect != "torque_offset"]
+    if not kept:
+        return Section("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose looks for others.",), [])
     comments = [f"{what} (found by trial: held-out RMS torque error without -> with it)."]
     entries: list[dict[str, Any]] = []
-    for trial in found.trials:
-        if trial.kept and trial.effect == "rotor_inertia" and trial.joint is not None:
+    for trial in kept:
+        if trial.joint is None:
+            late = f"torque is logged {1e3 * trial.value:.3g} ms late (below zero: early) against position"
+            comments.append(f"all joints: {late}: {errors(trial)}")
+            entries.append({"effect": trial.effect, "parameters": {"delay": _short(trial.value)}})
+        else:
             inertia = found.inertia[trial.joint]
-            unit = draft.unit(trial.joint, "inertia")
+            size = f"{inertia:.3g} {draft.unit('inertia', [trial.joint])}"
             comments.append(
-                f"{trial.joint}: reflected rotor inertia {inertia:.3g} {unit}, gear ratio² × the rotor's: {gain(trial)}"
+                f"{trial.joint}: reflected rotor inertia {size}, gear ratio² × the rotor's: {errors(trial)}"
             )
             entries.append({"effect": trial.effect, "joint": trial.joint, "parameters": {"inertia": _short(inertia)}})
-        if trial.kept and trial.effect == "time_delay":
-            comments.append(
-                f"all joints: torque is logged {1e3 * trial.value:.3g} ms late (below zero: early) against position: "
-                f"{gain(trial)}"
-            )
-            entries.append({"effect": "time_delay", "parameters": {"delay": _short(trial.value)}})
-    if not entries:
-        comments = [
-            f"{what} (found by trial: neither rotor inertia nor a delay shows); idtool diagnose looks for others."
-        ]
     return Section("effects", tuple(comments), entries)
+
+
+def _nothing_kept(found: Found) -> str:
+    """What was tried, in words, where none of it was kept."""
+    tried = {trial.effect for trial in found.trials}
+    if not tried & {"rotor_inertia", "time_delay"}:
+        return "none was tried"
+    if "time_delay" not in tried:
+        return "found by trial: rotor inertia does not show; a delay was not tried"
+    if "rotor_inertia" not in tried:
+        return "found by trial: a delay does not show; rotor inertia was not tried"
+    return "found by trial: neither rotor inertia nor a delay shows"
 
 
 def _short(x: float) -> float:
@@ -72,7 +87,7 @@ def _short(x: float) -> float:
 
 
 def bounding_ellipsoids(draft: Draft) -> Section:
-    """See `Section`."""
+    """Those that were found, and templates of the others."""
     bounds = draft.bounds
     comments = [
         "Smallest ellipsoids around each link's collision or visual geometry, 5 % longer; m, rad, link frame (URDF)."
@@ -82,10 +97,10 @@ def bounding_ellipsoids(draft: Draft) -> Section:
     if not bounds.missing:
         return Section("bounding_ellipsoids", tuple(comments), dict(bounds.found))
     remarks = [f"{link}: {why}" for link, why in bounds.missing.items()]
-    if any("mesh" in why for why in bounds.missing.values()):
+    if bounds.unread:
         remarks.append(f"Meshes were {search_paths(draft.robot)}.")
     remarks.append(
-        "Template, from the URDF's inertia as a solid ellipsoid: too small, enlarge it to what the link fills."
+        "Template, the solid ellipsoid with the URDF's inertia: a guide only, it is to hold all that the link fills."
     )
     if bounds.unused:
         remarks.append("With it go ellipsoids of links that are one body with a link that has none.")
@@ -98,24 +113,25 @@ def bounding_ellipsoids(draft: Draft) -> Section:
 
 
 def controller(draft: Draft) -> Section | None:
-    """See `Section`; None where the logs have torque."""
+    """What is given of it, or a template; None where the logs have torque."""
     names = draft.recorded.commanded
     if not names:
         return None
-    what = "The joint controller that made the torque, as none was logged: kp N·m/rad, kd N·m·s/rad at the joint"
+    units = f"kp {draft.unit('stiffness', names)}, kd {draft.unit('damping', names)}"
+    what = f"The joint controller that made the torque, as none was logged: {units} at the joint"
     late = (
-        "delay: s from command to torque: half a sample, as a command is held until the next one (default);",
-        "a longer one is for you to fill in, as data cannot tell it from friction and inertia.",
+        "delay: s from command to torque: half a sample, as a command is held until the next one (default); a longer "
+        "one is for you to fill in, as data cannot tell it from friction and inertia.",
     )
     given, delay = draft.given.get("controller"), {"delay": half_a_sample(draft)}
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
         remark = "Nothing can be fitted without: fill in kp and kd where null."
         return Section("controller", (f"{what}.", *late), None, (remark,), template)
-    source = draft.source.name if draft.source else "the configuration"
+    said = f"{what} (given in {draft.origin})."
     if "delay" in given:
-        return Section("controller", (f"{what} (given in {source}).",), given)
-    return Section("controller", (f"{what} (given in {source}).", *late), {**given, **delay})
+        return Section("controller", (said,), given)
+    return Section("controller", (said, *late), {**given, **delay})
 
 
 def half_a_sample(draft: Draft) -> float:
@@ -124,11 +140,11 @@ def half_a_sample(draft: Draft) -> float:
 
 
 def known(draft: Draft) -> Section:
-    """See `Section`."""
+    """A template, with the URDF's masses to compare."""
     robot = draft.robot
     links = [robot.joints[name].child for name in draft.joints]
     what = "Masses that were measured by other means, kg; with a standard error they are soft. To fill in where null."
-    masses = [f"{link} {pi[0]:.4g}" for link in links[:3] if (pi := robot.links[link]) is not None]
-    prior = f"The URDF has {', '.join(masses)}." if masses else "The URDF has none."
+    masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
+    prior = f"The URDF has {some(masses)}." if masses else "The URDF has none."
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
     return Section("known", (), None, (what, prior), {"mass": entry, "total_mass": None})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 import yaml
@@ -31,8 +32,12 @@ def written(header: Sequence[str], sections: Sequence[Section]) -> str:
     return "\n".join([_comment(header), *map(_block, sections)])
 
 
-def _comment(lines: Sequence[str]) -> str:
-    return "".join(f"# {one_line(line)}\n" for line in lines)
+def _comment(sentences: Sequence[str]) -> str:
+    """Sentences, each from the beginning of a line on."""
+    lines = []
+    for sentence in sentences:  # names stay in one piece
+        lines += wrap(one_line(sentence), _WIDTH, break_long_words=False, break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
 
 
 def _block(section: Section) -> str:
@@ -42,7 +47,9 @@ def _block(section: Section) -> str:
     text += _comment(section.remarks)
     if section.template is not None:
         lines = _yaml({section.key: section.template}).splitlines()
-        text += _comment(lines if section.value is None else lines[1:])  # there, entries of the key that is there
+        if section.value is not None:
+            lines = lines[1:]  # entries of the key that is there
+        text += "".join(f"# {one_line(line)}\n" for line in lines)
     return text
 
 

@@ -1,14 +1,14 @@
 """Terms that the data may show: offsets, reflected rotor inertia and a delay of the torque, by trial.
 
 All are fitted together; then each is left out, and stays out unless that makes the held-out torque error of its joint
-larger. A delay is looked for first: it would pass for the others.
+larger, and what is left of it small enough that the log can be believed. A delay is looked for first: it would pass for
+the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from idtool.config import Config, parse_config
 from idtool.effects.time_delay import WITHIN
 from idtool.experiment import Experiment, Progress, prepare
+from idtool.logs import Log
+from idtool.names import some
 from idtool.robot import Robot
-from idtool.starting.bench import Bench, Verdict, shortened
+from idtool.starting.bench import Bench, Verdict
 from idtool.starting.records import Trial
 
 Array = NDArray[np.float64]
@@ -27,8 +29,10 @@ HOLDOUT = 0.3  # share at the end of every log
 _WORTH = 0.02  # share by which held-out RMS must fall: less is no reason for another parameter
 _STEP = 0.05  # periods of the band's edge, of a delay that is tried: the error is a parabola within
 _LONGEST = 0.1  # s, of a delay
-_ROUNDS = 8
-_NARROWER = 0.4
+_ROUNDS = 12
+_NARROWER, _WIDER = 0.4, 2.0
+_FURTHEST = 2.0  # steps from the best so far: a parabola tells no more
+_ODD = 0.5  # share of a joint's torque, rms, that no mere friction or misfit leaves unexplained
 _TINY = 1e-30  # (N·m)², so that nothing is divided by zero
 
 Data = Mapping[str, Any]
@@ -75,9 +79,9 @@ class Terms:
 
     def without(self, effect: str, joint: str) -> Terms:
         """The same less one term of a joint."""
-        kind = {"torque_offset": "offsets", "rotor_inertia": "rotors"}[effect]
-        left: dict[str, Any] = {kind: tuple(name for name in getattr(self, kind) if name != joint)}
-        return replace(self, **left)
+        if effect == "torque_offset":
+            return replace(self, offsets=tuple(name for name in self.offsets if name != joint))
+        return replace(self, rotors=tuple(name for name in self.rotors if name != joint))
 
 
 class Workshop:
@@ -90,12 +94,12 @@ class Workshop:
     data
         The configuration so far, plain data.
     logs
-        The logs.
+        What was read of the logs.
     progress
         Told the stage and how far it has come.
     """
 
-    def __init__(self, robot: Robot, data: Data, logs: Sequence[Path], progress: Progress) -> None:
+    def __init__(self, robot: Robot, data: Data, logs: Sequence[Log], progress: Progress) -> None:
         self.robot, self.data, self.logs, self.progress = robot, data, logs, progress
         self.joints: list[str] = list(data["joints"])
 
@@ -113,7 +117,7 @@ class Workshop:
 
     def bench(self, config: Config) -> Bench:
         """A variant's logs, reduced."""
-        return Bench(prepare(self.robot, config, self.logs, holdout=HOLDOUT, seen_as=shortened), self.progress)
+        return Bench(prepare(self.robot, config, self.logs, holdout=HOLDOUT), self.progress)
 
 
 def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) -> Found:
@@ -136,16 +140,15 @@ def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) 
         If the logs cannot be used, or a problem could not be solved.
     """
     terms = Terms(tuple(shop.joints) if offsets else (), tuple(rotors))
-    first = shop.bench(shop.config(terms))
-    base, full = first.judge(shop.config(Terms())), first.judge(shop.config(terms))
+    bench = shop.bench(shop.config(terms))
+    base, full = bench.judge(shop.config(Terms())), bench.judge(shop.config(terms))
     trials: list[Trial] = []
-    bench = first
     if delays:
-        terms, trials, bench = _delay(shop, terms, first, full)
+        terms, trials, bench = _delay(shop, terms, bench, full)
     kept, more = _pruned(shop, terms, bench)
-    last = bench.judge(shop.config(kept))
-    if last.rms() > base.rms() and not kept.delay:
-        kept, last, more = Terms(), base, [replace(trial, kept=False) for trial in more]
+    plain, last = (bench.judge(shop.config(variant)) for variant in (Terms(delay=kept.delay), kept))
+    if last.rms() > plain.rms():
+        kept, last, more = Terms(delay=kept.delay), plain, [replace(trial, kept=False) for trial in more]
     return Found(
         offsets=kept.offsets,
         inertia={j: last.values["rotor_inertia", j] for j in kept.rotors},
@@ -153,14 +156,33 @@ def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) 
         trials=(*trials, *more),
         rms={"friction": _rms(shop.joints, base), "found": _rms(shop.joints, last)},
         differentiated=_differentiated(bench.experiment),
-        warnings=bench.experiment.warnings,
+        warnings=(*bench.experiment.warnings, *_doubts(shop.joints, bench, trials, base, last)),
     )
+
+
+def _doubts(
+    joints: Sequence[str], bench: Bench, trials: Sequence[Trial], base: Verdict, last: Verdict
+) -> Iterator[str]:
+    """What speaks against what was found."""
+    for trial in trials:
+        if trial.effect == "time_delay" and abs(trial.value) >= _LONGEST:
+            late = "late" if trial.value > 0 else "early"
+            yield f"the torque fits best when {1e3 * _LONGEST:.0f} ms {late} or more, which is no delay of a recording"
+    left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (bench.torque(), base.held_out))
+    odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
+    if odd:
+        meaning = "check its sign and unit (log.scale), and that log and URDF name the joints alike"
+        yield f"of the held-out torque, this share is left unexplained (rms): {some(odd)}: {meaning}"
+    worse = [name for name, x in zip(joints, grown, strict=True) if x > 1 + _WORTH]
+    if worse:
+        meaning = "one set of bodies is fitted to all joints, and the others gained more"
+        yield f"what was found makes the held-out error larger of {some(worse)}: {meaning}"
 
 
 def _pruned(shop: Workshop, terms: Terms, bench: Bench) -> tuple[Terms, list[Trial]]:
     """The terms without those that the held-out torque of their joint does not need, left out one after the other."""
     trials: list[Trial] = []
-    full = bench.judge(shop.config(terms))
+    full, most = bench.judge(shop.config(terms)), (_ODD * np.sqrt(bench.torque())).tolist()
     for effect, joint in [
         *(("rotor_inertia", j) for j in terms.rotors),
         *(("torque_offset", j) for j in terms.offsets),
@@ -171,8 +193,8 @@ def _pruned(shop: Workshop, terms: Terms, bench: Bench) -> tuple[Terms, list[Tri
         # what is that small is not missed, with the others fitted anew even less
         slight = full.share[effect, joint] ** 2 < ((1 + _WORTH) ** 2 - 1) * full.train[j]
         other = full if slight else bench.judge(shop.config(without))
-        before, after = (None if np.isnan(v.held_out[j]) else float(np.sqrt(v.held_out[j])) for v in (other, full))
-        keep = before is not None and after is not None and after < (1 - _WORTH) * before
+        before, after = other.rms_of(j), full.rms_of(j)
+        keep = before is not None and after is not None and after < min((1 - _WORTH) * before, most[j])
         trials.append(Trial(effect, joint, value, before, after, keep))
         if not keep:
             terms, full = without, other
@@ -196,7 +218,8 @@ def _delay(shop: Workshop, terms: Terms, first: Bench, full: Verdict) -> tuple[T
     cost(best)
     bench, other = known[best]
     ratio = float(np.sqrt(np.nanmean(other.held_out / np.maximum(full.held_out, _TINY))))
-    kept = abs(best) > WITHIN * dt and ratio < 1 - _WORTH
+    believed = other.rms() < _ODD * float(np.sqrt(np.nanmean(bench.torque())))
+    kept = WITHIN * dt < abs(best) < _LONGEST and ratio < 1 - _WORTH and believed
     trial = Trial("time_delay", None, best, full.rms(), other.rms(), kept)
     return (replace(terms, delay=best), [trial], bench) if kept else (terms, [trial], first)
 
@@ -205,23 +228,27 @@ def _least(cost: Callable[[float], float], step: float, dt: float) -> float:
     """Where the cost is least, by parabolas through three values around the best so far; to 10 µs.
 
     Friction that may not be negative gives way to a delay on one side only, so that the parabola is bent: it is made
-    narrower until that matters no more, at half a sample time ``dt`` [s].
+    narrower until that matters no more, at half a sample time ``dt`` [s]; and wider as long as it leads further away.
     """
     best = 0.0
     for _ in range(_ROUNDS):
         a, b, c = (cost(round(best + k * step, 5)) for k in (-1, 0, 1))
         bend = a - 2 * b + c
-        shift = 0.5 * (a - c) / bend if bend > 0 else (2.0 if c < a else -2.0)
-        best = round(float(np.clip(best + step * np.clip(shift, -2, 2), -_LONGEST, _LONGEST)), 5)
-        step *= _NARROWER if abs(shift) < 1 else 1.0
+        shift = 0.5 * (a - c) / bend if bend > 0 else (_FURTHEST if c < a else -_FURTHEST)
+        shift = float(np.clip(shift, -_FURTHEST, _FURTHEST))
+        best = round(float(np.clip(best + step * shift, -_LONGEST, _LONGEST)), 5)
+        if abs(shift) < 1:
+            step *= _NARROWER
+        elif abs(shift) == _FURTHEST:
+            step *= _WIDER
         if step < 0.5 * dt or abs(best) < 0.5 * dt:
             break
     return best
 
 
 def _rms(joints: Sequence[str], verdict: Verdict) -> dict[str, float]:
-    squares = dict(zip(joints, verdict.held_out.tolist(), strict=True))
-    return {**{j: float(np.sqrt(x)) for j, x in squares.items() if np.isfinite(x)}, "overall": verdict.rms()}
+    known = {name: x for j, name in enumerate(joints) if (x := verdict.rms_of(j)) is not None}
+    return {**known, "overall": verdict.rms()}
 
 
 def _differentiated(experiment: Experiment) -> tuple[str, ...]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich.markup import escape
-
 from idtool.terminal.base import Terminal, figure, new_table
 
 
@@ -16,7 +14,7 @@ def show_start(terminal: Terminal, report: dict[str, Any]) -> None:
         table = new_table(f"Held-out RMS torque error, N·m or N, below {report['band_hz']:g} Hz", *columns)
         before, after = report["rms"]["friction"], report["rms"]["found"]
         for name in before:
-            table.add_row(escape(name), figure(before[name]), figure(after.get(name)))
+            table.add_row(name, figure(before[name]), figure(after.get(name)))
         terminal.show(table)
     terminal.warn(report["warnings"])
     for line in report["found"]:
@@ -24,6 +22,5 @@ def show_start(terminal: Terminal, report: dict[str, Any]) -> None:
     for left in report["left"]:
         terminal.say(f"to fill in: {left['key']}: {left['what']}", "yellow" if left["needed"] else None)
     terminal.say(f"written: {report['file']}")
-    needed = [left["key"] for left in report["left"] if left["needed"]]
-    then = f"next, once {' and '.join(needed)} is filled in" if needed else "next"
+    then = f"next, once {' and '.join(report['needed'])} is filled in" if report["needed"] else "next"
     terminal.say(f"{then}: {report['next']}")

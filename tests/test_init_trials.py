@@ -1,0 +1,168 @@
+"""Which terms `idtool init` keeps, on benches whose verdicts are written out here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from imposed import silent
+
+from idtool.logs import Log, make_log
+from idtool.starting import seen
+from idtool.starting.bench import Verdict
+from idtool.starting.seen import shortened
+from idtool.starting.trials import Found, Terms, try_out
+
+Errors = Callable[[Terms], Sequence[float]]  # mean square per joint, of the parts to fit or of the held-out ones
+
+JOINTS = ["hip", "knee"]
+TORQUE = 1000.0  # mean square of each joint's
+BAND, DT = 40.0, 1e-3  # Hz, s
+
+
+@dataclass
+class Bench:
+    """Verdicts by the terms of a variant."""
+
+    held_out: Errors
+    train: Errors
+    share: float
+    judged: list[Terms] = field(default_factory=list)
+
+    @property
+    def experiment(self) -> Any:
+        signals = SimpleNamespace(log=SimpleNamespace(dt=DT), differentiated=np.array([False, True]))
+        equation = SimpleNamespace(joints=JOINTS)
+        return SimpleNamespace(runs=[SimpleNamespace(signals=signals)], band_hz=BAND, warnings=(), equation=equation)
+
+    def torque(self) -> Any:
+        return np.array([TORQUE, TORQUE])
+
+    def judge(self, terms: Terms) -> Verdict:
+        self.judged.append(terms)
+        values = {(effect, joint): 0.1 for effect in ("rotor_inertia", "torque_offset") for joint in JOINTS}
+        train, held_out = (np.array(errors(terms), dtype=float) for errors in (self.train, self.held_out))
+        return Verdict(train, held_out, values, dict.fromkeys(values, self.share))
+
+
+def tried(
+    held_out: Errors, train: Errors | None = None, share: float = 10.0, delays: bool = False, offsets: bool = False
+) -> tuple[Found, Bench]:
+    """What is found where errors are these."""
+    bench = Bench(held_out, train or held_out, share)
+    shop: Any = SimpleNamespace(joints=JOINTS, progress=silent, config=lambda terms: terms, bench=lambda terms: bench)
+    return try_out(shop, offsets, [] if delays else JOINTS, delays), bench
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(0.05, ("knee",)), (0.01, ())])
+def test_a_term_stays_where_the_held_out_error_of_its_joint_needs_it(gain: float, kept: tuple[str, ...]) -> None:
+    found, _ = tried(lambda terms: (1.0, (1 - gain) ** 2 if "knee" in terms.rotors else 1.0))
+    assert tuple(found.inertia) == kept
+    assert [trial.kept for trial in found.trials] == [False, bool(kept)]
+
+
+def test_terms_that_make_the_whole_worse_go() -> None:
+    def errors(terms: Terms) -> Sequence[float]:
+        return (2.0, 0.005) if "knee" in terms.rotors else (1.0, 0.01)
+
+    found, _ = tried(errors)
+    assert not found.inertia
+    assert not any(trial.kept for trial in found.trials)
+    assert found.rms["found"] == found.rms["friction"]
+
+
+def test_that_other_joints_lose_is_said() -> None:
+    found, _ = tried(lambda terms: (1.1, 1.0) if "knee" in terms.rotors else (1.0, 9.0))
+    assert tuple(found.inertia) == ("knee",)
+    assert "makes the held-out error larger of hip: one set of bodies" in found.warnings[0]
+
+
+def test_what_is_too_small_to_be_missed_is_not_fitted_for() -> None:
+    found, bench = tried(lambda terms: (1.0, 1.0), share=0.01)
+    assert not found.inertia
+    assert all(len(terms.rotors) in (0, len(JOINTS)) for terms in bench.judged)
+    _, bench = tried(lambda terms: (1.0, 1.0), share=1.0)
+    assert not all(len(terms.rotors) in (0, len(JOINTS)) for terms in bench.judged)
+
+
+def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
+    def errors(terms: Terms) -> Sequence[float]:
+        return (1.0 - 0.5 * ("hip" in terms.offsets), TORQUE * (0.9 - 0.5 * ("knee" in terms.offsets)))
+
+    found, _ = tried(errors, offsets=True)
+    assert found.offsets == ("hip",)
+    assert any("unexplained (rms): knee 95%: check its sign and unit" in warning for warning in found.warnings)
+
+
+def delayed(at: float) -> Errors:
+    """The error of a torque that is so late, parabolic [s]."""
+    return lambda terms: (1 + 1e5 * (terms.delay - at) ** 2,) * 2
+
+
+@pytest.mark.parametrize("delay", [0.09, -0.004, 0.002])
+def test_a_delay_is_found(delay: float) -> None:
+    found, _ = tried(delayed(delay), delays=True)
+    assert found.delay == pytest.approx(delay, abs=1e-5)
+    assert found.trials[0].kept
+
+
+def test_a_delay_of_half_a_sample_is_none() -> None:
+    """What is commanded is held until the next sample."""
+    found, _ = tried(lambda terms: np.square(delayed(0.5 * DT)(terms)).tolist(), delays=True)
+    assert found.trials[0].value == pytest.approx(0.5 * DT, abs=1e-4)
+    assert found.delay == 0.0
+
+
+def test_a_delay_that_the_held_out_part_does_not_show_is_none() -> None:
+    found, _ = tried(lambda terms: (1.0, 1.0), delayed(0.01), delays=True)
+    assert found.trials[0].value == pytest.approx(0.01, abs=1e-4)
+    assert found.delay == 0.0
+
+
+def test_a_delay_that_leaves_most_of_the_torque_unexplained_is_none() -> None:
+    found, _ = tried(lambda terms: [0.6 * TORQUE * x for x in delayed(0.01)(terms)], delays=True)
+    assert found.trials[0].value == pytest.approx(0.01, abs=1e-4)
+    assert found.delay == 0.0
+
+
+@pytest.mark.parametrize(("at", "word"), [(0.3, "late"), (-0.3, "early")])
+def test_a_delay_as_long_as_is_looked_for_is_none_and_said(at: float, word: str) -> None:
+    found, _ = tried(lambda terms: (100 * abs(terms.delay - at), 1.0), delays=True)
+    assert (abs(found.trials[0].value), found.delay) == (pytest.approx(0.1), 0.0)
+    assert f"the torque fits best when 100 ms {word} or more" in found.warnings[0]
+
+
+def test_a_delay_stays_though_nothing_else_does() -> None:
+    found, _ = tried(delayed(0.01), delays=True, offsets=True)
+    assert (found.offsets, found.delay) == ((), pytest.approx(0.01, abs=1e-5))
+
+
+def test_a_delay_stays_though_terms_that_make_the_whole_worse_go() -> None:
+    def errors(terms: Terms) -> Sequence[float]:
+        late, knee = delayed(0.01)(terms)[0], "knee" in terms.offsets
+        return late + knee, 0.01 * late / (1 + knee)
+
+    found, _ = tried(errors, delays=True, offsets=True)
+    assert (found.offsets, found.delay) == ((), pytest.approx(0.01, abs=1e-5))
+    assert [trial.kept for trial in found.trials] == [True, False, False]
+
+
+def segmented(*lengths: int) -> Log:
+    """A log with a gap of a second between segments of so many samples."""
+    t = np.concatenate([np.arange(n) * DT + 1000.0 * i for i, n in enumerate(lengths)])
+    return make_log(__file__, t, ("hip",), {"q": np.sin(t)[:, None], "v": np.cos(t)[:, None]})  # type: ignore[arg-type]
+
+
+def test_of_a_long_log_the_first_samples_are_kept_over_its_segments(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = segmented(60, 50, 40)
+    assert [s.stop - s.start for s in log.segments] == [60, 50, 40]
+    assert shortened(log) is log
+    monkeypatch.setattr(seen, "MOST", 80)
+    short = shortened(log)
+    assert [(s.start, s.stop) for s in short.segments] == [(0, 60), (60, 80)]
+    assert len(short) == len(short.signals["v"]) == 80
+    assert all(x.base is None for x in (short.t, *short.signals.values()))  # the rest can be freed
