@@ -237,10 +237,10 @@ def prepare(
 
 
 def _read(log: Path | Log, config: Config) -> Log:
-    options = config.log
-    if isinstance(log, Log):
-        return log
-    return read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+    if not isinstance(log, Log):
+        options = config.log
+        log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+    return commanded(log, config.controller)
 
 
 def _check_signals(log: Log, joints: Sequence[str]) -> None:

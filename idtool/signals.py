@@ -177,7 +177,10 @@ class Signals:
             self.warnings.append(f"the measured velocity is up to {late * 1e3:.1f} ms late, which is undone")
         if self.channels.bias.any():
             off = float(np.abs(self.channels.bias).max())
-            self._say(f"the measured velocity is off by up to {off:.2g} on average, undone", self.channels.bias != 0)
+            self._say(
+                f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average, undone",
+                self.channels.bias != 0,
+            )
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""

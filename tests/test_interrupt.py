@@ -122,3 +122,13 @@ def test_an_output_that_cannot_be_is_refused_before_the_work_is_done(tmp_path: P
     for command in ("fit", "diagnose", "study", "adapt", "validate"):
         done = idtool(command, LEG, "none.mcap", "--out", "file", folder=tmp_path)
         assert (done.code, done.err) == (2, "error: file: is a file, where a folder is needed; give another --out\n")
+
+
+def test_an_interrupt_during_the_work_is_said_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hit(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("idtool.api.fit.identify", hit)
+    done = idtool("fit", LEG, TRAIN, "--out", tmp_path / "out")
+    assert (done.code, done.out, done.err) == (130, "", "stopped\n")
+    assert not (tmp_path / "out").exists()

@@ -42,7 +42,6 @@ def main() -> None:
     except TyperException as error:
         code = _fail(_usage(error))
     except (Abort, KeyboardInterrupt):
-        sys.stderr.write(LINE)
         code = CODE
     except (BrokenPipeError, SystemExit):  # who reads the output has had enough; rich makes the latter of it
         code = _unread()
@@ -50,6 +49,8 @@ def main() -> None:
         if error.filename is not None:
             raise
         code = _unread() or _fail(f"standard output: cannot be written to ({error.strerror})")
+    if code == CODE:  # typer may have made it of the interrupt
+        sys.stderr.write(LINE)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -17,7 +17,6 @@ from idtool.export.base import Part
 from idtool.export.motors import add_motor
 from idtool.export.primitives import primitives
 from idtool.export.scene import Scene, quaternion, text
-from idtool.names import some
 from idtool.robot import Joint
 
 Array = NDArray[np.float64]
@@ -106,9 +105,9 @@ def _geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
         else:
             geoms.setdefault(link, []).append(geom)
     if geoms:
-        scene.carried.append(Part("geometry", some(geoms), "primitives, which touch nothing"))
+        scene.carried.append(Part("geometry", ", ".join(geoms), "primitives, which touch nothing"))
     if lacking:
-        scene.not_carried.append(Part("geometry", some(lacking), "meshes and what else is no primitive"))
+        scene.not_carried.append(Part("geometry", ", ".join(lacking), "meshes and what else is no primitive"))
     return geoms
 
 

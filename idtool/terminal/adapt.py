@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-
 from idtool.terminal.base import Terminal, figure, new_table, units_of
 
 
@@ -15,11 +13,11 @@ def show_adaptation(terminal: Terminal, report: dict[str, Any], folder: Path) ->
     title = f"RMS error of the torque predicted one sample ahead, {units_of(report)}, below {report['band_hz']:g} Hz"
     table = new_table(title, "joint", "rms")
     for name in (*report["joints"], "overall"):
-        table.add_row(escape(name), figure(report["prediction_rms"][name]))
+        table.add_row(name, figure(report["prediction_rms"][name]))
     terminal.show(table)
     table = new_table("Bodies at the end", "body", "mass kg", "realizable")
     for name, body in report["final"]["bodies"].items():
-        table.add_row(escape(name), figure(body["mass"]), "yes" if body["realizable"] else "NO")
+        table.add_row(name, figure(body["mass"]), "yes" if body["realizable"] else "NO")
     terminal.show(table)
     terminal.warn(report["warnings"])
     terminal.say(f"{report['samples']} samples in {report['seconds']:.1f} s")

@@ -1,21 +1,24 @@
-"""What all commands print with: lines, tables, JSON, and a progress bar on what takes more than two seconds."""
+"""What all commands print with: lines, tables, warnings, JSON, and progress."""
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.text import Text
 
-_PLAIN_WIDTH = 200  # characters
-_PATIENCE = 2.0  # s before a progress bar appears
+from idtool.interrupt import as_python_has_it
+from idtool.terminal.advice import advice
+from idtool.terminal.progress import progress_bar
+from idtool.terminal.tables import Column, Table, printable
+
+_ANY_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
 STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim"}
 
 
@@ -36,20 +39,24 @@ class Terminal:
         self.errors = _console(quiet, sys.stderr)
 
     def say(self, text: str, style: str | None = None) -> None:
-        """One line of plain text."""
-        self.console.print(escape(text), style=style, soft_wrap=True)
+        """Plain text, as a rule one line, which the terminal may break."""
+        lines = (printable(line) for line in text.split("\n"))
+        self.console.print(Text("\n".join(lines)), style=style, soft_wrap=True)
 
     def show(self, table: Table) -> None:
         """A table under its title, which may be wider than the table."""
-        self.say(str(table.title), "bold")
-        table.title = None
-        self.console.print(table)
-        self.console.print()
+        self.say(table.title, "bold")
+        for line in table.lines(self.console.width):
+            self.console.print(line, soft_wrap=True)
+        self.say("")
 
     def warn(self, warnings: Sequence[str]) -> None:
-        """What a user should know, at the end."""
-        for warning in warnings:
-            self.say(f"note: {warning}", "yellow")
+        """What a user should know, at the end, and what to do about it, once for those alike."""
+        for what, alike in itertools.groupby(warnings, advice):
+            for warning in alike:
+                self.say(f"note: {warning}", "yellow")
+            for line in what:
+                self.say(f"    {line}")
 
     def result(self, result: Mapping[str, Any]) -> None:
         """The result as JSON, if it was asked for."""
@@ -58,40 +65,34 @@ class Terminal:
 
     @contextmanager
     def progress(self) -> Iterator[Callable[[str, float], None]]:
-        """A function to be told the stage and its share done; shows a bar once two seconds have gone by."""
-        bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=self.errors, transient=True
-        )
-        started = time.monotonic()
-        tasks: list[TaskID] = []
-
-        def tell(stage: str, share: float) -> None:
-            if not self.errors.is_terminal or time.monotonic() - started < _PATIENCE:
-                return
-            if not tasks:
-                bar.start()
-                tasks.append(bar.add_task(stage, total=1.0))
-            bar.update(tasks[0], description=escape(stage), completed=share)
-
-        try:
+        """A function to be told the stage and its share done; shows a bar once that takes long."""
+        as_python_has_it()  # what is heavy is loaded
+        with progress_bar(self.errors) as tell:
             yield tell
-        finally:
-            if tasks:
-                bar.stop()
 
 
 def _console(quiet: bool, file: TextIO) -> Console:
-    """A console; one that is no terminal has lines as long as they need."""
-    return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _PLAIN_WIDTH)
+    """A console that prints what its encoding has not as question marks."""
+    if isinstance(file, io.TextIOWrapper):
+        file.reconfigure(errors="replace")
+    return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _ANY_WIDTH)
 
 
-def new_table(title: str, *columns: str) -> Table:
-    """A table whose first column is text and whose others are figures."""
-    table = Table(title=title, box=None, pad_edge=False, header_style="dim")
-    table.add_column(columns[0])
-    for column in columns[1:]:
-        table.add_column(column, justify="right")
-    return table
+def new_table(title: str, names: str | Sequence[str], *groups: str | Sequence[str]) -> Table:
+    """An empty table.
+
+    Parameters
+    ----------
+    title
+        What the figures are, with their unit.
+    names
+        The heading or headings of the columns that tell one row from another, flush left.
+    groups
+        The headings of the other columns: figures, unless they are `Words`. Those given together stay side by side.
+    """
+    kept, *others = ([group] if isinstance(group, str) else group for group in (names, *groups))
+    columns = [[Column(heading) for heading in group] for group in others]
+    return Table(title, [Column(heading, left=True) for heading in kept], columns)
 
 
 def units_of(report: dict[str, Any]) -> str:

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
 from idtool.diagnosis_words import UNKNOWN, on, position_units, together
 from idtool.pages import number
 from idtool.pages.diagnosis import parameter_texts, score_text
 from idtool.terminal.base import STYLE, Terminal, new_table
+from idtool.terminal.tables import Words
 
 _STYLES = {"explained": "bold green", "no_disagreement": "bold green", "unexplained": STYLE["problem"]}
 
@@ -33,12 +33,11 @@ def show_diagnosis(
     explain
         Whether to tell why each rejected candidate lost.
     """
-    for fault in report["data_faults"]:
+    for fault in sorted(report["data_faults"], key=lambda fault: bool(fault["undone"])):
         on_joint = f"{fault['joint']}: " if fault["joint"] else ""
-        terminal.say(
-            f"fault of the data: {on_joint}{fault['fault'].replace('_', ' ')}: {fault['detail']}",
-            STYLE["note" if fault["undone"] else "problem"],
-        )
+        kind, style = ("note on", "note") if fault["undone"] else ("fault of", "problem")
+        what = fault["fault"].replace("_", " ")
+        terminal.say(f"{kind} the data: {on_joint}{what}: {fault['detail']}", STYLE[style])
     terminal.say(report["summary"], _STYLES.get(report["verdict"], f"bold {STYLE['warning']}"))
     terminal.say("")
     _show_steps(terminal, report)
@@ -57,19 +56,17 @@ def _show_steps(terminal: Terminal, report: Mapping[str, Any]) -> None:
     if named:
         torque, length = together(report["units"]), together(position_units(report["units"]))
         data = "held-out torque" if report["before"]["validation"] else "torque"
-        columns = (
-            "effect",
-            "on",
-            "parameters",
-            f"{data} RMS, {torque}",
-            f"rollout, {length}",
-            "explains",
-            "in se",
-            "or",
+        table = new_table(
+            "What the model lacks, step by step",
+            "step",
+            (Words("effect"), Words("on")),
+            Words("parameters"),
+            *(f"{data} RMS, {torque}", f"rollout, {length}"),
+            ("explains", "in se"),
+            Words("or"),
         )
-        table = _worded("What the model lacks, step by step", ("step", *columns), (1, 2, 3, 8))
         for i, step in named:
-            table.add_row(str(i), *map(escape, _row(step)))
+            table.add_row(str(i), *_row(step))
         terminal.show(table)
     for i, step in enumerate(report["steps"], 1):
         _tell(terminal, i, step, report["units"])
@@ -126,27 +123,21 @@ def _show_errors(terminal: Terminal, report: Mapping[str, Any]) -> None:
     part = "validation" if held_out else "train"
     first, last = report["before"], report["after"]
     simulated = first["simulation"] and last["simulation"]
-    columns = (
-        "joint",
-        "before",
-        "after",
-        "noise floor",
-        "gap closed",
-        *(["rollout before", "after"] if simulated else []),
-    )
+    torque = ("before", "after", "noise floor", "gap closed")
     title = f"RMS torque error{' on held-out data' if held_out else ''}, {together(report['units'])}"
     if simulated:
         title += f"; rollouts' position error, {together(position_units(report['units']))}"
-    table = new_table(title, *columns)
+    table = new_table(title, "joint", torque, *([("rollout before", "after")] if simulated else []))
     for name in (*report["joints"], "overall"):
         share = report["gap_closed"][name]
-        cells = [number(level[name]) for level in (first[part], last[part], report["noise_floor"])]
+        cells: list[str | Text] = [number(level[name]) for level in (first[part], last[part], report["noise_floor"])]
         cells.append("–" if share is None else f"{100 * share:.0f} %")
         if simulated:
             worse = name in report["rollout_worse"]
             moved = number(last["simulation"][name])
-            cells += [number(first["simulation"][name]), f"[{STYLE['problem']}]{moved} worse[/]" if worse else moved]
-        table.add_row(escape(name), *cells)
+            after = Text(f"{moved} worse", STYLE["problem"]) if worse else moved
+            cells += [number(first["simulation"][name]), after]
+        table.add_row(name, *cells)
     terminal.show(table)
     if "overall" in report["rollout_worse"]:
         terminal.say("The rollouts got worse while the torque got better: do not simulate with it.", STYLE["problem"])
@@ -158,16 +149,9 @@ def _show_rejected(terminal: Terminal, steps: Sequence[Mapping[str, Any]]) -> No
         others = [*step["alternatives"], *step["rejected"]]
         if not others:
             continue
-        table = _worded(f"Step {i}: what else was tried", ("effect", "on", "explains", "parameters", "why not"), (1, 4))
+        said = ("explains", "parameters", Words("why not"))
+        table = new_table(f"Step {i}: what else was tried", ("effect", "on"), *said)
         for one in others:
             score = score_text(one["score"], one["standard_error"])
-            table.add_row(*map(escape, (one["effect"], on(one), score, str(one["parameters"]), one["reason"])))
+            table.add_row(one["effect"], on(one), score, str(one["parameters"]), one["reason"])
         terminal.show(table)
-
-
-def _worded(title: str, columns: Sequence[str], words: Sequence[int]) -> Table:
-    """A table in which these columns hold words."""
-    table = new_table(title, *columns)
-    for i in words:
-        table.columns[i].justify = "left"
-    return table

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-
 from idtool.terminal.base import Terminal, figure, new_table
+from idtool.terminal.tables import Words
 
 
 def show_excitation(terminal: Terminal, report: dict[str, Any]) -> None:
@@ -15,22 +14,19 @@ def show_excitation(terminal: Terminal, report: dict[str, Any]) -> None:
     logged = "logged" in report["criteria"]
     errors = new_table(
         "Standard errors to expect",
-        "base parameter",
-        "prior",
-        "± se",
-        "of it",
-        "unit",
+        Words("base parameter"),
+        ("prior", "± se", "of it", Words("unit")),
         *(["so far ±"] if logged else []),
     )
     for p in report["base_parameters"]:
         share = "-" if p["relative"] is None else f"{p['relative']:.2%}"
         before = [figure(p["logged_standard_error"])] if logged else []
-        name = escape(p["name"]) + (" *" if p["favoured"] else "")
+        name = p["name"] + (" *" if p["favoured"] else "")
         errors.add_row(name, figure(p["prior"]), figure(p["standard_error"]), share, p["unit"], *before)
     terminal.show(errors)
     limits = new_table("Largest share of each limit", "joint", "position", "velocity", "acceleration", "effort")
     for joint, use in report["use"].items():
-        limits.add_row(escape(joint), *(f"{share:.0%}" for share in use.values()))
+        limits.add_row(joint, *(f"{share:.0%}" for share in use.values()))
     terminal.show(limits)
     terms = list(report["criteria"]["design"])
     criteria = new_table("Criteria", "of", "D", "A", "E", "condition")

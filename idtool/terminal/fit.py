@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-
 from idtool.terminal.base import Terminal, figure, new_table, units_of
 from idtool.terminal.simulation import show_simulation
+from idtool.terminal.tables import Words
 
 _WORST = 8  # parameters that are listed
 _SIDE_BY_SIDE = 4  # logs in a table
@@ -23,14 +22,15 @@ def show_fit(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:
     )
     for name in (*report["joints"], "overall"):
         held_out = [(rms[key] or {}).get(name) for key in ("prior_validation", "validation")]
-        table.add_row(escape(name), figure(held_out[0]), figure(rms["train"][name]), figure(held_out[1]))
+        table.add_row(name, figure(held_out[0]), figure(rms["train"][name]), figure(held_out[1]))
     terminal.show(table)
     show_simulation(terminal, report["simulation"])
     _show_bodies(terminal, report)
-    table = new_table("Friction, with standard errors", "joint", "viscous", "± se", "Coulomb", "± se", "offset", "± se")
+    kinds = ("viscous", "Coulomb", "offset")
+    table = new_table("Friction, with standard errors", "joint", *((kind, "± se") for kind in kinds))
     for name, friction in report["friction"].items():
         pairs = [(friction[key], friction["standard_error"][key]) for key in ("viscous", "coulomb", "offset")]
-        table.add_row(escape(name), *(figure(x) for pair in pairs for x in pair))
+        table.add_row(name, *(figure(x) for pair in pairs for x in pair))
     terminal.show(table)
     _show_trust(terminal, report)
     solver = report["solver"]
@@ -43,12 +43,12 @@ def _show_bodies(terminal: Terminal, report: dict[str, Any]) -> None:
     """Masses, and how many of a body's ten parameters rest on what."""
     asked = report["base_parameters"] is not None
     grounds = ("data", "combination", "constraints", "prior") if asked else ("determined",)
-    table = new_table("Bodies", "body", "prior kg", "mass kg", "± se", *grounds, "realizable")
+    table = new_table("Bodies", "body", "prior kg", ("mass kg", "± se"), grounds, "realizable")
     for name, body in report["bodies"].items():
         on = [basis["on"] for basis in body["rests_on"]] if asked else []
         counts = [str(on.count(ground)) for ground in grounds] if asked else [f"{sum(body['identifiable'])}/10"]
         mass = (body["prior"][0], body["mass"], body["standard_error"][0])
-        table.add_row(escape(name), *map(figure, mass), *counts, "yes" if body["realizable"] else "NO")
+        table.add_row(name, *map(figure, mass), *counts, "yes" if body["realizable"] else "NO")
     terminal.show(table)
 
 
@@ -62,12 +62,12 @@ def _show_trust(terminal: Terminal, report: dict[str, Any]) -> None:
     if logs := report["repeatability"]:
         worst = sorted(logs["parameters"], key=lambda p: (p["agrees"], -(p["ratio"] or 0)))
         few = len(logs["logs"]) <= _SIDE_BY_SIDE
-        names = map(escape, logs["logs"]) if few else ("least", "in", "greatest", "in")
-        columns = ("parameter", *names, "times expected", "beyond chance")
+        values = logs["logs"] if few else (("least", "in"), ("greatest", "in"))
+        columns = (Words("parameter"), *values, ("times expected", "beyond chance"))
         table = new_table("Least repeatable between the logs", *columns)
         for p in worst[:_WORST]:
             values = map(figure, p["value"]) if few else _extremes(p["value"], logs["logs"])
-            table.add_row(escape(p["name"]), *values, figure(p["ratio"]), "" if p["agrees"] else "yes")
+            table.add_row(p["name"], *values, figure(p["ratio"]), "" if p["agrees"] else "yes")
         terminal.show(table)
 
 
@@ -75,4 +75,4 @@ def _extremes(values: Sequence[float | None], logs: Sequence[str]) -> list[str]:
     """The least and the greatest value, each with its log."""
     there = [(value, name) for value, name in zip(values, logs, strict=True) if value is not None]
     ends = (min(there), max(there)) if there else ((None, "-"), (None, "-"))
-    return [text for value, name in ends for text in (figure(value), escape(name))]
+    return [text for value, name in ends for text in (figure(value), name)]

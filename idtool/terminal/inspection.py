@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 
-from rich.markup import escape
-
 from idtool.inspection import Inspection
 from idtool.terminal.base import STYLE, Terminal, figure, new_table
+from idtool.terminal.tables import Words
 
 
 def show_inspection(terminal: Terminal, inspection: Inspection) -> None:
@@ -17,12 +16,17 @@ def show_inspection(terminal: Terminal, inspection: Inspection) -> None:
         f"{inspection.segments} stretches without a gap"
     )
     table = new_table(
-        "Joints", "joint", "signals", "from", "to", "v rms", "tau rms", "band Hz", "at rest", "v lag ms", "tau"
+        "Joints",
+        "joint",
+        Words("signals"),
+        ("from", "to"),
+        *("v rms", "tau rms", "band Hz", "at rest", "v lag ms"),
+        Words("tau"),
     )
     for name, joint in inspection.joints.items():
         q, tau, v = joint.signals.get("q"), joint.signals.get("tau"), joint.velocity
         table.add_row(
-            escape(name),
+            name,
             " ".join(joint.signals),
             figure(q.minimum if q else None),
             figure(q.maximum if q else None),

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
-from rich.markup import escape
-
-from idtool.terminal.base import Terminal, figure, new_table
+from idtool.terminal.base import STYLE, Terminal, figure, new_table
 
 
 def show_simulation(terminal: Terminal, found: Mapping[str, Any] | None) -> None:
@@ -25,8 +24,28 @@ def show_simulation(terminal: Terminal, found: Mapping[str, Any] | None) -> None
     }
     table = new_table(f"Simulated position, RMS error, {units}: {how}", "joint", *sources)
     for name in found["position"]:
-        table.add_row(escape(name), *(figure(of["position"][name]) for of, _ in sources.values()))
+        table.add_row(name, *(figure(of["position"][name]) for of, _ in sources.values()))
     for at in found["horizon"]:
         reached = (figure((at[key] or {}).get("overall")) for _, key in sources.values())
         table.add_row(f"after {1000 * at['seconds']:g} ms", *reached)
     terminal.show(table)
+    if remark := _remark(found, often, "q = qcmd" if closed else "a robot that stays where it is"):
+        terminal.say(f"{remark}\n", STYLE["warning"])
+
+
+def _remark(found: Mapping[str, Any], often: str, baseline: str) -> str | None:
+    """That the model is no better than the baseline in all, and how long it is better; None where it is."""
+    if _better(found["position"], found["baseline"]["position"]):
+        return None
+    said = f"Over {often}, the model is farther from the data than {baseline}"
+    better = itertools.takewhile(lambda at: _better(at["position"], at["baseline"]), found["horizon"])
+    if good := [at["seconds"] for at in better]:
+        long = f"{1000 * good[-1]:g} ms"
+        return f"{said}; it is nearer up to {long} after a restart: trust its rollouts for no longer than that."
+    return f"{said}: its rollouts are not to be trusted."
+
+
+def _better(model: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> bool:
+    """Whether a model's error is below the baseline's; one that ran away has none."""
+    own, other = model["overall"], (baseline or {}).get("overall")
+    return own is not None and (other is None or own < other)

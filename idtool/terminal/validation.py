@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-
 from idtool.regression import Outcome
 from idtool.terminal.base import Terminal, figure, new_table, units_of
 from idtool.terminal.simulation import show_simulation
+from idtool.terminal.tables import Words
 
 
 def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:
@@ -23,7 +22,7 @@ def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) ->
         met = "" if bound is None else " ok" if report["ok"][name] else " NOT MET"
         share = report["nrms"].get(name)
         table.add_row(
-            escape(name),
+            name,
             *(figure(report["rms"][model][name]) for model in models),
             figure(report["rms_raw"]["model"][name]),
             "" if share is None else f"{share:.1%}",
@@ -38,9 +37,9 @@ def show_validation(terminal: Terminal, report: dict[str, Any], folder: Path) ->
 def show_regression(terminal: Terminal, outcomes: Sequence[Outcome]) -> None:
     """Every case against its bounds."""
     table = new_table(
-        "Regression: RMS torque error in the band, N·m or N", "case", "joint", "prior", "fit", "bound", ""
+        "Regression: RMS torque error in the band, N·m or N", (Words("case"), "joint"), "prior", "fit", ("bound", "")
     )
     for o in outcomes:
         met = "ok" if o.ok else "NOT MET"
-        table.add_row(escape(o.case), escape(o.joint), figure(o.prior), figure(o.rms), figure(o.bound), met)
+        table.add_row(o.case, o.joint, figure(o.prior), figure(o.rms), figure(o.bound), met)
     terminal.show(table)
