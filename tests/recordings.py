@@ -1,4 +1,4 @@
-"""MCAP files of joint states, encoded by others: mcap_ros2 for CDR, json, and google.protobuf."""
+"""MCAP files of joint states, encoded by others: mcap_ros2 for CDR, json, and google.protobuf; and rosbag2 folders."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import yaml
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
@@ -203,3 +204,41 @@ def write_mcap(path: Path, *channels: Channel, **options: Any) -> Path:
                     writer.add_message(number, channel.times[i], channel.payloads[i], channel.times[i])
         writer.finish()  # type: ignore[no-untyped-call]
     return path
+
+
+IMU = Channel("/imu", [1, 2], [b"x" * 40, b"y" * 40], schema=("sensor_msgs/msg/Imu", "ros2msg", b"float64 x"))
+
+
+def metadata(names: Sequence[str], **changes: Any) -> str:
+    """The metadata that rosbag2 writes, of version 5."""
+    start = {"nanoseconds_since_epoch": 10**18}
+    topic = {
+        "name": "/joint_states",
+        "type": "sensor_msgs/msg/JointState",
+        "serialization_format": "cdr",
+        "offered_qos_profiles": "- history: 3\n  depth: 0\n" * 500,  # of as many publishers
+    }
+    information = {
+        "version": 5,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": 10**9},
+        "starting_time": start,
+        "message_count": 1000,
+        "topics_with_message_count": [{"topic_metadata": topic, "message_count": 1000}],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": list(names),
+        "files": [{"path": name, "starting_time": start, "message_count": 1} for name in names],
+        **changes,
+    }
+    return yaml.safe_dump({"rosbag2_bagfile_information": information})
+
+
+def bag(folder: Path, *parts: Sequence[State], listed: Sequence[int] | None = None, **changes: Any) -> Path:
+    """A folder with a file for each part, in which topics and schemas have other numbers than in the one before."""
+    folder.mkdir()
+    names = [f"{folder.name}_{i}.mcap" for i in range(len(parts))]
+    for i, (name, items) in enumerate(zip(names, parts, strict=True)):
+        write_mcap(folder / name, *[IMU] * (i % 2), ros2(items), chunk_size=3000)
+    (folder / "metadata.yaml").write_text(metadata([names[i] for i in listed or range(len(names))], **changes))
+    return folder

@@ -192,7 +192,7 @@ def test_seconds_stay(written: Written, start: float) -> None:
     rows = "".join(f"{start + i!r},{i}\n" for i in range(50))
     log = read_log(written("t,q_hip\n" + rows, "log.csv"))
     assert log.t.tolist() == [start + i for i in range(50)]
-    assert log.warnings == ()
+    assert log.warnings == ("samples are 1 s apart by their times, which look like ms: write them in seconds",)
 
 
 def test_many_pieces(written: Written, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
@@ -223,7 +223,7 @@ def test_cut_off_in_the_last_line(written: Written, rng: np.random.Generator) ->
 
 
 def test_no_line_end_is_no_cut(written: Written) -> None:
-    log = read_log(written("t,q_hip\n0,1\n1,22\n2,3", "log.csv"))
+    log = read_log(written("t,q_hip\n0,1\n.1,22\n.2,3", "log.csv"))
     assert log.signals["q"][:, 0].tolist() == [1, 22, 3]
     assert log.warnings == ()
 
@@ -231,6 +231,10 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        (
+            "t,q.abad,v.abad\n0,1,2\n",
+            "is no log: its first line names no joint signal, but t, q.abad, v.abad; name the",
+        ),
         ("t,q_hip\n", "has no samples after its first line"),
         ("t,q_hip", "has no samples after its first line"),
         ("t,q_hip\n1,2\n", "holds 1 samples; at least two are needed"),

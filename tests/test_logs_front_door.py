@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -182,6 +183,16 @@ def test_a_file_stays_when_writing_fails(tmp_path: Path, time: float) -> None:
 def test_what_is_no_log(written: Written, binary: bytes) -> None:
     with pytest.raises(LogError, match=r"is empty|unknown version|is no log that can be read: \.csv or \.mcap"):
         read_log(written(binary, "log.csv"))
+
+
+def test_what_is_compressed_by_other_means(written: Written) -> None:
+    with pytest.raises(LogError, match=r"log\.csv\.gz: is compressed with gzip; run 'gunzip -k .*log\.csv\.gz', give"):
+        read_log(written(gzip.compress(b"t,q_hip\n0,1\n1,2\n"), "log.csv.gz"))
+
+
+def test_columns_of_csv_are_of_no_use_to_mcap(tmp_path: Path) -> None:
+    log = read_log(write_mcap(tmp_path / "log", ros2(states(20))), columns={"t": "stamp", "tau_hip": "current"})
+    assert log.warnings == ("log.columns names columns of CSV, of which MCAP has none; ignored: t, tau_hip",)
 
 
 def test_what_is_no_file(tmp_path: Path) -> None:

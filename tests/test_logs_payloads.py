@@ -181,6 +181,18 @@ def test_json_schemas(tmp_path: Path, name: str, schema: object, reads: bool) ->
             read_log(path)
 
 
+def test_json_stamps_that_are_numbers(tmp_path: Path) -> None:
+    """In seconds as they are; what can't be seconds is converted as in CSV."""
+    for field, per_second, start in (("stamp", 1.0, 1.5), ("timestamp", 1e9, 1.7e9), ("timestamp", 1e3, 1.7e9)):
+        times = [round((start + i / 100) * per_second, 3) for i in range(20)]
+        given = [int(t) if per_second > 1 else t for t in times]
+        payloads = [json.dumps({"name": ["hip"], "position": [1.0], field: t}).encode() for t in given]
+        log = read_log(write_mcap(tmp_path / "log", replace(json_channel(states(20)), payloads=payloads)))
+        np.testing.assert_allclose(log.t, [t / per_second for t in given], rtol=1e-15, atol=3e-7)
+        unit = {1.0: (), 1e9: ("ns",), 1e3: ("ms",)}[per_second]
+        assert log.warnings == tuple(f"its times are in {name}; they were converted to seconds" for name in unit)
+
+
 def test_json_null_is_missing(tmp_path: Path) -> None:
     items = states(5)
     payloads = json_channel(items).payloads
@@ -202,8 +214,15 @@ def test_json_null_is_missing(tmp_path: Path) -> None:
         (b'{"name":"hip","position":[1,2,3]}', "is no joint state"),
         (b'{"name":[["hip"]],"position":[1]}', "is no joint state"),
         (b'{"name":["hip"],"position":1}', "is no joint state"),
-        (b'{"name":["hip"],"header":{"stamp":{"sec":"1"}}}', "is no joint state"),
-        (b'{"name":["hip"],"header":{"stamp":{"sec":1' + b"0" * 400 + b"}}}", "is no joint state"),
+        (b'{"name":["hip"],"header":{"stamp":{"sec":"1"}}}', "has a header.stamp that is neither a number nor"),
+        (b'{"name":["hip"],"header":{"stamp":{"sec":1' + b"0" * 400 + b"}}}", "has a header.stamp that is neither"),
+        (b'{"name":["hip"],"stamp":{"sec":null,"nanosec":1}}', "has a stamp that is neither a number nor"),
+        (b'{"name":["hip"],"stamp":{"t":1}}', "has a stamp that is neither a number nor {sec, nanosec}: {'t': 1}"),
+        (
+            b'{"name":["hip"],"timestamp":"2024-01-01T00:00:00Z"}',
+            "neither a number nor .*: 2024-01-01T00:00:00Z",
+        ),
+        (b'{"name":["hip"],"timestamp":"sec"}', "has a timestamp that is neither"),
         (b'{"name":["hip"],"position":["x"]}', "message 3 of /joint_states holds values that are no numbers"),
         (b'{"name":["hip"],"position":["x"],"velocity":[1],"effort":[1]}', "message 3 of /joint_states holds values"),
         (b'{"name":["hip"],"position":[[1]]}', "holds values that are no numbers"),
@@ -228,5 +247,15 @@ def test_one_topic_in_two_encodings(tmp_path: Path) -> None:
 
 def test_encodings_that_are_not_known(tmp_path: Path) -> None:
     channel = Channel("/joint_states", [1], [b"x"], "ros1", ("sensor_msgs/JointState", "ros1msg", b""))
-    with pytest.raises(LogError, match=r"there are: /joint_states \(sensor_msgs/JointState, ros1\)"):
+    said = "topic /joint_states carries joint states as ROS 1 encodes them, which is not read; run 'rosbags-convert "
+    with pytest.raises(LogError, match=said):
         read_log(write_mcap(tmp_path / "log", channel))
+    name = "a_package_of_a_department_of_a_company/msg/StateOfAllJoints"
+    others = [
+        replace(channel, topic=f"/robot/left_arm/state_{i}", schema=(name, "ros2msg", b""), encoding=f"own_{i}")
+        for i in range(9)
+    ]
+    with pytest.raises(LogError) as error:
+        read_log(write_mcap(tmp_path / "log", *others))
+    there = ", ".join(f"/robot/left_arm/state_{i} ({name}, own_{i})" for i in range(6))
+    assert str(error.value).endswith(f"there are: {there} and 3 more")

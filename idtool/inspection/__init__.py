@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from idtool.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling
+from idtool.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling, step_jitter
 from idtool.inspection.findings import find
 from idtool.inspection.joint import inspect_joint
 from idtool.inspection.measures import quantisation, span
 from idtool.inspection.records import Finding, Gap, Inspection, Joint, Sampling, Signal, Stamps, TorqueSource, Velocity
 from idtool.inspection.velocity import velocity_lag
 from idtool.logs.log import Log
+from idtool.logs.times import doubtful_unit
 
 __all__ = [
     "Finding",
@@ -74,6 +75,7 @@ def _inspected(log: Log) -> Inspection:
     duration = float(t[-1] - t[0])
     runs = [(s.stop - s.start - 1, float(log.t[s.stop - 1] - log.t[s.start])) for s in log.segments]
     steps, seconds = (sum(column) for column in zip(*runs, strict=True))
+    in_seconds = doubtful_unit(log.dt, log.segments, log.signals) is None
     return Inspection(
         path=str(log.path),
         duration=duration,
@@ -84,7 +86,7 @@ def _inspected(log: Log) -> Inspection:
         segments=len(log.segments),
         stamps=stamps,
         joints=joints,
-        findings=find(log.dt, duration, len(log), stamps, joints),
+        findings=find(log.dt, duration, len(log), len(log.segments), stamps, joints, in_seconds),
         warnings=log.warnings,
     )
 
@@ -110,6 +112,7 @@ def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float
         q, v = log.signals["q"], log.signals["v"]
         told = sampling([(log.t[s], q[s][:, moving], v[s][:, moving]) for s in stretches], log.dt)
     return Stamps(
+        step_jitter=step_jitter(log.t, log.dt, log.segments),
         jitter_rms_ms=1e3 * log.dt * jitter(log.t, log.dt, log.segments),
         jitter_max_ms=1e3 * max(float(np.abs(clock_deviation(log.t[s])).max()) for s in log.segments),
         step_ms=None if resolution is None else 1e3 * resolution,

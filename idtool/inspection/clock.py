@@ -39,6 +39,15 @@ def jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
     return float(np.sqrt(sum(d @ d for d in deviations) / count)) / dt if count else 0.0
 
 
+def step_jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
+    """Standard deviation of the steps from stamp to stamp, those between segments left out, in units of ``dt``.
+
+    It is what differentiating from sample to sample suffers from, while a clock that drifts does it no harm; a fit
+    states the same. Parameters are those of `jitter`.
+    """
+    return float(np.std(np.concatenate([np.diff(t[s]) for s in segments]))) / dt
+
+
 def clock_deviation(t: Array) -> Array:
     """What a uniform clock, its rate fitted, leaves of the stamps of one segment [s], shape (N,)."""
     k = np.arange(len(t)) - 0.5 * (len(t) - 1)

@@ -12,12 +12,13 @@ import numpy as np
 
 from idtool.inspection.records import Finding, Joint, Severity, Signal, Stamps, Velocity
 
-JITTER = 0.1  # samples: differencing neighbouring positions is then wrong by a seventh of the velocity
+JITTER = 0.1  # samples that a step is off: differencing neighbouring positions is then wrong by a tenth of the velocity
 REPEATED = 0.005  # share of the samples, or of the steps that skip one: less is a hiccup
 OFTEN = 0.1  # share: from here on the rate is wrong by as much
 STALE = 0.02  # share of the samples while a channel changes
 LOST = 0.01  # share of the time
 SHORT = 0.05  # share of samples in segments too short for a filter to settle in
+TOO_SHORT = 0.5  # the same, from which on hardly anything is left
 LATE = 0.25  # samples: less, no fit can see
 LATE_ERRORS = 3.0  # standard errors that a lag must exceed to count
 LATE_PHASE = 0.01  # rad at the band's edge: v is wrong by this share there
@@ -33,10 +34,18 @@ TURNS = 8 * np.pi  # rad: four turns are degrees, or a wheel
 FAST = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
 
 _RANK: dict[Severity, int] = {"problem": 0, "warning": 1, "note": 2}
-_OVER_STEPS = "q differentiated from sample to sample is noisy: keep `velocity: measured` where v is logged"
+_OVER_STEPS = "q differentiated from sample to sample is noisy: a fit takes the logged v where it is less so"
 
 
-def find(dt: float, duration: float, samples: int, stamps: Stamps, joints: Mapping[str, Joint]) -> tuple[Finding, ...]:
+def find(
+    dt: float,
+    duration: float,
+    samples: int,
+    segments: int,
+    stamps: Stamps,
+    joints: Mapping[str, Joint],
+    in_seconds: bool = True,
+) -> tuple[Finding, ...]:
     """All findings, problems first, those with the same meaning side by side.
 
     Parameters
@@ -47,15 +56,19 @@ def find(dt: float, duration: float, samples: int, stamps: Stamps, joints: Mappi
         Of the log [s].
     samples
         Rows of the log.
+    segments
+        Number of runs without a gap.
     stamps
         Figures of the stamps.
     joints
         Figures of the joints, by name.
+    in_seconds
+        Whether there is no doubt about the stamps' unit, in which v can be compared with dq/dt.
     """
-    found = [*_clock(dt, stamps), *_rows(duration, samples, stamps)]
+    found = [*_clock(dt, stamps), *_rows(duration, samples, stamps), *_pieces(segments, stamps)]
     for name, joint in joints.items():
         found += [*_presence(name, joint), *_motion(name, joint, dt), *_torque(name, joint)]
-        if joint.velocity and not _spoilt(joint):
+        if joint.velocity and in_seconds and not _spoilt(joint):
             found += _velocity(name, joint.velocity, joint.band_hz or 0.0, dt)
         for signal, figures in joint.signals.items():
             found += _signal(name, signal, figures, joint, dt)
@@ -74,11 +87,12 @@ def _count(number: int, what: str) -> str:
 def _clock(dt: float, stamps: Stamps) -> Iterator[Finding]:
     limit = 1e3 * JITTER * dt
     told = stamps.sampling
-    if stamps.jitter_rms_ms > limit:
-        what = f"the stamps stray from an even clock by {stamps.jitter_rms_ms:.3g} ms rms"
-        yield Finding("warning", None, f"{what}, {stamps.jitter_max_ms:.3g} ms at most", _OVER_STEPS)
+    if stamps.step_jitter > JITTER:
+        what = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
+        yield Finding("warning", None, what, _OVER_STEPS)
     elif told and told.jitter_ms > limit:
-        what = f"by the joints' motion the samples were taken {told.jitter_ms:.3g} ms rms off the stamps' even clock"
+        off = told.jitter_ms / (1e3 * dt)
+        what = f"by the joints' motion the samples were taken {off:.2g} samples rms off the stamps' even clock"
         yield Finding("warning", None, what, "the stamps were rounded or made up; " + _OVER_STEPS)
     if told and told.skipped - stamps.repeated > REPEATED and told.jitter_ms < limit:
         what = f"by the joints' motion {told.skipped:.1%} of the steps took the time of two samples or more"
@@ -95,7 +109,7 @@ def _rows(duration: float, samples: int, stamps: Stamps) -> Iterator[Finding]:
             f"{_count(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
             f"{longest.start:.3f} s into the log"
         )
-        severity: Severity = "warning" if stamps.lost > LOST * duration or stamps.short > SHORT else "note"
+        severity: Severity = "warning" if stamps.lost > LOST * duration else "note"
         meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
         yield Finding(severity, None, what, meaning)
     if stamps.duplicates:
@@ -106,6 +120,16 @@ def _rows(duration: float, samples: int, stamps: Stamps) -> Iterator[Finding]:
         what = f"{_count(stamps.backward, 'stamp')} earlier than the one before"
         meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
         yield Finding("warning", None, what, meaning)
+
+
+def _pieces(segments: int, stamps: Stamps) -> Iterator[Finding]:
+    if segments < 2 or stamps.short < SHORT:
+        return
+    severity: Severity = "problem" if stamps.short > TOO_SHORT else "warning"
+    what = f"gaps and missing values cut the log in {segments}: {stamps.short:.0%} of it is in stretches below 0.5 s"
+    left = "hardly anything is left to fit" if stamps.short > TOO_SHORT else "they may be lost to a fit"
+    meaning = f"shorter than a filter takes to settle, {left}: fill in single missing values, or log without gaps"
+    yield Finding(severity, None, what, meaning)
 
 
 def _presence(name: str, joint: Joint) -> Iterator[Finding]:
@@ -157,12 +181,11 @@ def _velocity(name: str, v: Velocity, band: float, dt: float) -> Iterator[Findin
         what = f"v is {v.gain:.4g} times the derivative of q"
         meaning = "a unit, gear ratio or sign: put it right in `log.scale`, or set `velocity: differentiated`"
         yield Finding("problem" if abs(v.gain - 1) > WRONG_UNIT else "warning", name, what, meaning)
-    if abs(v.lag_ms) > max(1e3 * LATE * dt, LATE_ERRORS * v.lag_error_ms):
+    phase = 2e-3 * np.pi * band * abs(v.lag_ms)
+    if abs(v.lag_ms) > max(1e3 * LATE * dt, LATE_ERRORS * v.lag_error_ms) and phase > LATE_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
         what = f"v {relation} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
-        meaning = "a filter's doing: unless undone, inertia and friction swap shares; or set `velocity: differentiated`"
-        phase = 2e-3 * np.pi * band * abs(v.lag_ms)
-        yield Finding("warning" if phase > LATE_PHASE else "note", name, what, meaning)
+        yield Finding("note", name, what, "a filter's doing: a fit undoes it, nothing is to be done")
 
 
 def _torque(name: str, joint: Joint) -> Iterator[Finding]:
@@ -179,7 +202,7 @@ def _signal(name: str, signal: str, x: Signal, joint: Joint, dt: float) -> Itera
         return
     if x.constant and signal in ("v", "tau"):
         instead = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
-        what = f"{signal} is {x.minimum:.4g} throughout while q moves"
+        what = f"{signal} is {x.minimum + 0.0:.4g} throughout while q moves"  # 0, not -0
         yield Finding("problem", name, what, f"the channel was not filled; {instead}")
     if x.stuck > STUCK and signal in ("v", "tau"):
         what = f"{signal} sits at its extremes, {x.minimum:.4g} and {x.maximum:.4g}, in {x.stuck:.1%} of the samples"
@@ -193,8 +216,11 @@ def _signal(name: str, signal: str, x: Signal, joint: Joint, dt: float) -> Itera
     if noise > COARSE:
         of = "velocity" if signal == "q" else signal
         what = f"{signal} comes in steps of {x.step:.3g}, which make {noise:.0%} of noise in the {of}"
-        instead = {"q": "set `velocity: measured`", "v": "set `velocity: differentiated`"}.get(signal, "excite more")
-        yield Finding("warning", name, what, f"too coarse: {instead}, or lower `filter.cutoff_hz`")
+        instead = {
+            "q": "a fit takes the logged v where it is less noisy, else",
+            "v": "a fit differentiates q where that is less noisy, else",
+        }.get(signal, "excite more, or")
+        yield Finding("warning", name, what, f"too coarse: {instead} lower `filter.cutoff_hz`")
 
 
 def _spoilt(joint: Joint) -> bool:

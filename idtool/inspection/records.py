@@ -67,6 +67,8 @@ class Stamps:
 
     Attributes
     ----------
+    step_jitter
+        Standard deviation of the steps from stamp to stamp, in samples.
     jitter_rms_ms, jitter_max_ms
         Deviation from a uniform clock, fitted per segment [ms].
     step_ms
@@ -85,6 +87,7 @@ class Stamps:
         The real instants, where the motion tells them.
     """
 
+    step_jitter: float
     jitter_rms_ms: float
     jitter_max_ms: float
     step_ms: float | None

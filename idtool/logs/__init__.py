@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 import pkgutil
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.exceptions import LogError
-from idtool.logs.bag import SQLITE, files_of, is_bag, not_mcap
+from idtool.logs.bag import ROS1, SQLITE, files_of, is_bag, not_mcap, of_ros1
 from idtool.logs.log import SIGNALS, Log, make_log
 from idtool.names import nearest
 from idtool.provenance import source_file
@@ -24,6 +25,7 @@ from idtool.provenance import source_file
 __all__ = ["SIGNALS", "Log", "is_bag", "make_log", "read_log", "write_log"]
 
 _HEAD_BYTES = 4096
+_GZIP = b"\x1f\x8b"
 
 
 class _Format(Protocol):
@@ -94,6 +96,10 @@ def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
             return form.read(path, topic, columns)
     if head.startswith(SQLITE):
         raise LogError(path, not_mcap(path, "sqlite3"))
+    if head.startswith(ROS1):
+        raise LogError(path, of_ros1(path))
+    if head.startswith(_GZIP):
+        raise LogError(path, f"is compressed with gzip; run 'gunzip -k {shlex.quote(str(path))}', give what it makes")
     raise LogError(path, f"is no log that can be read: {' or '.join(_endings())}, CSV in UTF-8")
 
 

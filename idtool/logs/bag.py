@@ -1,13 +1,14 @@
 """Bags: what a ROS user records, and the rosbag2 folder that is one log in several files.
 
-The folder's `metadata.yaml` names its files, in order. It is a stranger's: it is read as plain text of bounded size,
-and only files within the folder are.
+The folder's `metadata.yaml` names its files, in order. It is a stranger's: it is read as plain text of bounded size
+and depth, and only files within the folder are.
 Source: github.com/ros2/rosbag2, rosbag2_storage/include/rosbag2_storage/yaml.hpp
 """
 
 from __future__ import annotations
 
 import shlex
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +18,25 @@ from idtool.exceptions import LogError
 from idtool.names import shown, stem
 
 METADATA = "metadata.yaml"
-MCAP, ZSTD, SQLITE = b"\x89MCAP", b"\x28\xb5\x2f\xfd", b"SQLite format 3\0"  # that files begin with
+MCAP, ZSTD, SQLITE, ROS1 = b"\x89MCAP", b"\x28\xb5\x2f\xfd", b"SQLite format 3\0", b"#ROSBAG V"  # files' beginnings
 
 _INFORMATION = "rosbag2_bagfile_information"
 _MOST_BYTES = 4 << 20
 _MOST_FILES = 10_000
+_DEEPEST = 64  # lists and mappings within one another
+_ENDINGS = tuple(f"{storage}{packed}" for storage in (".mcap", ".db3") for packed in ("", ".zstd"))
+_EVENTS = getattr(yaml, "CBaseLoader", yaml.BaseLoader)  # events, not its nodes: those take 200 times the file's size
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a log that ROS records, readable or not: a folder with metadata, or a file of its storage."""
+    """Whether a path is a log that ROS records, readable or not: a folder with metadata or such files, or a file."""
     try:
         if path.is_dir():
-            return (path / METADATA).is_file()
+            return (path / METADATA).is_file() or any(file.name.endswith(_ENDINGS) for file in path.iterdir())
         if not path.is_file():
             return False
         with path.open("rb") as file:
-            return file.read(len(SQLITE)).startswith((MCAP, ZSTD, SQLITE))
+            return file.read(len(SQLITE)).startswith((MCAP, ZSTD, SQLITE, ROS1))
     except OSError:
         return False
 
@@ -81,6 +85,15 @@ def not_mcap(path: Path, storage: str) -> str:
     return f"is stored as {shown(storage)}, not mcap; {_conversion(path)}"
 
 
+def of_ros1(path: Path) -> str:
+    """What is wrong with a bag of ROS 1, and how to convert it."""
+    target = shlex.quote(f"{stem(path)}_mcap")
+    return (
+        f"is a bag of ROS 1; run 'rosbags-convert --src {shlex.quote(str(path))} --dst {target} --dst-storage mcap' "
+        f"(pip install rosbags) and give {shown(target)}"
+    )
+
+
 def _conversion(path: Path) -> str:
     """How to write a bag anew as MCAP; as ``all`` has always been understood, while ``all_topics`` is new."""
     target = shown(f"{stem(path)}_mcap")
@@ -92,21 +105,63 @@ def _conversion(path: Path) -> str:
 
 def _information(metadata: Path) -> dict[str, Any]:
     """What the metadata say, numbers as text."""
-    with metadata.open("rb") as file:
-        data = file.read(_MOST_BYTES + 1)
-    if len(data) > _MOST_BYTES:
+    size = metadata.stat().st_size
+    if size > _MOST_BYTES:
         raise LogError(metadata, f"is larger than {_MOST_BYTES >> 20} MiB, which no bag's is")
-    try:  # the base loader makes nothing but text, lists and mappings, whatever the tags say
-        read = yaml.BaseLoader(data).get_single_data()
+    with metadata.open("rb") as file:
+        data = file.read(size)
+    try:
+        read = _plain(data)
     except yaml.MarkedYAMLError as error:
         line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise LogError(metadata, f"is not YAML{line}: {error.problem}") from None
-    except Exception as error:  # the parser has no error of its own for what nests too deep, or is no character
+    except Exception as error:  # the parser has no error of its own for what is no character
         raise LogError(metadata, f"is not YAML ({type(error).__name__})") from None
     information = read.get(_INFORMATION) if isinstance(read, dict) else None
     if not isinstance(information, dict):
         raise LogError(metadata, f"has no {_INFORMATION}; it is not the metadata of a rosbag2 folder")
     return information
+
+
+@lru_cache(maxsize=4)  # a command asks for the files of its logs more than once
+def _plain(data: bytes) -> Any:
+    """What the first document of a YAML file holds: text, lists and mappings, whatever the tags say.
+
+    Raises
+    ------
+    yaml.YAMLError
+        If it is not YAML, or nests too deep.
+    """
+    within: list[tuple[str | None, list[Any]]] = [(None, [])]  # the lists and mappings that are open, by their anchors
+    known: dict[str, Any] = {}
+    value: Any
+    for event in yaml.parse(data, Loader=_EVENTS):
+        match event:
+            case yaml.SequenceStartEvent() | yaml.MappingStartEvent():
+                within.append((event.anchor, []))
+                if len(within) > _DEEPEST:
+                    raise yaml.MarkedYAMLError(problem=f"it nests more than {_DEEPEST} deep")
+                continue
+            case yaml.SequenceEndEvent() | yaml.MappingEndEvent():
+                anchor, items = within.pop()
+                value = items if isinstance(event, yaml.SequenceEndEvent) else _mapping(items)
+            case yaml.ScalarEvent():
+                anchor, value = event.anchor, event.value
+            case yaml.AliasEvent():
+                anchor, value = None, known.get(event.anchor or "", "")
+            case yaml.DocumentEndEvent():
+                break
+            case _:
+                continue
+        within[-1][1].append(value)
+        if anchor:
+            known[anchor] = value
+    return next(iter(within[0][1]), None)
+
+
+def _mapping(items: list[Any]) -> dict[str, Any]:
+    """Keys and values in turn, as a mapping; keys that are no text are left out."""
+    return {key: value for key, value in zip(items[::2], items[1::2], strict=True) if isinstance(key, str)}
 
 
 def _names(information: dict[str, Any]) -> list[str]:

@@ -26,7 +26,7 @@ def state_topics(path: Path) -> tuple[str, ...]:
             with path.open("rb") as file:
                 if not matches(file.read(_HEAD_BYTES)):
                     return ()
-        topics = _Candidates(path, None)
+        topics = Topics(path, None, keeping=False)
         for part in files_of(path):
             topics.begin(part)
             with records(part) as found:
@@ -35,10 +35,3 @@ def state_topics(path: Path) -> tuple[str, ...]:
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     return topics.names
-
-
-class _Candidates(Topics):
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Topics with messages of joint states."""
-        return tuple(self._candidates())

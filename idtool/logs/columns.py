@@ -76,7 +76,11 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Ma
     if time is None:
         time = next((_place(path, header, name) for name in _TIMES if name in free.values()), None)
     if not signals:
-        raise LogError(path, f"is no log: its first line names no joint signal, but {some(header)}")
+        raise LogError(
+            path,
+            f"is no log: its first line names no joint signal, but {some(header)}; name the columns t, q_<joint>, "
+            "v_<joint>, tau_<joint>, or map these to them in log.columns",
+        )
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")
     joints = tuple(dict.fromkeys(joint for (_, joint), _ in sorted(signals.items(), key=lambda item: item[1])))

@@ -14,16 +14,16 @@ import numpy as np
 from idtool.exceptions import LogError
 from idtool.logs.columns import find_columns
 from idtool.logs.interleaved import log_of
-from idtool.logs.log import SIGNALS, Array, Log
+from idtool.logs.log import SIGNALS, Log
 from idtool.logs.series import Samples, Series
 from idtool.logs.table import Table
+from idtool.logs.times import in_seconds
 from idtool.names import some
 
 SUFFIXES = (".csv",)
 
-_BLOCK = 1 << 14  # samples looked at or written together
+_BLOCK = 1 << 14  # samples written together
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
-_UNITS = {"ns": 1e9, "us": 1e6, "ms": 1e3}  # to the second
 
 
 def matches(head: bytes) -> bool:
@@ -65,25 +65,10 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
         warnings.append(f"columns that hold no joint signal were ignored: {some(found.unused)}")
     if others:
         warnings.append(f"{others} rows that hold no joint signal were passed over")
-    if unit := _unit(t[:_BLOCK]):
-        t /= _UNITS[unit]
-        warnings.append(f"its times are in {unit}; they were converted to seconds")
+    warnings += in_seconds(t)
     if table.cut:
         warnings.append(f"the file was cut off in mid-write; kept: {len(t)} samples, up to t = {t[-1]:.3f} s")
     return log_of(path, t, joints, arrays, tuple(warnings))
-
-
-def _unit(t: Array) -> str | None:
-    """The unit of times that can't be seconds: their epoch or their step would be far off. None for seconds."""
-    t = t[np.isfinite(t)]
-    if len(t) < 2 or not (t == np.rint(t)).all():
-        return None
-    for unit, per_second in _UNITS.items():
-        if 5e8 < t[0] / per_second < 5e9:  # 1985 to 2128
-            return unit
-    forward = np.diff(t)[np.diff(t) > 0]
-    step = np.median(forward) if len(forward) else 0
-    return "ns" if step >= 1e5 else "us" if step >= 100 else None
 
 
 def write(file: BinaryIO, log: Log) -> None:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from idtool.exceptions import LogError
 from idtool.logs.bag import files_of, is_bag
-from idtool.logs.definitions import Definitions, kind_of
+from idtool.logs.definitions import Definitions, kind_of, listed
 from idtool.logs.files import records
 from idtool.logs.payloads import text_decoder_for
 from idtool.logs.payloads.base import TextDecoder
 from idtool.logs.records import HEAD, MESSAGE_FIELDS, Batch, Records
-from idtool.names import shown, some
+from idtool.names import shown
 
 _TOPIC = "/robot_description"
 _KIND = "std_msgs/msg/String"
@@ -77,13 +77,12 @@ class _Seen:
     """Topics of the bags, and what is on them."""
 
     kinds: dict[str, str] = field(default_factory=dict)
-    empty: list[str] = field(default_factory=list)  # that could carry a description
+    possible: list[str] = field(default_factory=list)  # that could carry a description
 
     def missing(self) -> str:
-        if self.empty:
-            return f"topic {shown(self.empty[0])} holds no message"
-        topics = [f"{name} ({kind})" for name, kind in self.kinds.items()]
-        return f"no topic {_TOPIC} carries the robot's URDF ({_KIND}); there are: {some(topics)}"
+        if self.possible:
+            return f"topic {shown(self.possible[0])} holds no message"
+        return f"no topic {_TOPIC} carries the robot's URDF ({_KIND}); there are: {listed(self.kinds)}"
 
 
 def _descriptions(path: Path, seen: _Seen) -> Iterator[Description]:
@@ -100,15 +99,19 @@ def _descriptions(path: Path, seen: _Seen) -> Iterator[Description]:
 def _texts(path: Path, file: Path, found: Records, seen: _Seen) -> Iterator[tuple[str, bytes]]:
     """The descriptions in a file, each with its topic; what space is around them does not count."""
     definitions = Definitions(file)
+    decoders: dict[tuple[str, int], TextDecoder | None] = {}  # by encoding and schema, as channels share schemas
     channels: dict[int, tuple[str, TextDecoder]] = {}
     for batch in found:
         for channel, schema in definitions.take(batch):
             seen.kinds.setdefault(channel.topic, kind_of(channel, schema))
-            named = channel.topic.endswith(_TOPIC[1:])
-            decoder = text_decoder_for(channel.message_encoding, schema) if named and schema else None
-            if decoder:
+            if not (schema and channel.topic.endswith(_TOPIC[1:])):
+                continue
+            key = channel.message_encoding, schema.id
+            if key not in decoders:
+                decoders[key] = text_decoder_for(channel.message_encoding, schema)
+            if decoder := decoders[key]:
                 channels[channel.id] = channel.topic, decoder
-                seen.empty.append(channel.topic)
+                seen.possible.append(channel.topic)
         for channel_id, message in _messages(batch, list(channels)):
             topic, decode = channels[channel_id]
             try:

@@ -46,7 +46,7 @@ def _checked(path: Path, file: BinaryIO) -> Records:
     if head.strip(b"\0") and not head.startswith(MAGIC):
         what = "is MCAP of an unknown version; convert it with the mcap command line tool"
         raise LogError(path, what if head.startswith(MCAP) else "holds no MCAP; bags of other storage are not read")
-    return Records(path, file)
+    return Records(path, file, path.stat().st_size)
 
 
 def _expand(path: Path, file: BinaryIO, whole: BinaryIO) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.exceptions import LogError
+from idtool.logs.times import doubtful_unit
 from idtool.provenance import Source
 
 Array = NDArray[np.float64]
@@ -115,6 +116,9 @@ def make_log(
         raise LogError(path, "no two consecutive samples are complete; check for missing values")
     if bad.any():
         warnings += (f"{int(bad.sum())} samples hold values that are not finite and were left out",)
+    if unit := doubtful_unit(dt, segments, held):
+        what = f"which are in {unit}, as v tells" if "v" in held else f"which look like {unit}"
+        warnings += (f"samples are {dt:.3g} s apart by their times, {what}: write them in seconds",)
     return Log(path, joints, t, held, segments, dt, warnings)
 
 

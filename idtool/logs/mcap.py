@@ -18,7 +18,9 @@ from idtool.logs.interleaved import log_of
 from idtool.logs.log import Array, Log
 from idtool.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.logs.series import Series
+from idtool.logs.times import in_seconds
 from idtool.logs.topics import COMMANDS_OF, Topics
+from idtool.names import some
 
 SUFFIXES = (".mcap",)
 
@@ -34,7 +36,7 @@ def matches(head: bytes) -> bool:
 
 
 def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
-    """Read the joint states of ``topic``, or of the only topic that carries some; ``columns`` concern CSV alone.
+    """Read the joint states of ``topic``, or of the only topic that carries some; ``columns`` are for CSV.
 
     Parameters
     ----------
@@ -46,30 +48,32 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     LogError
         If a file is damaged, or no topic or several can be meant.
     """
-    files = files_of(path)
-    topics, cut = Topics(path, topic), []
-    for file in files:
+    topics, cut = Topics(path, topic), {}
+    for i, file in enumerate(files_of(path)):
         topics.begin(file)
         with records(file) as found:
             for batch in found:
                 topics.take(batch)
         if found.cut:
-            cut.append(file)
+            cut[i] = "the file" if file == path else file.name
     if cut and not len(topics):
         raise LogError(path, "was cut off before its first message")
     states, commands = topics.chosen()
+    warnings = [f"{name} was cut off in mid-write; kept: {_kept(*states.held(i))}" for i, name in cut.items()]
     t, joints, signals = states.arrays()
-    warnings = [f"{file.name} was cut off in mid-write; its end is missing" for file in cut if file != files[-1]]
-    if files[-1] in cut:
-        kept = f"{len(t)} samples, up to t = {t[-1]:.3f} s" if len(t) else "no samples"
-        name = "the file" if files == [path] else files[-1].name
-        warnings.append(f"{name} was cut off in mid-write; kept: {kept}")
     if commands:
         try:
             signals |= _aligned(commands, t, joints)
         except ValueError as error:
             warnings.append(f"the commands were left out: {error}")
-    return log_of(path, t, joints, signals, tuple(warnings))
+    if columns:
+        warnings.append(f"log.columns names columns of CSV, of which MCAP has none; ignored: {some(columns)}")
+    return log_of(path, t, joints, signals, (*warnings, *in_seconds(t)))
+
+
+def _kept(samples: int, end: float) -> str:
+    """How much of a file that was cut off is read, in words."""
+    return f"{samples} samples, up to t = {end:.3f} s" if samples else "no samples"
 
 
 def _aligned(commands: Series, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:

@@ -83,6 +83,8 @@ class Records:
         The file; errors name it.
     file
         The same, open.
+    stored
+        Size of what it takes on the disk [bytes], by which what its chunks expand to is bounded.
 
     Attributes
     ----------
@@ -90,9 +92,10 @@ class Records:
         Whether the file was cut off in mid-write.
     """
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
+    def __init__(self, path: Path, file: BinaryIO, stored: int) -> None:
         self._path = path
         self._file = file
+        self._stored = stored
         self._size = _written(file)
         self._expanded = 0
         file.seek(max(0, self._size - len(MAGIC)))
@@ -168,7 +171,7 @@ class Records:
             raise self._damaged(at)
         self._bound(at, max(size, stored))
         self._expanded += size
-        if self._expanded > _MOST_EXPANSION * self._size + _MOST_BYTES:
+        if self._expanded > _MOST_EXPANSION * self._stored + _MOST_BYTES:
             raise LogError(
                 self._path, f"expands to more than {_MOST_EXPANSION} times its size; it is no log of a robot"
             )

@@ -17,6 +17,7 @@ from idtool.exceptions import LogError
 from idtool.logs.log import Array
 
 _MOST_JOINTS = 512  # a joint takes room in every sample, so a file must not name them without end
+_MOST_EMPTY = 16, 1 << 24  # values in the arrays for each that a sample gave, and beside those
 _SPARE_BYTES = 1 << 21  # room to grow into, per array, of a long log
 
 
@@ -54,6 +55,7 @@ class Series:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._size = 0
+        self._given = 0  # values
         self._parts: list[int] = []
         self._t: Array = np.empty(0)
         self._columns: dict[str, int] = {}
@@ -68,14 +70,14 @@ class Series:
         Raises
         ------
         LogError
-            If the names of joints go on without end.
+            If the names of joints go on without end, or each sample holds but few of them.
         """
         pieces = [piece for piece in pieces if piece.joints]
         if not pieces:
             return
-        for piece in pieces:
-            self._admit(piece)
         start, self._size = self._size, self._size + sum(len(piece.t) for piece in pieces)
+        self._given += sum(len(piece.t) * len(piece.joints) * len(piece.signals) for piece in pieces)
+        self._admit(pieces)
         self._reserve(self._size)
         for array in self._signals.values():
             array[start : self._size] = np.nan
@@ -92,6 +94,11 @@ class Series:
         """What is added from now on is a part of its own, as the next file is of a log in several."""
         self._parts.append(self._size)
 
+    def held(self, part: int) -> tuple[int, float]:
+        """How many samples a part has, and the time of its last [s], NaN without one; before `arrays` alone."""
+        start, stop = [*self._parts, self._size][part : part + 2]
+        return stop - start, float(self._t[stop - 1]) if stop > start else np.nan
+
     def arrays(self) -> tuple[Array, tuple[str, ...], dict[str, Array]]:
         """Times (N,), joints, and signals (N, nj), without a copy; the series must not be added to after."""
         self._resize(self._size)
@@ -107,18 +114,25 @@ class Series:
         for column in (self._t, *(column for array in self._signals.values() for column in array.T)):
             column[:] = np.concatenate([column[bounds[i] : bounds[i + 1]] for i in order])
 
-    def _admit(self, piece: Samples) -> None:
-        """Make room for the joints and signals of a piece that are new."""
-        new = [joint for joint in piece.joints if joint not in self._columns]
-        if len(self._columns) + len(new) > _MOST_JOINTS:
+    def _admit(self, pieces: Sequence[Samples]) -> None:
+        """Make room for what is new in pieces that `_size` and `_given` count already."""
+        joints = dict.fromkeys(joint for piece in pieces for joint in piece.joints)
+        new = [joint for joint in joints if joint not in self._columns]
+        count = len(self._columns) + len(new)
+        if count > _MOST_JOINTS:
             raise LogError(self._path, f"names more than {_MOST_JOINTS} joints; is this a log of one robot?")
+        names = self._signals.keys() | {name for piece in pieces for name in piece.signals}
+        times, beside = _MOST_EMPTY
+        if self._size * count * len(names) > times * self._given + beside:
+            what = f"names {count} joints, of which a message holds but few; is this a log of one robot?"
+            raise LogError(self._path, what)
         if new:
             self._columns |= {joint: len(self._columns) + i for i, joint in enumerate(new)}
             for name, array in self._signals.items():
                 self._signals[name] = np.pad(array, ((0, 0), (0, len(new))), constant_values=np.nan)
-        for name in piece.signals:
+        for name in (name for piece in pieces for name in piece.signals):
             if name not in self._signals:
-                self._signals[name] = np.full((len(self._t), len(self._columns)), np.nan)
+                self._signals[name] = np.full((len(self._t), count), np.nan)
 
     def _reserve(self, size: int) -> None:
         if size > len(self._t):

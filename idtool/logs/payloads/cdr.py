@@ -58,8 +58,12 @@ def text(schema: Schema) -> TextDecoder | None:
 
 
 def _text(message: bytes) -> bytes:
-    cursor = _Cursor(message)
-    return cursor.fixed(cursor.count()).removesuffix(b"\0")
+    order, _ = _kind(message)
+    begin = _HEADER + 4
+    size = struct.unpack_from(f"{order}I", message, _HEADER)[0] if len(message) >= begin else begin
+    if begin + size > len(message):
+        raise _ended(message)
+    return message[begin : begin + size].removesuffix(b"\0")
 
 
 def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:
@@ -67,14 +71,23 @@ def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) 
     return samples
 
 
+def _kind(message: bytes) -> tuple[str, int]:
+    """Byte order and largest alignment of a message."""
+    kind = _KINDS.get(int.from_bytes(message[:2], "big")) if len(message) >= _HEADER else None
+    if kind is None:
+        raise ValueError(f"is not plain CDR: it begins with {message[:_HEADER].hex(' ') or 'nothing'}")
+    return kind
+
+
+def _ended(message: bytes) -> ValueError:
+    return ValueError(f"ends after {len(message)} bytes, within its fields")
+
+
 class _Cursor:
     """Walks over a message and notes which of its bytes make the layout."""
 
     def __init__(self, message: bytes) -> None:
-        kind = _KINDS.get(int.from_bytes(message[:2], "big")) if len(message) >= _HEADER else None
-        if kind is None:
-            raise ValueError(f"is not plain CDR: it begins with {message[:_HEADER].hex(' ') or 'nothing'}")
-        self.order, self.most = kind
+        self.order, self.most = _kind(message)
         self.message = message
         self.at = _HEADER
         self.mask = np.zeros(len(message), np.uint8)
@@ -85,7 +98,7 @@ class _Cursor:
         start = self.at + (_HEADER - self.at) % min(align, self.most)
         self.at = start + size
         if self.at > len(self.message):
-            raise ValueError(f"ends after {len(self.message)} bytes, within its fields")
+            raise _ended(self.message)
         return start
 
     def fixed(self, size: int, align: int = 1) -> bytes:

@@ -20,6 +20,7 @@ from idtool.logs.payloads.base import (
     samples_of,
 )
 from idtool.logs.series import Samples
+from idtool.names import shown
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -86,19 +87,31 @@ def _state(i: int, message: Any) -> State:
             raise TypeError
         if not all(isinstance(value, list | tuple) for value in values):
             raise TypeError
-        return State(_seconds(message), joints, values)
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
+    except (AttributeError, KeyError, TypeError):
         raise PayloadError(i, "is no joint state: it needs a list of names, and lists of values") from None
+    return State(_seconds(i, message), joints, values)
 
 
-def _seconds(message: Any) -> float:
+def _seconds(i: int, message: Any) -> float:
+    """The stamp of a message; one that is a number is left in its unit."""
     for path in STAMPS:
         stamp = message
         for field in path:
-            stamp = stamp.get(field) or {}
+            stamp = stamp.get(field) if isinstance(stamp, dict) else None
         if stamp:
-            return float(_first(stamp, SECONDS) + _first(stamp, NANOSECONDS) / 1e9)
+            try:
+                return float(stamp if isinstance(stamp, int | float) else _sum(stamp))
+            except (TypeError, OverflowError):
+                what = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}: {shown(str(stamp))}"
+                raise PayloadError(i, what) from None
     return 0.0
+
+
+def _sum(stamp: Any) -> Any:
+    total = _first(stamp, SECONDS) + _first(stamp, NANOSECONDS) / 1e9
+    if not (total or any(name in stamp for name in (*SECONDS, *NANOSECONDS))):
+        raise TypeError
+    return total
 
 
 def _first(stamp: Any, names: tuple[str, ...]) -> Any:
