@@ -21,6 +21,8 @@ from idtool.config import Config
 from idtool.exceptions import ConfigError, LogError
 from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above
 from idtool.logs.log import Log
+from idtool.logs.times import doubtful_unit
+from idtool.names import some
 
 Array = NDArray[np.float64]
 
@@ -168,8 +170,8 @@ class Signals:
 
     def _say(self, what: str, which: NDArray[np.bool_]) -> None:
         if which.any():
-            names = ", ".join(name for name, chosen in zip(self.joints, which, strict=True) if chosen)
-            self.warnings.append(f"{what}: {names}")
+            names = [name for name, chosen in zip(self.joints, which, strict=True) if chosen]
+            self.warnings.append(f"{what}: {some(names)}")
 
     def _say_velocity(self) -> None:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
@@ -280,13 +282,12 @@ def _band(log: Log, config: Config) -> float:
     rate, duration = 1 / log.dt, len(log) * log.dt
     band = config.filter.cutoff_hz or default_cutoff(log.dt)
     if band >= 0.45 * rate:
-        raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path}, sampled at {rate:.0f} Hz")
+        unit = doubtful_unit(log.dt, log.segments, log.signals)
+        times = f"; its times seem to be in {unit}, not in s" if unit else ""
+        raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path} sampled at {rate:.4g} Hz{times}")
     if band * duration < 1:
-        raise LogError(
-            log.path,
-            f"lasts {duration:.3g} s, less than a period of the {band:g} Hz filter; log for longer, or set a higher "
-            "filter.cutoff_hz",
-        )
+        what = f"lasts {duration:.3g} s, less than a period of the {band:g} Hz filter"
+        raise LogError(log.path, f"{what}; log for longer, or set a higher filter.cutoff_hz")
     return band
 
 

@@ -201,3 +201,9 @@ def test_files(tmp_path: Path, command: str, path: str, naming: str) -> None:
 def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     refuse(tmp_path, "inspect", "pipe", naming="pipe: ")
+
+
+def test_times_in_milliseconds_are_said_where_the_filter_cannot_be(tmp_path: Path) -> None:
+    table = [HEADER, *([repr(float(row[0]) * 1000), *row[1:]] for row in SAMPLES)]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(map(str, row)) for row in table))
+    refuse(tmp_path, "fit", LEG, "log.csv", naming="its times seem to be in ms, not in s")

@@ -120,7 +120,7 @@ def test_a_urdf_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="is a folder; give a URDF"):
         read_robot(tmp_path)
     (tmp_path / "identified.urdf").touch()
-    with pytest.raises(ModelError, match="is a folder; give .*/identified.urdf"):
+    with pytest.raises(ModelError, match=r"is a folder; give .*/identified\.urdf"):
         read_robot(tmp_path)
 
 
