@@ -157,7 +157,8 @@ class Experiment:
         """
         still = [name for name, factor in zip(self.equation.joints, data, strict=True) if not factor.rows]
         if len(still) == len(data) and not self.samples(held_out=False):
-            longest = max((part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train)
+            lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
+            longest = max(lengths, default=0.0)
             what = f"no stretch without a gap is long enough for the filter; the longest has {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect tells where samples are missing")
         if still:

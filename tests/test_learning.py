@@ -108,7 +108,8 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
     def run(first: int) -> Any:
         signals = SimpleNamespace(
             low_pass=SimpleNamespace(redundancy=2.0),
-            log=SimpleNamespace(path=Path("log.csv")),
+            every_sample=SimpleNamespace(edge=0),
+            log=SimpleNamespace(path=Path("log.csv"), dt=0.001),
             batches=lambda _: batches(first),
         )
         return SimpleNamespace(signals=signals, train=(slice(0, sum(sizes)),))
@@ -154,12 +155,19 @@ def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(of_log / of_log.sum(), 1 / 3, atol=0.02)
 
 
-@pytest.mark.parametrize("sizes", [[], [5]], ids=["no samples", "samples that do not count"])
-def test_nothing_to_fit_to_is_said(sizes: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ([], "no stretch without a gap is long enough for the filter"),
+        ([5], "joint hip hardly moves in the part to fit; log a motion"),
+    ],
+    ids=["no samples", "samples that do not count"],
+)
+def test_nothing_to_fit_to_is_said(sizes: list[int], said: str) -> None:
     experiment = stream(sizes)
     rows = experiment.equation.rows
     experiment.equation.rows = lambda batch: (rows(batch)[0], [np.zeros(5, dtype=bool)])  # type: ignore[method-assign]
-    with pytest.raises(LogError, match=r"^log.csv: joint hip hardly moves in the part to fit; log a motion"):
+    with pytest.raises(LogError, match=f"^log.csv: {said}"):
         gather(experiment, np.random.default_rng(0), silent)
 
 

@@ -96,7 +96,7 @@ def test_a_velocity_that_is_off_on_average_moves_neither_the_motion_nor_the_torq
     np.testing.assert_allclose(biased.channels.bias, off, atol=1e-4)
     for of in (lambda m: m.logged, lambda m: m.v):
         np.testing.assert_allclose(joined(biased, of), joined(true, of), rtol=0, atol=2e-4)
-    assert any("off by up to 0.03 on average, undone: hip, knee" in warning for warning in biased.warnings)
+    assert any("off by up to 0.03 rad/s (m/s) on average, undone: hip, knee" in warning for warning in biased.warnings)
     assert not any("on average" in warning for warning in true.warnings)
 
 
