@@ -243,3 +243,12 @@ def test_real_robots(tmp_path: Path, folder: str) -> None:
 def test_the_samples_pass(tmp_path: Path) -> None:
     for path in sorted(SAMPLES.glob("*.urdf")):
         assert idtool("ellipsoids", path, "--check", "--quiet", folder=tmp_path).code == 0
+
+
+@pytest.mark.parametrize("name", ["leg.urdf", "leg.yaml"])
+def test_ellipsoids_take_no_inputs_place(tmp_path: Path, name: str) -> None:
+    for file in (LEG, LEG.with_suffix(".yaml")):
+        shutil.copy(file, tmp_path)
+    done = idtool("ellipsoids", "leg.urdf", "--out", name, folder=tmp_path)
+    assert (done.code, done.err) == (2, f"error: {name}: is a file that is read; give another --out\n")
+    assert (tmp_path / name).read_bytes() == LEG.with_name(name).read_bytes()

@@ -128,3 +128,14 @@ def test_go2_has_every_rotor_once() -> None:
     np.testing.assert_allclose(own_h, h[:, 0], **EXACT)
     drakes = pin.buildModelFromXML(to_drake(model).text.decode())
     assert sum(inertia.mass for inertia in drakes.inertias) == pytest.approx(sum(masses))
+
+
+def test_the_model_itself_may_be_named_and_is_not_written_over(out: Path) -> None:
+    before = files(out)
+    done = idtool("export", "leg_idtool/identified.urdf", "--to", "drake", "--quiet", folder=out.parent)
+    assert (done.code, done.err) == (0, "")
+    assert files(out).keys() - before.keys() == {FILES["drake"]}
+    for name in ("identified.urdf", "model.yaml"):
+        done = idtool("export", out, "--to", "mujoco", "--out", out / name)
+        assert (done.code, done.err) == (2, f"error: {out / name}: is a file that is read; give another --out\n")
+        assert files(out)[name] == before[name]

@@ -100,3 +100,20 @@ def test_what_was_made_in_python_has_no_hash_and_says_so(folder: Path, tmp_path:
     assert inputs == [("URDF", str(LEG), sha256(LEG)), ("log", "made up", None)]
     found.save(tmp_path)
     assert "not from a file" in Page((tmp_path / "report.html").read_text()).text
+
+
+def test_a_log_given_twice_counts_twice_and_that_is_said(folder: Path) -> None:
+    done = idtool("fit", "leg.urdf", "bag", "bag", "--quick", "--json", "--quiet", folder=folder)
+    assert "run 1.mcap: the same log more than once; standard errors are too small" in done.json["warnings"]
+
+
+def test_a_mistake_in_the_configuration_names_its_file(folder: Path) -> None:
+    (folder / "wrong.yml").write_text("joints: [hipp]\n")
+    (folder / "wrong.urdf").write_bytes(LEG.read_bytes())
+    for options in (["wrong.urdf"], ["leg.urdf", "--config", "wrong.yml"]):
+        done = idtool("fit", *options, "bag", "--out", "none", folder=folder)
+        assert (done.code, done.out) == (2, "")
+        assert done.err.startswith(
+            "error: wrong.yml: joints: hipp: is no actuated joint of the URDF; did you mean hip?"
+        )
+    assert not (folder / "none").exists()

@@ -37,7 +37,8 @@ def export_command(
 ) -> None:
     """Write the identified model for a simulator, and tell what the simulator cannot carry."""
     from idtool.export import read_identified, to_drake, to_mujoco
-    from idtool.outputs import write_all
+    from idtool.export.identified import CONFIG, URDF
+    from idtool.outputs import check_file, write_all
     from idtool.report import HEADER
     from idtool.terminal import Terminal
 
@@ -46,6 +47,9 @@ def export_command(
     terminal = Terminal(quiet, as_json)
     with terminal.progress() as progress:
         progress("reading", 0.0)
+        folder = folder.parent if folder.is_file() else folder
+        if out is not None:
+            check_file(out, [folder / URDF, folder / CONFIG])
         identified = read_identified(folder)
         export = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
         file = out or folder / export.name

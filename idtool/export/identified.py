@@ -118,8 +118,6 @@ def read_identified(folder: Path) -> Identified:
     IdtoolError
         If one of its two files is missing or cannot be used.
     """
-    if folder.name in (URDF, CONFIG) and folder.is_file():
-        folder = folder.parent
     for name in (URDF, CONFIG):
         if not (folder / name).is_file():
             raise ModelError(folder / name, "is missing; give the folder that idtool fit wrote to")
