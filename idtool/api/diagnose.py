@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,12 +13,12 @@ from idtool.api.assumed import Assumed, check_assumed, known_assumption, known_c
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis_report import diagnosis_report
 from idtool.diagnosis_words import on
 from idtool.exceptions import ConfigError
-from idtool.outputs import as_json, as_yaml, write_all
+from idtool.outputs import as_json, as_yaml
 from idtool.report import model_config
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosisResult(Recordable):
+class DiagnosisResult(Saved):
     """What a model lacks, and the model with it.
 
     Attributes
@@ -112,45 +111,24 @@ class DiagnosisResult(Recordable):
         """The model with the effects, for `idtool.validate`, `idtool.simulate` and `idtool.diagnose`."""
         return Model.identified(self._diagnosis.last)
 
-    def to_json(self) -> dict[str, Any]:
-        """What `idtool diagnose --json` prints, the content of diagnosis.json; a copy."""
-        return dict(json.loads(as_json(self._report)))
-
     def save(
         self, folder: str | os.PathLike[str], made_by: str | None = None, report_only: bool = False
     ) -> tuple[Path, ...]:
-        """Write diagnosis.json, diagnosis.html, model.yaml and identified.urdf, all or none, as `idtool diagnose` does.
+        """The same as of a fit; ``report_only`` leaves out the model."""
+        return self._write(folder, made_by, (SETTINGS, IDENTIFIED) if report_only else ())
 
-        Parameters
-        ----------
-        folder
-            Where to; made where it is not there.
-        made_by
-            What the page says it was made by; None: the call.
-        report_only
-            Without the model.
-
-        Returns
-        -------
-        The files.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
+    def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.pages import diagnosis_page
 
-        text = self._made_by if made_by is None else made_by
-        page = diagnosis_page(self._diagnosis, self._report, text)
-        files: dict[str, str | bytes] = {"diagnosis.json": as_json(self._report), "diagnosis.html": page}
-        if not report_only:
-            last = self._diagnosis.last
-            urdf = last.experiment.model.robot.path.name
-            header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
-            files |= {SETTINGS: as_yaml(model_config(last), header), IDENTIFIED: identified_text(last, Path(folder))}
-        write_all(Path(folder), files)
-        return tuple(Path(folder, name) for name in files)
+        last = self._diagnosis.last
+        urdf = last.experiment.model.robot.path.name
+        header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
+        return {
+            "diagnosis.json": as_json(self._report),
+            "diagnosis.html": diagnosis_page(self._diagnosis, self._report, made_by),
+            SETTINGS: as_yaml(model_config(last), header),
+            IDENTIFIED: identified_text(last, folder),
+        }
 
     def _recorded(self) -> Recorded:
         from idtool.api.recording import of_fit

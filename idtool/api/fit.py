@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Body, Friction, Rms, body_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.maps import residual_maps
 from idtool.experiment import Experiment
 from idtool.fitting import Fit
 from idtool.fitting import fit as identify
 from idtool.identified import Method
-from idtool.outputs import as_json, as_yaml, write_all
+from idtool.outputs import as_json, as_yaml
 from idtool.report import fit_report, model_config
 
 if TYPE_CHECKING:
@@ -34,7 +32,7 @@ _SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FitResult(Recordable):
+class FitResult(Saved):
     """An identified model, and how far to trust it.
 
     Attributes
@@ -70,41 +68,17 @@ class FitResult(Recordable):
         """The identified model, for `idtool.validate`, `idtool.simulate` and `idtool.diagnose`."""
         return Model.identified(self._fit)
 
-    def to_json(self) -> dict[str, Any]:
-        """What `idtool fit --json` prints, the content of report.json; a copy."""
-        return dict(json.loads(as_json(self._report)))
-
-    def save(self, folder: str | os.PathLike[str], made_by: str | None = None) -> tuple[Path, ...]:
-        """Write identified.urdf, model.yaml, report.json and report.html, all or none, as `idtool fit` does.
-
-        Parameters
-        ----------
-        folder
-            Where to; made where it is not there.
-        made_by
-            What the page says it was made by; None: the call.
-
-        Returns
-        -------
-        The files.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
+    def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.pages import fit_page
 
         urdf = self._fit.experiment.model.robot.path.name
         header = f"Identified by idtool from {urdf}; with identified.urdf it is the identified model."
-        files: dict[str, str | bytes] = {
-            IDENTIFIED: identified_text(self._fit, Path(folder)),
+        return {
+            IDENTIFIED: identified_text(self._fit, folder),
             SETTINGS: as_yaml(model_config(self._fit), header),
             "report.json": as_json(self._report),
-            "report.html": fit_page(self._fit, dict(self._report), made_by or self._made_by, self._maps),
+            "report.html": fit_page(self._fit, dict(self._report), made_by, self._maps),
         }
-        write_all(Path(folder), files)
-        return tuple(Path(folder, name) for name in files)
 
     def _recorded(self) -> Recorded:
         from idtool.api.recording import of_fit

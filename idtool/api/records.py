@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from idtool.outputs import as_json, write_all
 
 if TYPE_CHECKING:
     from idtool.envelope import Trace
@@ -122,3 +125,47 @@ class Recordable(ABC):
     @abstractmethod
     def _recorded(self) -> Recorded:
         """The robot, of each log the torque and the positions, and the model that is shown."""
+
+
+class Saved(Recordable):
+    """A result that is written as files, and is one JSON object."""
+
+    _report: Mapping[str, Any]
+    _made_by: str
+
+    def to_json(self) -> dict[str, Any]:
+        """What the command prints with ``--json``, the content of its JSON file; a copy."""
+        return dict(json.loads(as_json(self._report)))
+
+    def save(self, folder: str | os.PathLike[str], made_by: str | None = None) -> tuple[Path, ...]:
+        """Write the files that the command writes, all or none.
+
+        Parameters
+        ----------
+        folder
+            Where to; made where it is not there.
+        made_by
+            What the page says it was made by; None: the call.
+
+        Returns
+        -------
+        The files.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        return self._write(folder, made_by)
+
+    def _write(
+        self, folder: str | os.PathLike[str], made_by: str | None, without: Sequence[str] = ()
+    ) -> tuple[Path, ...]:
+        every = self._files(Path(folder), self._made_by if made_by is None else made_by)
+        files = {name: content for name, content in every.items() if name not in without}
+        write_all(Path(folder), files)
+        return tuple(Path(folder, name) for name in files)
+
+    @abstractmethod
+    def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
+        """The files' contents by name."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.api.records import Array, Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
 from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, coefficients_of, sources_of
 from idtool.model import Model as RobotModel
 from idtool.names import nearest
-from idtool.outputs import as_json, write_all
+from idtool.outputs import as_json
 from idtool.replay import Replay, replay
 from idtool.report import validation_report
 from idtool.simulation_report import simulation_notes, simulation_report
@@ -47,7 +45,7 @@ class ModelRms:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ValidationResult(Recordable):
+class ValidationResult(Saved):
     """How well a model predicts the torque and the motion of logs.
 
     Attributes
@@ -80,37 +78,12 @@ class ValidationResult(Recordable):
     _report: Mapping[str, Any]
     _made_by: str
 
-    def to_json(self) -> dict[str, Any]:
-        """What `idtool validate --json` prints, the content of validation.json; a copy."""
-        return dict(json.loads(as_json(self._report)))
-
-    def save(self, folder: str | os.PathLike[str], made_by: str | None = None) -> tuple[Path, ...]:
-        """Write validation.json and validation.html, both or none, as `idtool validate` does.
-
-        Parameters
-        ----------
-        folder
-            Where to; made where it is not there.
-        made_by
-            What the page says it was made by; None: the call.
-
-        Returns
-        -------
-        The files.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
+    def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.pages import validation_page
 
-        text = self._made_by if made_by is None else made_by
         bodies = (self._model, self._models)
-        page = validation_page(self._evaluation, dict(self._report), text, self._rollouts, bodies)
-        files = {"validation.json": as_json(self._report), "validation.html": page}
-        write_all(Path(folder), files)
-        return tuple(Path(folder, name) for name in files)
+        page = validation_page(self._evaluation, dict(self._report), made_by, self._rollouts, bodies)
+        return {"validation.json": as_json(self._report), "validation.html": page}
 
     def _recorded(self) -> Recorded:
         from idtool.api.recording import beside
