@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from idtool.convex import principal_axes
+
 Array = NDArray[np.float64]
+
+_MORE = 32  # points beyond an ellipsoid that are heeded next
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,9 @@ class Ellipsoid:
 def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float = 0.05) -> Ellipsoid:
     """The ellipsoid of least volume around points, shape (n, 3), within a relative tolerance of its volume.
 
-    Khachiyan's algorithm with the step of Todd & Yildirim (2007) on the points' hull. Points in a plane or on a line
-    get a semi-axis of about ``flattest`` times the largest distance from their mean.
+    Khachiyan's algorithm with the step of Todd & Yildirim (2007), on some of the points to which those farthest beyond
+    the ellipsoid are added until there are none. Points in a plane or on a line get a semi-axis of about ``flattest``
+    times the largest distance from their mean.
 
     Raises
     ------
@@ -109,32 +113,45 @@ def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float 
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     if not len(points) or not np.isfinite(points).all():
         raise ValueError("an ellipsoid needs at least one point, all of them finite")
-    try:
-        hull = points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
-        hull = points
-    hull = _thicken(hull, flattest)
-    middle, scale = hull.mean(axis=0), np.abs(hull - hull.mean(axis=0)).max()  # far away, squares would lose digits
-    hull = (hull - middle) / scale
-    center, shape = _khachiyan(hull, tolerance)
-    squares, axes = np.linalg.eigh(shape)
+    cloud = _thicken(points, flattest)
+    middle = cloud.mean(axis=0)
+    scale = float(np.abs(cloud - middle).max())  # far away, squares would lose digits
+    cloud = (cloud - middle) / scale
+    core = _spanning(cloud)
+    while True:
+        center, shape = _khachiyan(cloud[core], tolerance)
+        squares, axes = np.linalg.eigh(shape)
+        distance = np.square((cloud - center) @ axes / np.sqrt(squares)).sum(axis=1)
+        beyond = np.setdiff1d(np.flatnonzero(distance > 1 + 2 * tolerance), core)
+        if not len(beyond):
+            break
+        core = np.concatenate([core, beyond[np.argsort(distance[beyond])[-_MORE:]]])
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    # Khachiyan stops just inside: grow until every point is in.
-    reach = np.square((hull - center) @ axes / np.sqrt(squares)).sum(axis=1).max()
-    semi_axes = np.sqrt(squares * max(reach, 1.0))
+    semi_axes = np.sqrt(squares * max(distance.max(), 1.0))  # Khachiyan stops just inside: grow until every point is in
     return Ellipsoid.along(middle + scale * center, scale * semi_axes, axes)
 
 
 def _thicken(points: Array, flattest: float) -> Array:
     """Add points so that the cloud spans three dimensions."""
     center = points.mean(axis=0)
-    _, _, axes = np.linalg.svd(points - center, full_matrices=True)
+    axes = principal_axes(points)
     extent = np.ptp((points - center) @ axes.T, axis=0)
     # Not the largest extent: the axes of a square's points may be its sides or its diagonals.
     least = flattest * max(2 * np.linalg.norm(points - center, axis=1).max(), 1e-3)
     thin = axes[extent < least]
     return np.concatenate([points, *(center + sign * 0.5 * least * thin for sign in (-1, 1))])
+
+
+def _spanning(points: Array) -> NDArray[np.intp]:
+    """Indices of some extreme points that span three dimensions, as all of them do."""
+    axes = principal_axes(points)
+    core = np.zeros(0, dtype=np.intp)
+    for _ in range(4):  # of a point, a line and a plane the last axis leads out
+        local = points @ axes.T
+        core = np.union1d(core, [*local.argmin(axis=0), *local.argmax(axis=0)])
+        axes = principal_axes(points[core])
+    return core
 
 
 def _khachiyan(points: Array, tolerance: float) -> tuple[Array, Array]:

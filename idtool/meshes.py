@@ -6,6 +6,7 @@ geometry, and bounded in size.
 
 from __future__ import annotations
 
+import gc
 import io
 import logging
 import os
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 
 _MOST = 1e6  # m; what is larger is no robot
 _MOST_BYTES = 100 << 20
+_LARGE = 1 << 20  # bytes
 _MOST_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
 _FORMATS = ("stl", "obj", "ply", "off", "dae")
 _FINEST = 128  # cells along the longest side in which corners are put together
@@ -54,6 +56,13 @@ class Mesh:
     points: Array
     faces: NDArray[np.intp]
 
+    @property
+    def corners(self) -> Array:
+        """The points that are the corner of a face, shape (k, 3) [m]."""
+        used = np.zeros(len(self.points), dtype=bool)
+        used[self.faces] = True
+        return self.points if used.all() else self.points[used]
+
 
 def read_mesh(urdf: Path, name: str) -> Mesh:
     """The mesh that a URDF names, as in the file.
@@ -79,8 +88,10 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
     if len(data) > _MOST_BYTES:
         raise UnreadableError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
     mesh = _triangles(path, data, kind)
-    corners = mesh.points[np.unique(mesh.faces)]
-    if not len(corners) or not (np.abs(corners) < _MOST).all():
+    if len(data) > _LARGE:
+        gc.collect()  # trimesh's objects hold each other: several times what is kept
+    corners = mesh.corners
+    if not len(corners) or not (corners.min() > -_MOST and corners.max() < _MOST):
         what = f"a vertex that is not within {_MOST:g} m" if len(corners) else "no faces"
         raise UnreadableError(f"mesh {path} holds {what}")
     return mesh
@@ -156,8 +167,10 @@ def _triangles(path: Path, data: bytes, kind: str) -> Mesh:
                 T, name = scene.graph[node]
                 part = scene.geometry[name]
                 if isinstance(part, trimesh.Trimesh):
-                    parts.append(Mesh(unit * (part.vertices @ T[:3, :3].T + T[:3, 3]), np.asarray(part.faces)))
-            return together(parts)
+                    points = part.vertices @ (unit * T[:3, :3].T)
+                    points += unit * T[:3, 3]
+                    parts.append(Mesh(points, np.asarray(part.faces)))
+            return parts[0] if len(parts) == 1 else together(parts)
     except (UnreadableError, ModelError) as error:
         raise UnreadableError(f"mesh {path} {getattr(error, 'what', error)}") from None
     except Exception as error:  # the parsers have no error of their own for contents that are not the format's

@@ -16,7 +16,7 @@ from idtool.effects.rigid_body import scales
 from idtool.exceptions import SolverError
 from idtool.identify import solve
 from idtool.inertia import SIZE
-from idtool.metric import nearest_realizable, pullback
+from idtool.metric import FLOOR, nearest_realizable, pullback
 from idtool.parts import parts_of
 from idtool.prior import reference
 from idtool.problem import Problem
@@ -121,4 +121,7 @@ def nearest_problem(pi: Array, chosen: ConstraintSet, body: Body, A: Array, unit
     none = np.zeros(0)
     parts = parts_of([body], [chosen], np.arange(SIZE))
     others = none.astype(np.intp)
-    return Problem(A, A @ (pi / unit), 0.0, unit, np.eye(SIZE), parts, (body.name,), others, none, E, np.zeros(len(E)))
+    facts = E, np.zeros(len(E))
+    return Problem(
+        A, A @ (pi / unit), 0.0, unit, np.eye(SIZE), parts, (body.name,), others, none, *facts, interior=FLOOR
+    )

@@ -104,6 +104,19 @@ class Robot:
     joints: dict[str, Joint]
     source: Source
 
+    def path_to(self, joint: str) -> list[str]:
+        """Joints from one to the root, itself first."""
+        carrying = {one.child: one for one in self.joints.values()}
+        found, here = [], self.joints.get(joint)
+        while here is not None:
+            found.append(here.name)
+            here = carrying.get(here.parent)
+        return found
+
+    def on_one_branch(self, joint: str, other: str) -> bool:
+        """Whether one of two joints carries the other."""
+        return joint in self.path_to(other) or other in self.path_to(joint)
+
 
 def read_robot(path: Path) -> Robot:
     """The robot in a URDF.

@@ -6,8 +6,10 @@ import cvxpy as cp
 import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from idtool.ellipsoid import smallest_around
 from idtool.inequality import Piece
 from idtool.inertia import BASIS, from_pseudo_inertia
 from idtool.shapes import Hull, Shape
@@ -16,6 +18,8 @@ from idtool.shapes.capsule import Capsule
 from idtool.shapes.cylinder import Cylinder
 
 Array = NDArray[np.float64]
+
+_UPPER = np.triu_indices(4)
 
 seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 KINDS = ("box", "cylinder", "capsule", "hull")
@@ -101,4 +105,57 @@ class Problem:
     def least(self, W: Array) -> float:
         """Of Tr(J W)."""
         self.cost.value = np.einsum("kij,ij->k", BASIS, W)
-        return float(self.problem.solve(solver="CLARABEL"))
+        tolerances = {"tol_gap_abs": 1e-7, "tol_gap_rel": 1e-7, "tol_feas": 1e-7}
+        return float(self.problem.solve(solver="CLARABEL", **tolerances))
+
+
+class Largest:
+    """How large a body of a given centre and form may be, by what is demanded of bodies in a hull.
+
+    Parameters
+    ----------
+    hull
+        The hull.
+    form
+        ``conditions``: its own; ``ellipsoid``: of its least ellipsoid; ``corners``: a second moment within that of
+        masses at its corners.
+    """
+
+    def __init__(self, hull: Hull, form: str) -> None:
+        self.com = cp.Parameter(3)
+        self.about_com, self.spread = (cp.Parameter((3, 3), symmetric=True) for _ in range(2))
+        share, pi = cp.Variable(), cp.Variable(10)
+        J = sum(pi[k] * BASIS[k] for k in range(10))
+        second = self.about_com + share * self.spread
+        demands = [pi[0] == 1, pi[1:4] == self.com, J[:3, :3] == second, 0.5 * (J + J.T) >> 0]
+        corners = np.array(hull.vertices)
+        if form == "conditions":
+            (piece,) = hull.pieces()
+            demands.append(piece.inequalities[1].G.T @ pi >= 0)
+        elif form == "ellipsoid":
+            demands.append(cp.trace(J @ smallest_around(corners).Q) >= 0)
+        else:
+            masses = cp.Variable(len(corners), nonneg=True)
+            most = corners.T @ cp.diag(masses) @ corners
+            demands += [cp.sum(masses) == 1, corners.T @ masses == self.com, 0.5 * (most + most.T) - second >> 0]
+        self.problem = cp.Problem(cp.Maximize(share), demands)
+
+    def size(self, com: Array, spread: Array) -> float:
+        """The most s with Sigma_C = s² spread of a body of 1 kg."""
+        self.com.value, self.about_com.value, self.spread.value = com, np.outer(com, com), spread
+        return float(np.sqrt(self.problem.solve(solver="CLARABEL")))
+
+
+def largest_on_grid(places: Array, com: Array, spread: Array) -> float:
+    """The same of masses at places, shape (n, 3): a linear programme; 0 where they have no such body."""
+    lifted = np.column_stack([places, np.ones(len(places))])
+    moments = np.array([np.outer(x, x)[_UPPER] for x in lifted]).T
+    centred, more = np.outer(np.append(com, 1), np.append(com, 1)), np.zeros((4, 4))
+    more[:3, :3] = spread
+    answer = linprog(
+        np.append(np.zeros(len(places)), -1),
+        A_eq=np.column_stack([moments, -more[_UPPER]]),
+        b_eq=centred[_UPPER],
+        bounds=[(0, None)] * len(places) + [(None, None)],
+    )
+    return float(np.sqrt(max(-answer.fun, 0))) if answer.status == 0 else 0.0

@@ -34,6 +34,26 @@ def test_the_urdf_is_read_as_written(robot_of: Read) -> None:
     assert (second.lower, second.upper, second.effort, second.damping) == (-np.inf, np.inf, np.inf, 0.0)
 
 
+def test_joints_on_one_branch_carry_each_other(robot_of: Read) -> None:
+    """A trunk with two legs, one of two joints; by Pinocchio, torque couples joints of a branch and no others."""
+    moments = 'ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"'
+    mass = f'<inertial><origin xyz="0.1 0.2 0.3"/><mass value="1"/><inertia {moments}/></inertial>'
+    limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
+    ends = {"hip": ("trunk", "thigh"), "knee": ("thigh", "shank"), "other": ("trunk", "stick")}
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>{limit}</joint>'
+        for name, (parent, child) in ends.items()
+    )
+    links = "".join(f'<link name="{child}">{mass}</link>' for _, child in ends.values())
+    text = f'<robot name="r"><link name="trunk"/>{links}{joints}</robot>'
+    robot, model = robot_of(text), pin.buildModelFromXML(text)
+    coupled = np.triu(pin.crba(model, model.createData(), np.zeros(3)))
+    for i, one in enumerate(model.names[1:]):
+        for j, another in enumerate(model.names[1:]):
+            assert robot.on_one_branch(one, another) == (coupled[i, j] + coupled[j, i] != 0)
+    assert robot.path_to("knee") == ["knee", "hip"]
+
+
 def test_an_inertial_frame_is_turned_into_the_links(robot_of: Read, rng: np.random.Generator) -> None:
     text = chain(link(1)).replace('<link name="l1"/>', f'<link name="l1">{inertial(rng)}</link>')
     (expected,) = [i.toDynamicParameters() for i in list(pin.buildModelFromXML(text).inertias)[1:]]

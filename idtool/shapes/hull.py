@@ -1,10 +1,9 @@
-"""The convex hull of points, such as a mesh's, by point masses (Ayusawa et al.)."""
+"""The convex hull of points, such as a mesh's."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -12,11 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from idtool.inequality import Piece, masses
-from idtool.shapes.base import Array, Shape, Vector
+from idtool.convex import corners_of, enclosing, enclosing_planes, principal_axes
+from idtool.ellipsoid import smallest_around
+from idtool.inequality import DENSITY, Piece, within
+from idtool.shapes.base import Array, Shape, Vector, product
 
-_MOST_VERTICES = 100
-_PLACES = 200  # of point masses, which the solver bears for every body
+_MOST_FACES = 52  # of a solid that is simplified: no more than 100 corners
+_CONDITION_FACES = 24  # from whose planes the conditions are made: 276 pairs
+_ELLIPSOID = 1e-3  # of the volume: how closely the least ellipsoid is sought
 _PLASTIC = 0.7548776662466927  # 1/p with p³ = p + 1: multiples of it and of its square fill a square evenly
 _FLATTEST = 0.01  # thickness against the largest extent, below which a solid is given that thickness
 
@@ -25,26 +27,32 @@ _FLATTEST = 0.01  # thickness against the largest extent, below which a solid is
 class Hull(Shape):
     """A convex polyhedron.
 
-    What `pieces` admits are point masses at its vertices and at places inside: an inner approximation, which some
-    bodies within the solid do not fulfil, whereas all that fulfil it are realizable on it.
+    A density on it has moments with J ⪰ 0; E[f g] ≥ 0 for any two f, g ≥ 0 that measure how far a place is from the
+    plane of a face, as of a box; and those of a density on the least ellipsoid around it (25). These conditions are
+    necessary, not sufficient. They admit less than x xᵀ ⪯ Σ λ_i v_i v_iᵀ, true of any place x = Σ λ_i v_i between the
+    corners v_i, and take no unknowns beside pi.
 
     Attributes
     ----------
     vertices
         Its corners [m], shape (n, 3), spanning a volume; `around` finds those of any points.
+    Q
+        The conditions' matrices, Tr(J Q_i) ≥ 0 of any density on it, shape (k, 4, 4).
     """
 
     vertices: tuple[Vector, ...]
+    Q: Array = field(compare=False, repr=False)
 
     kind: ClassVar[str] = "hull"
     exact: ClassVar[bool] = False
 
     @classmethod
-    def around(cls, points: ArrayLike, most: int = _MOST_VERTICES) -> Self:
+    def around(cls, points: ArrayLike, most: int = 2 * _MOST_FACES - 4) -> Self:
         """The convex hull of points, shape (n, 3) [m].
 
-        Of more vertices than ``most``, those are kept that are extreme along directions spread evenly, so that the
-        solid shrinks a little. Points in a plane, on a line or alone get a thickness of a hundredth of their extent.
+        Of more vertices than ``most``, a polyhedron around it that has no more: some of its faces' planes bound it, so
+        that the solid grows a little. Points in a plane, on a line or alone get a thickness of a hundredth of their
+        extent.
 
         Raises
         ------
@@ -54,10 +62,11 @@ class Hull(Shape):
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError("a hull needs at least one point, all of them finite")
-        points = _thick(points)
-        corners = points[ConvexHull(points).vertices]
-        corners = _outermost(corners, most)
-        return cls(tuple((x, y, z) for x, y, z in corners.tolist()))
+        corners = enclosing(_thick(points))
+        if len(corners) > most:
+            planes = enclosing_planes(corners, most // 2 + 2)  # at a corner three of them meet at least
+            corners = corners_of(planes, corners.mean(axis=0))
+        return cls(_vectors(corners), _conditions(corners))
 
     @cached_property
     def _hull(self) -> ConvexHull:
@@ -70,7 +79,9 @@ class Hull(Shape):
 
     def moved(self, R: Array, p: Array) -> Self:
         """See `Shape.moved`."""
-        return type(self)(tuple((x, y, z) for x, y, z in (np.array(self.vertices) @ R.T + p).tolist()))
+        back = np.eye(4)
+        back[:3] = np.column_stack([R.T, -R.T @ p])
+        return type(self)(_vectors(np.array(self.vertices) @ R.T + p), back.T @ self.Q @ back)
 
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
         """See `Shape.contains`."""
@@ -93,7 +104,7 @@ class Hull(Shape):
     def _lattice(self, spacing: float) -> Array:
         """Places inside, on the faces and on the edges, about ``spacing`` apart [m]; shape (n, 3)."""
         corners = self._hull.points
-        middle, axes = corners.mean(axis=0), _axes(corners)
+        middle, axes = corners.mean(axis=0), principal_axes(corners)
         reach = (corners - middle) @ axes.T
         steps = [np.arange(low, high, spacing) for low, high in zip(reach.min(axis=0), reach.max(axis=0), strict=True)]
         inside = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) @ axes + middle
@@ -110,11 +121,7 @@ class Hull(Shape):
 
     def pieces(self) -> tuple[Piece, ...]:
         """See `Shape.pieces`."""
-        return (self._masses,)
-
-    @cached_property
-    def _masses(self) -> Piece:
-        return masses(self.grid(_PLACES))
+        return (Piece((DENSITY, within(self.Q, "mass within its hull"))),)
 
     def to_dict(self) -> dict[str, Any]:
         """See `Shape.to_dict`."""
@@ -129,7 +136,7 @@ class Hull(Shape):
 def _thick(points: Array) -> Array:
     """Points, with more where they span no volume."""
     middle = points.mean(axis=0)
-    axes = _axes(points)
+    axes = principal_axes(points)
     extent = np.ptp((points - middle) @ axes.T, axis=0)
     least = _FLATTEST * max(extent.max(), 1e-3)
     thin = 0.5 * least * axes[extent < least]
@@ -138,24 +145,15 @@ def _thick(points: Array) -> Array:
     return points
 
 
-def _axes(points: Array) -> Array:
-    """Directions in which points spread, as rows, shape (3, 3)."""
-    return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < 3)[2])
+def _conditions(corners: Array) -> Array:
+    """The matrices Q of a solid, shape (k, 4, 4)."""
+    inside = -enclosing_planes(corners, _CONDITION_FACES)
+    inside /= (corners @ inside[:, :3].T + inside[:, 3]).max(axis=0)[:, None]  # from 0 at the face to 1
+    one, other = np.triu_indices(len(inside), k=1)
+    ellipsoid, lifted = smallest_around(corners, _ELLIPSOID).Q, np.column_stack([corners, np.ones(len(corners))])
+    ellipsoid[3, 3] -= np.einsum("ni,ij,nj->n", lifted, ellipsoid, lifted).min()  # what its angles lose by rounding
+    return np.concatenate([product(inside[one], inside[other]), ellipsoid[None]])
 
 
-def _outermost(corners: Array, most: int) -> Array:
-    """At most so many of the corners: the extreme ones along directions even in units of the solid's own extents."""
-    spread = corners - corners.mean(axis=0)
-    local = spread @ _axes(corners).T
-    local /= np.ptp(local, axis=0)
-    count = 4 * most
-    while len(corners) > most:
-        k = np.arange(count) + 0.5
-        turn, height = np.pi * (1 + math.sqrt(5)) * k, 1 - 2 * k / count  # the golden angle: a spiral on a sphere
-        width = np.sqrt(1 - height**2)
-        directions = np.stack([width * np.cos(turn), width * np.sin(turn), height])
-        kept = np.unique((local @ directions).argmax(axis=0))
-        if len(kept) <= most:
-            return np.asarray(corners[kept])
-        count = int(0.95 * count)
-    return corners
+def _vectors(points: Array) -> tuple[Vector, ...]:
+    return tuple((x, y, z) for x, y, z in points.tolist())
