@@ -17,7 +17,7 @@ import leg
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import Regularization, parse_config
+from idtool.config import WEAK, parse_config
 from idtool.effects import build_effects
 from idtool.identify import solve
 from idtool.model import build_model
@@ -65,9 +65,7 @@ def stated(rng: np.random.Generator) -> dict[str, Problem]:
     factors = tuple(Factor.of(rows) for rows in columns)
     noise = free_noise(equation, factors)
     return {
-        name: build_problem(
-            equation, model.bodies, factors, [choose_set(b, name) for b in model.bodies], Regularization(), noise
-        )
+        name: build_problem(equation, model.bodies, factors, [choose_set(b, name) for b in model.bodies], WEAK, noise)
         for name in SETS
     }
 

@@ -1,11 +1,11 @@
 """The least of a quadratic function over a problem's inequalities, tracked from inside as the function changes.
 
-    min over x of ½ xᵀ P x − qᵀ x − mu Σ log det X_i(x)  subject to  E S x = e,
+    min over x of ½ xᵀ P x − qᵀ x + Σ log-dets − mu Σ log det X_i(x)  subject to  E S x = e,
 
-X_i(x) = Σ_k x_k G_k − interior · 1 for every inequality, entry by entry where it is on a vector. Its minimiser costs at
-most mu nu more than the least within the inequalities, nu the rows of all X_i together (Nesterov & Nemirovskii 1994),
-and is strictly inside. Newton's method on it does not depend on units, nor on how far the eigenvalues of P lie apart:
-where P has changed little one step is enough.
+X_i(x) = Σ_k x_k G_k − interior · 1 for every inequality, entry by entry where it is on a vector, and the problem's
+log-dets, if it has any. Its minimiser costs at most mu nu more than the least within the inequalities, nu the rows of
+all X_i together (Nesterov & Nemirovskii 1994), and is strictly inside. Newton's method on it does not depend on units,
+nor on how far the eigenvalues of P lie apart: where P has changed little one step is enough.
 
 Letters: m variables x; P (m, m), q (m,); B inequalities of one form, of K variables and n rows each.
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 _NEAR = 0.3  # a step that is shorter in the barrier's own length ends the search: what is left is a tenth of it squared
 _FAR = 0.9  # of the way to the boundary that a step goes at the most: nearer, and the next is lost to rounding
-_STEPS = 12  # with one weight of the barrier, or in a search along a step
+_STEPS = 30  # with one weight of the barrier, or in a search along a step
 _UP, _DOWN, _WEIGHTS = 100.0, 10.0, 60  # factors by which the weight changes when the function has, and how often
 _PULL = 10.0 ** np.arange(7)  # into the inequalities, when a start is sought
 _SOFT = 1e-6  # of one: keeps a start where nothing else does
@@ -46,11 +46,14 @@ class _Group:
         Shape (B, K, n, n), or (B, K, n) where they are on vectors.
     least
         What is taken off, shape (B, n, n) or (B, n).
+    weight
+        Of its −log det in the function, in units of mu.
     """
 
     own: NDArray[np.intp]
     G: Array
     least: Array
+    weight: float = 1.0
 
     def value(self, x: Array) -> Array:
         """All X_i, shape (B, n, n) or (B, n)."""
@@ -59,15 +62,16 @@ class _Group:
         return np.asarray(sums.reshape(self.least.shape) - self.least)
 
     def derivatives(self, x: Array) -> tuple[Array, Array]:
-        """Of Σ −log det X_i: gradients, shape (B, K), and Hessians, shape (B, K, K)."""
+        """Of weight · Σ −log det X_i: gradients, shape (B, K), and Hessians, shape (B, K, K)."""
         X = self.value(x)
         if X.ndim == 2:
             Y = self.G / X[:, None, :]
-            return -Y.sum(axis=-1), Y @ Y.swapaxes(-1, -2)
+            return -self.weight * Y.sum(axis=-1), self.weight * (Y @ Y.swapaxes(-1, -2))
         Y = np.linalg.inv(X)[:, None] @ self.G
         shape = (*self.own.shape, -1)
         rows, columns = Y.reshape(shape), Y.swapaxes(-1, -2).reshape(shape)
-        return -np.einsum("bkii->bk", Y), rows @ columns.swapaxes(-1, -2)
+        gradient = -self.weight * np.einsum("bkii->bk", Y)
+        return gradient, self.weight * (rows @ columns.swapaxes(-1, -2))
 
     def rates(self, x: Array, step: Array) -> Array:
         """Eigenvalues r with X_i(x + t · step) singular where 1 + t r = 0, in a row."""
@@ -116,17 +120,25 @@ class Barrier:
 
     def __init__(self, problem: Problem, P: Array, q: Array, gap: float) -> None:
         self._groups = _groups(problem)
+        self._log_dets = _log_det_groups(problem)
+        self._slope = sum((problem.S[term.own].T @ term.slope for term in problem.log_dets), np.zeros(len(q)))
         self.nu = sum(int(np.prod(group.least.shape[:2])) for group in self._groups)
         self._mu = gap / max(self.nu, 1)
         self._exact, self._e = problem.E @ problem.S, problem.e
         self.x = self._middle = self._start(problem, P, q)
         self.move(P, q)
 
-    def move(self, P: Array, q: Array) -> Array:
-        """Follow the minimiser to another function; returns x."""
+    def move(self, P: Array, q: Array, share: float = 1.0, start: Array | None = None) -> Array:
+        """Follow the minimiser to another function, with the log-dets times ``share``; returns x.
+
+        From where it is, or from a start strictly inside, shape (m,).
+        """
+        q = q - share * self._slope
+        self.x = self.x if start is None else start
         mu, lowest = self._mu, self._mu
         for _ in range(_WEIGHTS):
-            self.x, there = _minimise(self._groups, P / mu, q / mu, self.x, self._exact, self._e)
+            groups = self._groups + [replace(group, weight=share * group.weight / mu) for group in self._log_dets]
+            self.x, there = _minimise(groups, P / mu, q / mu, self.x, self._exact, self._e)
             if there and mu == lowest:
                 break
             if not there:  # it has hugged the boundary in the wrong place: the way leads through the middle
@@ -135,10 +147,12 @@ class Barrier:
         return self.x
 
     def curvature(self, x: Array) -> Array:
-        """Hessian of the barrier, its weight counted, at a point strictly inside; shape (m, m)."""
+        """Hessian of the barrier, its weight counted, and the log-dets at a point strictly inside; shape (m, m)."""
         H = np.zeros((len(x), len(x)))
         for group in self._groups:
             H[group.own[:, :, None], group.own[:, None, :]] += self._mu * group.derivatives(x)[1]
+        for group in self._log_dets:
+            H[group.own[:, :, None], group.own[:, None, :]] += group.derivatives(x)[1]
         return H
 
     def _start(self, problem: Problem, P: Array, q: Array) -> Array:
@@ -151,13 +165,14 @@ class Barrier:
             x = x + np.linalg.lstsq(self._exact, problem.e - self._exact @ x, rcond=None)[0]
             if np.abs(self._exact @ x - problem.e).max() > _EXACT:
                 raise SolverError("known", "facts contradict each other; give one of them a standard_error")
-        if not self._groups or min(group.smallest(x) for group in self._groups) > 0:
+        inside = self._groups + self._log_dets
+        if not inside or min(group.smallest(x) for group in inside) > 0:
             return x
-        groups = [relaxed for group in self._groups for relaxed in group.relaxed(m)]
+        groups = [replace(relaxed, weight=1.0) for group in inside for relaxed in group.relaxed(m)]
         wide = np.zeros((m + 1, m + 1))
         wide[:m, :m] = P
         exact = np.column_stack([self._exact, np.zeros(len(problem.e))])
-        x = np.append(x, 1 - min(group.smallest(x) for group in self._groups))
+        x = np.append(x, 1 - min(group.smallest(x) for group in inside))
         for pull in _PULL:
             x, _ = _minimise(groups, wide, np.append(q, -pull), x, exact, self._e)
             if x[-1] < 0:
@@ -181,8 +196,19 @@ def _groups(problem: Problem) -> list[_Group]:
     return groups
 
 
+def _log_det_groups(problem: Problem) -> list[_Group]:
+    """The problem's log-dets by how many variables their body has."""
+    found: dict[int, list[_Group]] = defaultdict(list)
+    for term in problem.log_dets:
+        own = np.flatnonzero(problem.S[term.own].any(axis=0))
+        G = np.tensordot(problem.S[term.own, own].T, term.G, axes=1)
+        found[len(own)].append(_Group(own[None], G[None], np.zeros((1, *G.shape[1:])), term.weight))
+    return [replace(_joined(alike), weight=alike[0].weight) for alike in found.values()]
+
+
 def _joined(groups: list[_Group]) -> _Group:
-    return _Group(*(np.concatenate([getattr(group, name) for group in groups]) for name in ("own", "G", "least")))
+    own, G, least = (np.concatenate([getattr(group, name) for group in groups]) for name in ("own", "G", "least"))
+    return _Group(own, G, least)
 
 
 def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, exact: Array, e: Array) -> tuple[Array, bool]:
@@ -198,8 +224,10 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, exact: Array, 
             break
         if not groups or (step @ H @ step < _NEAR**2 and min(group.smallest(x + step) for group in groups) > 0):
             return x + step, True
-        rates = np.concatenate([group.rates(x, step) for group in groups])
-        x = x + _search(float((P @ x - q) @ step), float(step @ P @ step), rates) * step
+        rates = [group.rates(x, step) for group in groups]
+        weights = np.concatenate([np.full(len(r), group.weight) for r, group in zip(rates, groups, strict=True)])
+        first, second = float((P @ x - q) @ step), float(step @ P @ step)
+        x = x + _search(first, second, np.concatenate(rates), weights) * step
     return x, False
 
 
@@ -220,15 +248,15 @@ def _newton(H: Array, gradient: Array, exact: Array, off: Array) -> Array | None
     return np.asarray(step)
 
 
-def _search(slope: float, curvature: float, rates: Array) -> float:
-    """The t that minimises slope t + ½ curvature t² − Σ log(1 + t r): Newton's method within a bracket."""
+def _search(slope: float, curvature: float, rates: Array, weights: Array) -> float:
+    """The t that minimises slope t + ½ curvature t² − Σ w log(1 + t r): Newton's method within a bracket."""
     low, high = 0.0, float(-1 / rates.min()) if rates.min() < 0 else np.inf
     most, t = _FAR * high, min(1.0, 0.5 * high)
     for _ in range(_STEPS):
         part = rates / (1 + t * rates)
-        first = slope + curvature * t - float(part.sum())
+        first = slope + curvature * t - float(weights @ part)
         low, high = (t, high) if first < 0 else (low, t)
-        step = first / (curvature + float(part @ part))
+        step = first / (curvature + float(weights @ part**2))
         if abs(step) <= 1e-3 * t:
             break
         t = t - step if low < t - step < high else (0.5 * (low + high) if np.isfinite(high) else 2 * t)

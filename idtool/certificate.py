@@ -22,6 +22,7 @@ _TRACE = np.trace(BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, i
 _NEWTON = 50  # steps at the most
 _SETTLED = 1e-9  # Newton decrement, of a self-concordant function, at which the step was the last
 GAP = 1e-6  # relative duality gap above which a solution is refused
+ROUNDING = 1e-12  # of the cost: no gap is known more closely
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,15 @@ class Certificate:
         f at the solution.
     duality_gap
         f less the dual function at the solver's dual variables, relative to f, or to the noise, 1, where f is less: no
-        parameters in the sets can have a cost lower than f by more than this.
+        parameters in the sets, their boundaries included, can have a cost lower than f by more than this.
     violation
         Largest violation of an inequality, in units of the body; at most 0 where all hold.
     where
         The body and inequality of that.
+    margin
+        The part of ``duality_gap`` that is there because the bodies are kept a little inside of their sets.
+    parameter_error
+        How far the parameters are from the optimum, in units of the body, where the optimum was refined; else None.
     """
 
     name: str
@@ -51,9 +56,16 @@ class Certificate:
     seconds: float
     violation: float
     where: str
+    margin: float = 0.0
+    parameter_error: float | None = None
 
     @property
     def holds(self) -> bool:
+        """Whether every inequality holds and no body that is as far inside of its set has a lower cost."""
+        return self.violation <= 0 and abs(self.duality_gap - self.margin) <= GAP
+
+    @property
+    def certified(self) -> bool:
         """Whether every inequality holds and the cost is certified to be the least."""
         return self.violation <= 0 and abs(self.duality_gap) <= GAP
 
@@ -68,11 +80,11 @@ def violation(problem: Problem, x: Array) -> tuple[float, str]:
 
 
 def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers: Array) -> float:
-    """A cost that no parameters can be below, from the solver's dual variables, these first made feasible.
+    """A cost that no parameters in the sets can be below, from the solver's dual variables, these first made feasible.
 
     With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of what is known exactly, the dual
-    function is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus the interior's share and mu · e. f is replaced by its
-    quadratic part and a tangent of its convex rest, which lies below it: a least-squares problem.
+    function is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus mu · e and the lower bounds' share. f is replaced by
+    its quadratic part and a tangent of its convex rest, which lies below it: a least-squares problem.
 
     Parameters
     ----------
@@ -89,15 +101,30 @@ def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers:
     duals = [_nonnegative(Z) for Z in duals]
     slope = _slope(problem, duals)
     slope[problem.others[np.isfinite(problem.lower)]] += multipliers
-    shares = zip(problem.inequalities, duals, strict=True)
-    interior = sum(i.interior * float(np.trace(Z) if Z.ndim == 2 else Z.sum()) for i, Z in shares)
-    interior += float(multipliers @ problem.bounds)
     z = problem.S @ x
     downhill = 2 * problem.A.T @ (problem.A @ z - problem.b) + _tangent(problem, z) - slope
     mu = np.linalg.lstsq(problem.E.T, downhill, rcond=None)[0]
     slope += problem.E.T @ mu
     touching = [z, _minimum(problem, slope, z)] if problem.log_dets else [z]
-    return float(max(_least(problem, slope, point) for point in touching) + interior + mu @ problem.e)
+    least = max(_least(problem, slope, point) for point in touching)
+    return float(least + multipliers @ problem.bounds + mu @ problem.e)
+
+
+def cost_of_margin(problem: Problem, duals: Sequence[Array], margin: float) -> float:
+    """What it costs that the bodies are kept inside of their sets, to first order.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    duals
+        Z of every inequality, shape (n, n) or (n,) each.
+    margin
+        How far inside, where that is more than the problem demands.
+    """
+    shares = zip(problem.inequalities, duals, strict=True)
+    traces = ((i.interior, float(np.trace(Z) if Z.ndim == 2 else Z.sum())) for i, Z in shares)
+    return sum(max(interior, margin) * trace for interior, trace in traces if interior)
 
 
 def _least(problem: Problem, slope: Array, touching: Array) -> float:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from idtool.channels import Channels
 from idtool.config import Controller
 from idtool.exceptions import LogError
-from idtool.filters import DIFFERENCE_REACH, differentiate
+from idtool.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
 from idtool.logs.log import Log
 from idtool.names import some
 
 Array = NDArray[np.float64]
+
+LONGEST_DELAY = 0.05  # s: no longer one is looked for
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Command:
     kp, kd
         Gains, shape (nv, 1) [N·m/rad, N·m·s/rad].
     delay
-        From command to torque [s].
+        From command to torque [s]; 0 where it is yet to be fitted.
     """
 
     joints: NDArray[np.bool_]
@@ -57,31 +59,38 @@ class Command:
         if controller is None or not without.any():
             return cls(without, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
         kp, kd = (np.array([[g.get(name, 0.0)] for name in joints]) for g in (controller.kp, controller.kd))
-        return cls(without, kp, kd, controller.delay)
+        delay = controller.known_delay
+        return cls(without, kp, kd, delay.value if delay else 0.0)
 
     def torque(self, channels: Channels, part: slice) -> Array:
         """The torque at samples of the log, shape (nv, N)."""
+        return np.asarray(self.torques(channels, part, (self.delay,))[0])
+
+    def torques(self, channels: Channels, part: slice, delays: Sequence[float]) -> Array:
+        """The torque at samples of the log if the delay were another [s], shape (delays, nv, N)."""
+        feedback = self._feedback(channels, part)
+        return np.stack([self._commanded(channels, part, delay) - feedback for delay in delays])
+
+    def _feedback(self, channels: Channels, part: slice) -> Array:
+        """Feedback kp q + kd v: the controller's own measurements are in time with its torque."""
         r = DIFFERENCE_REACH
         q = channels.signal("q", slice(part.start - r, part.stop + r))
         v = differentiate(q, channels.log.dt)
         if channels.measured.any():  # as logged: the controller did not know how late it is
             logged = channels.signal("v", part) - channels.bias[:, None]  # or kd × bias would pass for gravity
             v = np.where(channels.measured[:, None], logged, v)
-        command = [self._late(channels, name, part) for name in ("qcmd", "vcmd")]
-        return np.asarray(self.kp * (command[0] - q[:, r:-r]) + self.kd * (command[1] - v))
+        return np.asarray(self.kp * q[:, r:-r] + self.kd * v)
 
-    def _late(self, channels: Channels, name: str, part: slice) -> Array:
-        """A command as it was `delay` before; zero where the log has none."""
-        if name not in channels.log.signals:
-            return np.zeros((1, 1))
-        samples = self.delay / channels.log.dt
+    def _commanded(self, channels: Channels, part: slice, delay: float) -> Array:
+        """Command kp qcmd + kd vcmd as it was a delay [s] before; one that the log has not counts as zero."""
+        samples = delay / channels.log.dt
         whole = int(np.floor(samples))
-        share = samples - whole
-        x = channels.signal(name, slice(part.start - whole, part.stop - whole))
-        if share:
-            earlier = channels.signal(name, slice(part.start - whole - 1, part.stop - whole - 1))
-            x = (1 - share) * x + share * earlier
-        return np.nan_to_num(x, nan=0.0)
+        near = slice(part.start - whole - DELAY_REACH, part.stop - whole + DELAY_REACH - 1)
+        total = np.zeros((len(self.kp), near.stop - near.start))
+        for name, gain in (("qcmd", self.kp), ("vcmd", self.kd)):
+            if name in channels.log.signals:
+                total += gain * np.nan_to_num(channels.signal(name, near), nan=0.0)
+        return delayed(total, samples - whole)
 
 
 def commanded(log: Log, controller: Controller | None) -> Log:

@@ -19,13 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from idtool.exceptions import SolverError
+from idtool.exceptions import InfeasibleError, SolverError
 from idtool.names import some
 from idtool.parts import Matrix
 from idtool.prior import LogDet
 from idtool.problem import Problem
 
 Array = NDArray[np.float64]
+
+
+APART = 1e-7  # how far inside its set a body is kept at least, that no tolerance of the solver's takes it out
 
 
 @dataclass(frozen=True)
@@ -86,16 +89,17 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
 
     Raises
     ------
+    InfeasibleError
+        If nothing fulfils the constraints.
     SolverError
-        If the problem is infeasible or the solver gives up.
+        If the solver gives up.
     """
     rows, q, places = _stated(problem, start)
     m, p = problem.variables, len(problem.b)
     P = sparse.diags(np.repeat([0.0, 2.0, 0.0], [m, p, rows.width - m - p]), format="csc")
     answer = _run(P, q, rows, settings)
     if "Infeasible" in str(answer.status):
-        what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
-        raise SolverError("solver", f"found no parameters that fulfil the constraints{what}; loosen one of them")
+        raise infeasible(problem)
     z = np.split(np.asarray(answer.z), np.cumsum([len(b) for b in rows.b])[:-1])
     matrices = zip(problem.inequalities, places, strict=False)
     duals = [
@@ -103,10 +107,13 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     ]
     multipliers = z[places[-1]] if len(problem.bounded) else np.zeros(0)
     status = "optimal" if answer.status == clarabel.SolverStatus.Solved else str(answer.status)
-    x = start + np.asarray(answer.x)[:m]
-    if not np.isfinite(problem.cost(problem.S @ x)):
-        raise SolverError("solver", f"found nothing that has a cost ({status}); check units and magnitudes")
-    return Solution(x, duals, multipliers, status, int(answer.iterations))
+    return Solution(start + np.asarray(answer.x)[:m], duals, multipliers, status, int(answer.iterations))
+
+
+def infeasible(problem: Problem) -> InfeasibleError:
+    """The error that no parameters fulfil a problem's constraints."""
+    what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
+    return InfeasibleError("solver", f"found no parameters that fulfil the constraints{what}; loosen one of them")
 
 
 def extreme_conic(
@@ -190,10 +197,11 @@ def _add_inequality(rows: _Rows, inequality: Matrix, start: Array) -> int:
     """The cone of one inequality; returns its place among the blocks."""
     value = inequality.value(start)
     n = len(value)
+    interior = max(inequality.interior, APART) if inequality.interior else 0.0
     if value.ndim == 1:
-        inside, cone = value - inequality.interior, clarabel.NonnegativeConeT(n)
+        inside, cone = value - interior, clarabel.NonnegativeConeT(n)
         return rows.add(inequality.own, -inequality.G.T, inside, cone)
-    inside = svec(value - inequality.interior * np.eye(n))
+    inside = svec(value - interior * np.eye(n))
     return rows.add(inequality.own, -svec(inequality.G).T, inside, clarabel.PSDTriangleConeT(n))
 
 

@@ -41,3 +41,7 @@ class ModelError(IdtoolError):
 
 class SolverError(IdtoolError):
     """An optimization problem that is infeasible or was not solved to the accuracy promised."""
+
+
+class InfeasibleError(SolverError):
+    """Constraints that no parameters fulfil."""

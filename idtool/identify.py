@@ -10,15 +10,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.backends import solve_by_cvxpy
 from idtool.body import Body
-from idtool.certificate import GAP, Certificate, lower_bound, violation
+from idtool.certificate import GAP, Certificate, cost_of_margin, lower_bound, violation
 from idtool.config import Regularization
-from idtool.conic import solve_conic
-from idtool.exceptions import SolverError
+from idtool.conic import APART, Solution, solve_conic
+from idtool.exceptions import InfeasibleError, SolverError
 from idtool.knowledge import Knowledge
 from idtool.local import LOCAL
+from idtool.names import some
+from idtool.parts import INTERIOR
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
+from idtool.refinement import refine
 from idtool.regressor import LinearModel
 from idtool.sets import ConstraintSet
 from idtool.weights import free_noise, freedom, residual_noise, weighted_rows
@@ -33,6 +37,8 @@ _ATTEMPTS: tuple[dict[str, float | bool], ...] = (
     {"tol_feas": 1e-9, "tol_gap_rel": 1e-9},
     {"equilibrate_enable": True},
 )
+ENOUGH = 1e-6  # error of the parameters, in units of the body, above which they are not at the optimum
+_FALLBACK = ("CLARABEL", "SCS")  # cvxpy's, where Clarabel fails on the problem as it is stated here
 _SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 
@@ -79,6 +85,7 @@ def identify(
     known: Knowledge | None = None,
     solver: str = "clarabel",
     noise: Array | None = None,
+    backend: str | None = None,
 ) -> Estimate:
     """The identification with the joints weighted by their residual noise.
 
@@ -97,9 +104,11 @@ def identify(
     known
         What is known otherwise; default: nothing.
     solver
-        ``clarabel``, or a local one of `local`.
+        ``clarabel``, ``cvxpy``, or a local one of `local`.
     noise
         The joints' residual noise, shape (nv,) [N·m or N]; default: what a fit without constraints leaves.
+    backend
+        The solver that cvxpy takes; default: Clarabel.
 
     Raises
     ------
@@ -110,7 +119,9 @@ def identify(
     noise = free_noise(model, reduction, known) if noise is None else noise
     problem = build_problem(model, bodies, reduction, sets, regularization, noise, known)
     if solver == "clarabel":
-        x, certificate = solve(problem)
+        x, certificate = _solve_with_fallback(problem)
+    elif solver == "cvxpy":
+        x, certificate = solve_with_backend(problem, backend or _FALLBACK[0])
     else:
         x, certificate = solve_locally(problem, solver, model.prior[known.free] / problem.scale)
     return estimate(model, reduction, problem, x, certificate)
@@ -149,10 +160,59 @@ def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
-    for other in _ATTEMPTS[:-1]:
-        with suppress(SolverError):
-            return _attempt(problem, {**_SETTINGS, **other, **options})
-    return _attempt(problem, {**_SETTINGS, **_ATTEMPTS[-1], **options})
+    solved: list[tuple[float, Array, Certificate]] = []
+    errors: list[SolverError] = []
+    for other in _ATTEMPTS:
+        try:
+            x, certificate = _attempt(problem, {**_SETTINGS, **other, **options})
+        except SolverError as error:
+            errors.append(error)
+            continue
+        solved.append((np.inf if certificate.parameter_error is None else certificate.parameter_error, x, certificate))
+        if solved[-1][0] <= ENOUGH:
+            break
+    if not solved:  # where one attempt proves the problem infeasible and the last merely gives up, that is the reason
+        infeasible = [error for error in errors if isinstance(error, InfeasibleError)]
+        raise (infeasible or errors)[-1]
+    _, x, certificate = min(solved, key=lambda one: one[0])
+    return x, certificate
+
+
+def solve_with_backend(problem: Problem, backend: str) -> tuple[Array, Certificate]:
+    """Solve by one of cvxpy's solvers, and check the result.
+
+    Parameters
+    ----------
+    problem
+        From `build_problem`.
+    backend
+        The solver, as cvxpy names it.
+
+    Returns
+    -------
+    x, shape (m,), and its certificate.
+
+    Raises
+    ------
+    SolverError
+        If the solver is not installed, or as `solve` does.
+    """
+    started = time.perf_counter()
+    solution = solve_by_cvxpy(problem, _free(problem), backend)
+    return _finished(problem, solution, f"cvxpy ({backend})", started)
+
+
+def _solve_with_fallback(problem: Problem) -> tuple[Array, Certificate]:
+    """`solve`, or where that fails what cvxpy makes of the problem."""
+    try:
+        return solve(problem)
+    except InfeasibleError:
+        raise
+    except SolverError:
+        for backend in _FALLBACK:
+            with suppress(SolverError):
+                return solve_with_backend(problem, backend)
+        raise
 
 
 def solve_locally(problem: Problem, name: str, start: Array) -> tuple[Array, Certificate]:
@@ -185,28 +245,72 @@ def solve_locally(problem: Problem, name: str, start: Array) -> tuple[Array, Cer
 
 
 def stuck_note(certificate: Certificate) -> str:
-    """What to say of a local solver that did not reach the global optimum; nothing of one that did."""
-    if certificate.duality_gap <= GAP:
+    """What to say of a cost that is not certified to be the least; nothing of one that is."""
+    if certificate.certified:
         return ""
+    if certificate.holds:
+        return (
+            f"keeping every body inside its set, by {INTERIOR:g} of its mass and size, raises the cost by up to "
+            f"{certificate.margin:.1e} of it: the data ask for bodies far outside of their sets"
+        )
     at = f", with {certificate.where} at its limit" if -certificate.violation < _CLOSE else ""
     return (
-        f"{certificate.name} stopped after {certificate.iterations} iterations at a cost "
+        f"{certificate.name} stopped after {certificate.iterations} iterations at a cost up to "
         f"{certificate.duality_gap:.1e} above the global optimum, relative to it{at}"
+    )
+
+
+def unfinished_note(certificate: Certificate) -> str:
+    """What to say of a convex solver's optimum whose parameters are not at it; nothing of one whose are."""
+    if certificate.name in LOCAL or (certificate.parameter_error is not None and certificate.parameter_error <= ENOUGH):
+        return ""
+    far = "an unknown share" if certificate.parameter_error is None else f"{certificate.parameter_error:.1g}"
+    return (
+        "the cost is the least, but not all parameters are at the optimum: those that the prior alone holds may be off "
+        f"by {far} of their body's mass and size; a larger regularization.weight holds them better"
     )
 
 
 def _attempt(problem: Problem, settings: Mapping[str, float | bool]) -> tuple[Array, Certificate]:
     started = time.perf_counter()
-    free = np.linalg.solve(problem.A, problem.b)  # the optimum without constraints: from there, b takes no digits
-    solution = solve_conic(problem, np.linalg.lstsq(problem.S, free, rcond=None)[0], settings)
-    x = _polished(problem, solution.x)
-    bound = lower_bound(problem, x, solution.duals, solution.multipliers)
-    certificate = certify(problem, x, bound, "clarabel", solution.status, solution.iterations, started)
+    solution = solve_conic(problem, _free(problem), settings)
+    return _finished(problem, solution, "clarabel", started)
+
+
+def _free(problem: Problem) -> Array:
+    """The optimum without constraints, x (m,): from there, b takes no digits."""
+    z = np.linalg.solve(problem.A, problem.b)
+    return np.asarray(np.linalg.lstsq(problem.S, z, rcond=None)[0])
+
+
+def _finished(problem: Problem, solution: Solution, name: str, started: float) -> tuple[Array, Certificate]:
+    """A solver's optimum refined and checked, or as it is where refining makes it no better."""
+    solution = replace(solution, x=_polished(problem, solution.x))
+    if not np.isfinite(problem.cost(problem.S @ solution.x)):
+        known = f" of {some(problem.facts)}" if problem.facts else ""
+        raise SolverError(
+            "solver", f"found nothing that has a cost ({solution.status}); check units and magnitudes{known}"
+        )
+    certificate = _certified(problem, solution, APART, name, started)
+    if refined := refine(problem, solution):
+        better = replace(refined.solution, x=_polished(problem, refined.solution.x))
+        status = "optimal" if refined.error <= ENOUGH else solution.status
+        check = replace(_certified(problem, better, 0.0, name, started), parameter_error=refined.error, status=status)
+        if check.holds or not certificate.holds:
+            solution, certificate = better, check
     if not certificate.holds:
         gap, violated = certificate.duality_gap, certificate.violation
-        what = f"not solved well enough: relative duality gap {gap:.1e}, violation {violated:.1e}"
+        by = "" if name == "clarabel" else f" by {name}"
+        what = f"not solved well enough{by}: relative duality gap {gap:.1e}, violation {violated:.1e}"
         raise SolverError(certificate.where or "solver", what)
-    return x, certificate
+    return solution.x, certificate
+
+
+def _certified(problem: Problem, solution: Solution, margin: float, name: str, started: float) -> Certificate:
+    """The check of a solution whose bodies are kept inside of their sets by a margin."""
+    bound = lower_bound(problem, solution.x, solution.duals, solution.multipliers)
+    check = certify(problem, solution.x, bound, name, solution.status, solution.iterations, started)
+    return replace(check, margin=cost_of_margin(problem, solution.duals, margin) / max(check.objective, 1.0))
 
 
 def certify(

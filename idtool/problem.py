@@ -65,6 +65,8 @@ class Problem:
         Where that stands in the configuration.
     log_dets
         The part of f that is not quadratic.
+    interior
+        How far inside its set a body is kept, in units of its own mass and size.
     """
 
     A: Array
@@ -80,6 +82,7 @@ class Problem:
     e: Array
     log_dets: tuple[LogDet, ...] = ()
     facts: tuple[str, ...] = ()
+    interior: float = INTERIOR
 
     @cached_property
     def inequalities(self) -> tuple[Matrix, ...]:
@@ -89,7 +92,7 @@ class Problem:
                 part.start,
                 inequality.scaled(part.length, part.piece.powers),
                 f"{self.labels[part.body]}: {inequality.label}",
-                INTERIOR if inequality.strict else 0.0,
+                self.interior if inequality.strict else 0.0,
             )
             for part in self.parts
             for inequality in part.piece.inequalities

@@ -43,6 +43,26 @@ class Outcome:
         return self.rms <= self.bound
 
 
+def find_manifest() -> Path:
+    """The manifest of the working directory, else that of the checkout idtool runs from.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither: a wheel does not carry the sample logs, which are seven times its size.
+    """
+    checkout = Path(__file__).parents[1]
+    for folder in (Path(), checkout):
+        path = folder / "sample_logs" / "manifest.yaml"
+        if path.exists():
+            return path
+    raise ConfigError(
+        "sample_logs/manifest.yaml",
+        "is not in this directory, and the installed package has no sample logs; give a model and its logs "
+        "(idtool validate URDF LOG), or run this in a checkout of idtool",
+    )
+
+
 def read_manifest(path: Path) -> tuple[Case, ...]:
     """The cases of a manifest.
 

@@ -6,9 +6,9 @@ same low-pass. Here transposed and in one array, the torque last: (m_j + 1, n).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +126,17 @@ class LinearModel:
             block[-1] = tau
         return blocks
 
+    def torques(self, motion: Motion) -> Array:
+        """What the last rows of `columns` would be with each of the motion's `torques`, shape (K, nv, N)."""
+        found = np.empty_like(motion.torques)
+        for k, tau in enumerate(motion.torques):
+            true = replace(motion, tau=tau)
+            for effect in self.effects:
+                true = effect.true(true)
+            known = self._known(true)
+            found[k] = true.tau - known if known is not None else true.tau
+        return found
+
     def _known(self, motion: Motion) -> Array | None:
         """Torque of the effects that takes no coefficient, shape (nv, N)."""
         known = [torque for effect in self.effects if (torque := effect.known(motion)) is not None]
@@ -146,16 +157,18 @@ class LinearModel:
     def kept(self, batch: Batch) -> list[NDArray[np.bool_]]:
         """Per joint, whether each filtered sample counts, shape (n,)."""
         kept = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
-        for joint, mask in self._undefined(batch):
-            if mask.any():
-                kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
+        for joint, masks in self._undefined(batch).items():
+            for mask in masks:
+                if mask.any():
+                    kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
         return kept
 
     def clear(self, batch: Batch, apart: float = 0.0) -> list[NDArray[np.bool_]]:
         """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
 
         A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
-        long. Where they need not be further apart, half of a joint's samples are kept even if it turns round always.
+        long. Where they need not be further apart, half of a joint's samples are kept even if it turns round always:
+        of all moments together, since where one effect's column is defined, another's may not be.
 
         Parameters
         ----------
@@ -165,17 +178,21 @@ class LinearModel:
             How far from such moments they must be beside [s].
         """
         kept, motion = self.kept(batch), batch.motion
-        for joint, mask in self._undefined(batch):
+        for joint, masks in self._undefined(batch).items():
+            mask = np.logical_or.reduce(masks)
             if around := round(apart / motion.dt):
                 mask = ndimage.binary_dilation(mask | _turns(motion.v[joint]), iterations=around)
             share = batch.low_pass.share(mask, batch.before, batch.after)
             kept[joint] &= share <= (_CLEAR if around else max(_CLEAR, float(np.median(share))))
         return kept
 
-    def _undefined(self, batch: Batch) -> Iterator[tuple[int, NDArray[np.bool_]]]:
-        """Joints, and where a column of theirs is not defined, shape (N,)."""
+    def _undefined(self, batch: Batch) -> dict[int, list[NDArray[np.bool_]]]:
+        """Joints, and where a column of theirs is not defined, effect by effect, shape (N,) each."""
+        masks: dict[int, list[NDArray[np.bool_]]] = {}
         for effect in self.effects:
-            yield from effect.undefined(batch.motion).items()
+            for joint, mask in effect.undefined(batch.motion).items():
+                masks.setdefault(joint, []).append(mask)
+        return masks
 
     def torque(self, motion: Motion, theta: Array) -> Array:
         """The torque that the model predicts, as the sensors give it, unfiltered.

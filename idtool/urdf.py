@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body
-from idtool.inertia import mass_com_inertia, pseudo_inertia, six
+from idtool.inertia import pseudo_inertia, rounded, rounded_inertial, six
 from idtool.robot import Robot
 
 Array = NDArray[np.float64]
@@ -165,7 +165,7 @@ def _replacement(text: bytes, element: _Element, tag: str, new: bytes) -> tuple[
 
 
 def _inertial(pi: Array, line: bytes) -> bytes:
-    mass, com, inertia = mass_com_inertia(pi)
+    mass, com, inertia = rounded_inertial(pi)
     xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in six(inertia))
     xyz = " ".join(repr(float(x)) for x in com)
     rows = [
@@ -181,7 +181,7 @@ def _inertial(pi: Array, line: bytes) -> bytes:
 def _dynamics(old: bytes, dynamics: JointDynamics) -> bytes:
     """A dynamics tag with the values that are given, all else as it was."""
     values = {"damping": dynamics.damping, "friction": dynamics.friction}
-    given = {name.encode(): repr(float(value)).encode() for name, value in values.items() if value is not None}
+    given = {name.encode(): repr(float(rounded(value))).encode() for name, value in values.items() if value is not None}
     tag = old or b"<dynamics/>"
     for name, number in given.items():
         opening = tag[: _tag_end(tag, 0)]

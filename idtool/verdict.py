@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from idtool.body import Body
 from idtool.conic import solve_conic
 from idtool.effects.rigid_body import length
 from idtool.inequality import Piece
-from idtool.inertia import POWERS, SIZE, transformation
+from idtool.inertia import POWERS, SIZE
 from idtool.projection import nearest_problem
 from idtool.sets import ConstraintSet, choose_set
 from idtool.witness import explain, violations, witness
@@ -65,23 +64,18 @@ def judge(body: Body, pi: Array, pieces: Array | None = None) -> Verdict:
         return _refused(*reasons)
     chosen = choose_set(body)
     demanded = chosen.pieces(body)
-    split = None
-    if len(demanded) > 1:
-        if pieces is None or not _fulfil(pieces, demanded, float(pi[0]), length(body)):
-            pieces, distance = _split(pi, chosen, body)
-            if distance > _NEAR:
-                what = f"no density on the union of its {len(demanded)} bounding shapes has these parameters"
-                return _refused(f"{what}; the nearest are {distance:.2g} away, in units of its mass and size")
-            pieces = _completed(pieces, demanded, pi)
-        split = pieces
-    elif len(demanded[0].powers) == SIZE:
+    if len(demanded) == 1:
         found = violations(pi, demanded[0].inequalities, float(pi[0]), length(body), tolerance=_ROUNDING)
         if found:
             return _refused(*(violation.text for violation in found))
-    elif (rest := _point_masses(demanded[0], pi, length(body))[1]) > _NEAR:
-        return _refused(f"point masses at the vertices and inside of its hull leave {rest:.2g} of these parameters")
-    parts = pi[None] if split is None else split
-    return Verdict((), split, *_shown(body, demanded, parts))
+        return Verdict((), None, *_shown(body, pi[None]))
+    if pieces is None or not _fulfil(pieces, demanded, float(pi[0]), length(body)):
+        pieces, distance = _split(pi, chosen, body)
+        if distance > _NEAR:
+            what = f"no density on the union of its {len(demanded)} bounding shapes has these parameters"
+            return _refused(f"{what}; the nearest are {distance:.2g} away, in units of its mass and size")
+        pieces[int(np.argmax(pieces[:, 0]))] += pi - pieces.sum(axis=0)  # what the solver's tolerance leaves
+    return Verdict((), pieces, *_shown(body, pieces))
 
 
 def _split(pi: Array, chosen: ConstraintSet, body: Body) -> tuple[Array, float]:
@@ -102,47 +96,24 @@ def _closed(piece: Piece) -> Piece:
 
 
 def _fulfil(pieces: Array, demanded: Sequence[Piece], mass: float, unit: float) -> bool:
-    """Whether pieces that were found for some set fulfil what is demanded; point masses do by how they are found."""
+    """Whether pieces that were found for some set fulfil what is demanded."""
     return len(pieces) == len(demanded) and not any(
         violations(pi, piece.inequalities, mass, unit, tolerance=_ROUNDING)
         for pi, piece in zip(pieces, demanded, strict=True)
-        if len(piece.powers) == SIZE
     )
-
-
-def _completed(pieces: Array, demanded: Sequence[Piece], pi: Array) -> Array:
-    """The pieces with what the solver's tolerance leaves of pi given to the heaviest whose unknowns are its own."""
-    free = np.array([len(piece.powers) == SIZE for piece in demanded])
-    heaviest = int(np.argmax(np.where(free, pieces[:, 0], -1.0)))
-    completed = pieces.copy()
-    completed[heaviest] += pi - pieces.sum(axis=0)
-    return completed
 
 
 def _refused(*reasons: str) -> Verdict:
     return Verdict(reasons, None, np.zeros(0), np.zeros((0, 3)))
 
 
-def _shown(body: Body, demanded: Sequence[Piece], parts: Array) -> tuple[Array, Array]:
+def _shown(body: Body, parts: Array) -> tuple[Array, Array]:
     """Point masses that are the parts; none where a part's bounds are only necessary conditions."""
     masses, points = [np.zeros(0)], [np.zeros((0, 3))]
-    for i, (piece, part) in enumerate(zip(demanded, parts, strict=True)):
-        ellipsoid = body.ellipsoids[i] if i < len(body.ellipsoids) else None
-        if len(piece.powers) != SIZE:
-            own, _ = _point_masses(piece, part, length(body))
-            places = piece.basis[1:4].T
-        elif (ellipsoid is None and body.shapes) or explain(part, ellipsoid):
+    for ellipsoid, part in zip(body.ellipsoids or (None,), parts, strict=not body.shapes):
+        if body.shapes or explain(part, ellipsoid):
             return masses[0], points[0]
-        else:
-            found = witness(part, ellipsoid)
-            own, places = found.masses, found.points
-        masses.append(own[own > 0])
-        points.append(places[own > 0])
+        found = witness(part, ellipsoid)
+        masses.append(found.masses[found.masses > 0])
+        points.append(found.points[found.masses > 0])
     return np.concatenate(masses), np.concatenate(points)
-
-
-def _point_masses(piece: Piece, pi: Array, unit: float) -> tuple[Array, float]:
-    """Masses at a piece's places that come nearest to pi about their middle, shape (K,), and what they leave of it."""
-    relative = transformation(np.eye(3), -piece.basis[1:4].mean(axis=1)) / (pi[0] * unit**POWERS)[:, None]
-    masses, rest = nnls(relative @ piece.basis, relative @ pi)
-    return np.asarray(masses), float(rest)

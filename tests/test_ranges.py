@@ -30,7 +30,8 @@ Robots = Callable[[str], Robot]
 
 ABOVE = 0.01
 WIDE = 100.0  # units of a coefficient that pass for no end
-ACCURATE = {"tol_gap_rel": 1e-8, "tol_gap_abs": 1e-8, "tol_feas": 1e-8, "equilibrate_enable": False}
+ACCURATE = {"tol_gap_rel": 1e-7, "tol_gap_abs": 1e-7, "tol_feas": 1e-7, "equilibrate_enable": False}
+NEAR = 1e-4  # units of a coefficient: the programmes end within 1e-5 of theirs
 EUCLIDEAN = Regularization(kind="euclidean", weight=1e-3)
 
 
@@ -130,8 +131,9 @@ def test_ranges_are_what_cvxpy_finds(robot_of: Robots, case: str) -> None:
     widths = np.diff(found, axis=1)[:, 0] / 2 / problem.scale[wanted]
     assert (widths < 0.9 * inner).any() or problem.log_dets  # constraints bite
     theta = problem.theta(problem.S @ x)[s.known.free][wanted]
-    assert (found[:, 0] <= theta).all()
-    assert (theta <= found[:, 1]).all()
+    near = NEAR * problem.scale[wanted]  # an exact mass is both ends of its range
+    assert (found[:, 0] <= theta + near).all()
+    assert (theta <= found[:, 1] + near).all()
 
 
 def test_friction_that_is_held_at_zero_goes_up_alone(robot_of: Robots) -> None:
@@ -150,7 +152,7 @@ def test_friction_that_is_held_at_zero_goes_up_alone(robot_of: Robots) -> None:
     found = assert_as_by_cvxpy(problem, x, [1, 4, *others])
     at_zero = np.isclose(found[2:, 0] / problem.scale[others], 0, atol=1e-4)
     assert at_zero.any()
-    assert (found[2:, 0] >= -1e-4 * problem.scale[others]).all()
+    assert (found[2:, 0] >= -NEAR * problem.scale[others]).all()
     assert (found[2:, 1] > 1e-3 * problem.scale[others]).all()
 
 
@@ -319,8 +321,9 @@ def test_a_copys_range_is_its_originals(robot_of: Robots) -> None:
     for i in range(1, LENGTH + 1):
         own, copy = of_body(s, f"FL_link{i}"), of_body(s, f"FR_link{i}")
         ends = image(found[own].T, (1, -1, 1))
-        assert (ends.min(axis=0) <= theta[copy]).all()
-        assert (theta[copy] <= ends.max(axis=0)).all()
+        near = NEAR * problem.scale[own]
+        assert (ends.min(axis=0) <= theta[copy] + near).all()
+        assert (theta[copy] <= ends.max(axis=0) + near).all()
 
 
 def test_where_the_solver_gives_up_there_is_no_number(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:

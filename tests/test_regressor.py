@@ -198,6 +198,27 @@ def test_samples_of_a_resting_joint_are_left_out_of_its_block_only(build: Callab
     np.testing.assert_array_equal(abad, whole[0][:, kept])
 
 
+def test_effects_that_know_their_columns_at_different_times_leave_half_of_the_samples(
+    build: Callable[..., Model], leg: str
+) -> None:
+    """Where one is defined, the other is not: a velocity turns round as the torque of a spring is largest."""
+
+    class Wave(Nothing):
+        def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+            return {0: (np.arange(len(motion.t)) - self.unknown.start) % 100 < 10}
+
+    model, low_pass = build(leg, ("abad", "hip", "knee")), LowPass(cutoff=10, order=4, dt=0.001)
+    waves = [Wave(3, slice(start, None)) for start in (0, 50)]
+    motion = random_motion(np.random.default_rng(8), 3, 4000)
+    batch = Batch(motion, low_pass.reach, low_pass.reach, low_pass)
+    first, second, both = (
+        LinearModel(model.names, effects).clear(batch)[0] for effects in ((waves[0],), (waves[1],), tuple(waves))
+    )
+    np.testing.assert_allclose([first.mean(), second.mean()], 0.5, atol=0.02)
+    assert (first & second).mean() < 0.1
+    assert both.mean() >= 0.5
+
+
 def test_what_any_effect_cannot_know_is_left_out(build: Callable[..., Model], leg: str) -> None:
     model = build(leg, ("abad", "hip", "knee"))
     unknown = slice(100, 200), slice(700, 800)

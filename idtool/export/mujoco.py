@@ -106,7 +106,10 @@ def _controller(scene: Scene) -> list[str]:
     if controller is None:
         return []
     lines = ["The controller that drove the robot: ctrl = kp (qcmd - q) + kd (vcmd - v),"]
-    lines.append(f"on a command {controller.delay!r} s late.")
+    delay = controller.known_delay
+    lines.append(
+        f"on a command {delay.value!r} s late." if delay else "on a command that is late by what was not fitted."
+    )
     for name in controller.kp:
         if name in scene.forces:
             lines.append(f"  {name}: kp {controller.kp[name]!r}, kd {controller.kd.get(name, 0.0)!r}")

@@ -20,5 +20,6 @@ def show_adaptation(terminal: Terminal, report: dict[str, Any], folder: Path) ->
         table.add_row(name, figure(body["mass"]), "yes" if body["realizable"] else "NO")
     terminal.show(table)
     terminal.warn(report["warnings"])
-    terminal.say(f"{report['samples']} samples in {report['seconds']:.1f} s")
+    updates = f"{report['samples']} updates, one for each decimated row: {report['update_hz']:.4g} Hz"
+    terminal.say(f"{updates}, in {report['seconds']:.1f} s")
     terminal.say(f"written: {folder}/adapt.json, adapt.html")
