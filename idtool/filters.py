@@ -17,6 +17,7 @@ _OUTPUTS = 16  # filtered samples that one product gives, an even number; with m
 # Maximally flat central difference, 4 samples to each side: within 1 % up to a fifth of the sampling rate.
 _DIFFERENCE = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 DIFFERENCE_REACH = len(_DIFFERENCE) // 2
+DELAY_REACH = 4  # samples before, and one less after, from which one in between follows
 
 
 class LowPass:
@@ -108,6 +109,31 @@ def differentiate(x: Array, dt: float) -> Array:
     """Time derivative; 4 samples shorter at each end. Shape (nv, N) to (nv, N − 8)."""
     windows = np.lib.stride_tricks.sliding_window_view(x, len(_DIFFERENCE), axis=-1)
     return np.asarray(windows @ _DIFFERENCE / dt)
+
+
+def delayed(x: Array, samples: float) -> Array:
+    """Signal a share of a sample before; 4 samples shorter at the beginning and 3 at the end.
+
+    By the polynomial of degree 7 through the nearest samples: to a fifth of the sampling rate within 1 %, where a
+    straight line loses up to 19 % of the amplitude.
+
+    Parameters
+    ----------
+    x
+        Shape (..., N).
+    samples
+        From 0 to below 1.
+
+    Returns
+    -------
+    Shape (..., N − 7).
+    """
+    places = np.arange(-DELAY_REACH, DELAY_REACH)
+    gaps = places[:, None] - places + np.eye(len(places))
+    factors = (-samples - places) / gaps
+    np.fill_diagonal(factors, 1.0)
+    windows = np.lib.stride_tricks.sliding_window_view(x, len(places), axis=-1)
+    return np.asarray(windows @ factors.prod(axis=1))
 
 
 def noise_above(x: Array, low_pass: LowPass) -> Array:

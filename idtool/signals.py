@@ -56,6 +56,8 @@ class Motion:
         Sample time [s].
     ahead
         Of joints whose motor is not fast to its link, of which q, v and a are: the motor's less those, shape (3, N).
+    torques
+        The torque if the commands were later by other delays, as `Signals.batches` was asked for; shape (K, nv, N).
     """
 
     t: Array
@@ -67,6 +69,7 @@ class Motion:
     still: Array
     dt: float
     ahead: Mapping[int, Array] = field(default_factory=dict)
+    torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
 @dataclass(frozen=True)
@@ -204,7 +207,16 @@ class Signals:
         v = self._kinematics(self.channels.longest(self.ranges))[1]
         return np.asarray(np.maximum(_STILL, _SIGN_WIDTH * noise_above(v, self.every_sample)))
 
-    def batches(self, ranges: Sequence[slice] | None = None, every_sample: bool = False) -> Iterator[Batch]:
+    def after(self, delay: float, parts: Sequence[slice]) -> list[slice]:
+        """What is left of parts of `ranges` where commands are to be so late [s]: less at each stretch's beginning."""
+        lost = int(np.ceil(delay / self.log.dt)) - int(np.ceil(self.command.delay / self.log.dt))
+        begun = [(known.start + max(lost, 0), known.stop) for known in self.ranges]
+        pairs = [(max(part.start, start), min(part.stop, stop)) for part in parts for start, stop in begun]
+        return [slice(start, stop) for start, stop in pairs if stop > start]
+
+    def batches(
+        self, ranges: Sequence[slice] | None = None, every_sample: bool = False, delays: Sequence[float] = ()
+    ) -> Iterator[Batch]:
         """The log in batches of bounded size.
 
         Parameters
@@ -213,6 +225,8 @@ class Signals:
             Parts of `ranges`; default: all of them.
         every_sample
             Whether the batches' filter keeps every sample rather than decimate to the band.
+        delays
+            Of commands, for which the motion has the torque too [s]; none longer than `ranges` leave out.
         """
         low_pass = self.every_sample if every_sample else self.low_pass
         size = max(BATCH, 8 * low_pass.reach)
@@ -224,7 +238,7 @@ class Signals:
                 stop = min(start + size, last)
                 before = min(low_pass.reach, start - whole.start)
                 after = min(low_pass.reach, whole.stop - stop)
-                yield Batch(self._motion(slice(start - before, stop + after)), before, after, low_pass)
+                yield Batch(self._motion(slice(start - before, stop + after), delays), before, after, low_pass)
 
     def velocity(self, part: slice) -> Array:
         """Velocities at samples of the log, shape (nv, N); NaN where derivatives would reach across an end or gap."""
@@ -235,10 +249,12 @@ class Signals:
                 v[:, start - part.start : stop - part.start] = self._kinematics(slice(start, stop))[1]
         return v
 
-    def _motion(self, part: slice) -> Motion:
+    def _motion(self, part: slice, delays: Sequence[float]) -> Motion:
+        t = self.channels.times(part) - self.log.t[0]
         q, v, a = self._kinematics(part)
-        tau, logged = self._torque(part)
-        return Motion(self.channels.times(part) - self.log.t[0], q, v, a, tau, logged, self.still, self.log.dt)
+        (tau, *others), logged = self._torques(part, (self.command.delay, *delays))
+        torques = np.array(others).reshape(-1, *tau.shape)
+        return Motion(t, q, v, a, tau, logged, self.still, self.log.dt, torques=torques)
 
     def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
         r = DIFFERENCE_REACH
@@ -253,17 +269,21 @@ class Signals:
     def _smooth(self, x: Array) -> Array:
         return self._wide(x, self._wide.reach, self._wide.reach) if self._wide else x
 
-    def _torque(self, part: slice) -> tuple[Array, Array]:
-        """The logged torque or the controller's, through the same wide filter as the motion, and without."""
+    def _torques(self, part: slice, delays: Sequence[float]) -> tuple[Array, Array]:
+        """The logged torque or the controller's: by delay through the motion's wide filter; without, at the first.
+
+        Shapes (delays, nv, N) and (nv, N).
+        """
         m = self._wide.reach if self._wide else 0
         outer = slice(part.start - m, part.stop + m)
-        if self.command.joints.all():
-            tau = self.command.torque(self.channels, outer)
+        by_command = self.command.joints
+        if by_command.all():
+            tau = self.command.torques(self.channels, outer, delays)
         else:
-            tau = self.channels.signal("tau", outer)
-            if self.command.joints.any():
-                tau[self.command.joints] = self.command.torque(self.channels, outer)[self.command.joints]
-        return self._smooth(tau), tau[:, m : m + part.stop - part.start]
+            tau = np.repeat(self.channels.signal("tau", outer)[None], len(delays), axis=0)
+            if by_command.any():
+                tau[:, by_command] = self.command.torques(self.channels, outer, delays)[:, by_command]
+        return self._smooth(tau), tau[0, :, m : m + part.stop - part.start]
 
 
 def default_cutoff(dt: float) -> float:

@@ -15,6 +15,7 @@ from commands import (
     VALIDATE,
     VALIDATE_CSV,
     Row,
+    column_set,
     columns_kept,
     config_with,
     csv_text,
@@ -173,6 +174,26 @@ def test_a_joint_that_is_not_in_the_log_is_locked(tmp_path: Path, table: list[Ro
         assert f"joints held still: abad at {place}" in report["warnings"]
     prior = [report["rms"]["prior_validation"]["hip"] for report in reports]
     assert prior[0] != pytest.approx(prior[1], rel=1e-3)  # gravity pulls another way
+
+
+def test_a_joint_that_is_left_out_although_it_moves_is_said(tmp_path: Path, table: list[Row]) -> None:
+    shutil.copy(LEG, tmp_path)
+    config_with(tmp_path / "leg.yaml", LEG_YAML, joints=["hip", "knee"], locked_joints={"abad": 0.1})
+    travel = np.ptp(np.percentile(column(table, "q_abad"), (0.5, 99.5)))
+    assert travel > 0.3
+    shaking = 0.1 + 0.009 * np.sign(np.sin(np.arange(ROWS)))
+    shaking[ROWS // 2] = 3.0  # a reading that is none
+    said = []
+    for rows in (table, column_set(table, "q_abad", lambda i: shaking[i])):
+        (tmp_path / "log.csv").write_text(csv_text(rows))
+        warnings = fitted(tmp_path / "out", tmp_path / "leg.urdf", tmp_path / "log.csv")["warnings"]
+        said.append([warning for warning in warnings if warning.startswith("taken as standing still")])
+    ((moving,), still) = said
+    assert moving.startswith(
+        f"taken as standing still, though they move in the log: abad (moves by {travel:.3g} rad, taken at 0.1); what "
+    )
+    assert moving.endswith("falsifies the parameters: add them to joints, or log them at rest")
+    assert still == []
 
 
 def test_a_missing_velocity_is_differentiated_and_said(tmp_path: Path, folder: Path, table: list[Row]) -> None:

@@ -23,17 +23,12 @@ def command(t: Array, derivative: int = 0) -> Array:
 
 def controlled(log: Log, delay: float, n: int, kd: dict[str, float], v: Array) -> Array:
     """The torque at sample n: what was commanded ``delay`` before against what is now."""
-    whole, share = divmod(delay * RATE, 1)
+    before = np.array([n / RATE - delay])
+    qcmd, vcmd = command(before)[0], command(before, 1)[0] * ("vcmd" in log.signals)
     torque = np.zeros(2)
     for j, name in enumerate(log.joints):
-        wanted = {"qcmd": 0.0, "vcmd": 0.0}
-        for signal in wanted:
-            if signal in log.signals:
-                later = log.signals[signal][n - int(whole), j]
-                earlier = log.signals[signal][n - int(whole) - 1, j]
-                wanted[signal] = later + share * (earlier - later)
-        torque[j] = KP[name] * (wanted["qcmd"] - log.signals["q"][n, j])
-        torque[j] += kd.get(name, 0.0) * (wanted["vcmd"] - v[n, j])
+        torque[j] = KP[name] * (qcmd[j] - log.signals["q"][n, j])
+        torque[j] += kd.get(name, 0.0) * (vcmd[j] - v[n, j])
     return torque
 
 

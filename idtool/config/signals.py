@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from idtool.config.base import Finite, NonNegative, Positive, Record
+from idtool.config.terms import Uncertain
 
 
 def _keeps_the_signal(factor: float) -> float:
@@ -44,12 +46,36 @@ class Filter(Record):
     order: Annotated[int, Field(ge=1, le=8)] = 4
 
 
+def _delay(data: Any) -> str | float | Uncertain:
+    if data == "auto":
+        return "auto"
+    if isinstance(data, str):
+        raise ValueError(f"{data} is no delay; give auto, or a number in s")
+    delay = data if isinstance(data, Uncertain) else Uncertain.model_validate(data)
+    if delay.value < 0:
+        raise ValueError(f"a delay of {delay.value:g} s is none; give 0 or more, or auto")
+    return delay if isinstance(data, Uncertain | Mapping) else delay.value
+
+
+Delay = Annotated[Literal["auto"] | float | Uncertain, BeforeValidator(_delay)]
+
+
 class Controller(Record):
-    """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s]."""
+    """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s].
+
+    A delay of ``auto`` is fitted.
+    """
 
     kp: dict[str, NonNegative]
     kd: dict[str, NonNegative] = Field(default_factory=dict)
-    delay: NonNegative = 0.0
+    delay: Delay = "auto"
+
+    @property
+    def known_delay(self) -> Uncertain | None:
+        """The delay as given [s]; None: to be fitted."""
+        if self.delay == "auto":
+            return None
+        return Uncertain.model_validate(self.delay)
 
 
 class Simulation(Record):
