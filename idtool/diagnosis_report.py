@@ -172,6 +172,7 @@ def _step(step: Step, units: Mapping[str, str]) -> dict[str, Any]:
             "simulation_after": plain(step.after.simulation),
             "rollout_worse": _worse(step.before, step.after),
             "sentence": step.sentence,
+            "doubt": step.doubt,
         },
         "validation_rms_before": plain(_torque(step.before)),
         "validation_rms_after": plain(_torque(step.after)),

@@ -65,7 +65,9 @@ def summary(report: Mapping[str, Any]) -> str:
         )
     share = report["gap_closed"]["overall"]
     closed = "" if share is None else f": {100 * max(share, 0.0):.0f} % of the gap is closed"
-    rest = "" if report["verdict"] == "explained" else f" What is left is {unknown}."
+    rest = f" What is left is {unknown}." if left else ""
+    doubted = [_named_alone(step) for step in named if step["evidence"]["doubt"]]
+    rest += f" In doubt: {_listed(doubted)}; the notes say why." if doubted else ""
     return (
         f"The model lacks {_listed([_named(step) for step in named])}. With that, the {which} torque error goes from "
         f"{first:.3g} to {last:.3g} {unit} RMS, the noise floor being {floor}{closed}.{rest}"

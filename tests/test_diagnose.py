@@ -106,6 +106,43 @@ def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
     assert found["com"][2] == pytest.approx(true["com"][2], abs=0.005)
 
 
+def test_a_payload_heavier_than_the_robot_is_in_doubt(folder: Path) -> None:
+    """An arm in the horizontal plane, where no weight is felt: a rotor that its model lacks passes for a load."""
+    level = {"gravity": [0.0, -9.81, 0.0]}
+    hidden = (
+        Hidden("rotor_inertia", "shoulder", None, "strong", {"inertia": 2.0}),
+        Hidden("gravity_tilt", None, None, "strong", level),
+    )
+    files = logged(folder, *hidden, inertia="fixed")
+    files.config.write_text(yaml.safe_dump({**yaml.safe_load(files.config.read_text()), **level}))
+    out = folder / "heavy"
+    report = diagnosed(files, out, "--no-simulation", "--inertia", "fixed", "--effects", "payload")
+    step = report["steps"][0]
+    assert (step["effect"], step["link"]) == ("payload", "lower")
+    assert step["parameters"]["mass"] == pytest.approx(2.0 / 0.45**2, rel=0.05)  # on the elbow, 0.45 m from the axis
+    doubt = step["evidence"]["doubt"]
+    assert doubt.startswith("the payload on lower, 9.9")
+    for cure in ("weigh the robot", "known.total_mass", "--inertia refit", "other postures"):
+        assert cure in doubt
+    assert doubt in report["warnings"]
+    assert report["verdict"] == "partly_explained"
+    assert "In doubt: a payload on lower; the notes say why." in report["summary"]
+    assert "the payload on lower, 9.9" in (out / "diagnosis.html").read_text()
+    right = diagnosed(files, folder / "right", "--no-simulation", "--inertia", "fixed", "--effects", "rotor_inertia")
+    assert (right["verdict"], right["steps"][0]["evidence"]["doubt"]) == ("explained", "")
+
+
+def test_friction_that_builds_up_over_a_third_of_the_travel_is_found(folder: Path) -> None:
+    """The search comes to a displacement of more than a quarter of the joint's travel, 3.2 rad."""
+    friction = {"displacement": 0.9, "amplitude": 3.0, "damping": 0.0}
+    files = logged(folder, Hidden("presliding_hysteresis", "elbow", None, "strong", friction))
+    report = diagnosed(files, folder / "long", "--no-simulation")
+    assert named(report) == [("presliding_hysteresis", "elbow")]
+    assert report["steps"][0]["parameters"]["displacement"] == pytest.approx(0.9, rel=0.05)
+    assert report["steps"][0]["parameters"]["amplitude"] == pytest.approx(3.0, rel=0.1)
+    assert report["verdict"] == "explained"
+
+
 def test_what_is_in_no_library_is_unknown(folder: Path) -> None:
     files = logged(folder, Hidden("unknown", "elbow", None, "strong", {"form": "friction_by_position"}))
     report = diagnosed(files, folder / "unknown", "--no-simulation")

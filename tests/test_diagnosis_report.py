@@ -17,7 +17,9 @@ from commands import JOINTS, LEG, files, idtool, strict_json
 from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, step_of
 from rich.console import Console
 
-from idtool.diagnosis.records import Candidate, Diagnosis, Level
+from idtool.diagnosis.diagnose import _verdict
+from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step
+from idtool.diagnosis.words import doubted
 from idtool.diagnosis_report import diagnosis_report, gap_closed
 from idtool.fitting import Fit
 from idtool.terminal import Terminal
@@ -220,6 +222,27 @@ def test_the_verdict_in_words(found: Diagnosis) -> None:
     alone = replace(faulty(found), steps=faulty(found).steps[-1:], after=found.before, verdict="unexplained")
     text = report_of(alone)["summary"]
     assert text.startswith("Model and data disagree, and no known effect explains it: unknown, on knee.")
+
+
+def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
+    """Payloads that together outweigh what moves, about 2.3 kg; lighter ones are in no doubt."""
+    model = found.last.experiment.model
+    moving = sum(body.pi[0] for body in model.bodies)
+
+    def loaded(share: float) -> list[Step]:
+        links = ("thigh_link", "shank_link")
+        loads = [replace(candidate("payload", None), link=link) for link in links]
+        return [step_of(chosen=load, parameters={"mass": share * moving / 2}) for load in loads]
+
+    assert doubted(loaded(0.99), model) == loaded(0.99)
+    assert _verdict(loaded(0.99)) == "explained"
+    steps = doubted([*loaded(1.01), step_of()], model)
+    assert [bool(step.doubt) for step in steps] == [True, True, False]
+    assert f"the payload on thigh_link and shank_link, {1.01 * moving:.3g} kg, is heavier than all" in steps[0].doubt
+    assert _verdict(steps) == "partly_explained"
+    report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
+    assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
+    assert report["summary"].endswith("% of the gap is closed. In doubt: a payload on thigh_link; the notes say why.")
 
 
 def test_what_to_do_next(found: Diagnosis) -> None:

@@ -82,6 +82,13 @@ def test_the_findings_say_how_far_to_trust_them(found: Diagnosis) -> None:
     assert "Taken out again" in page.plain
 
 
+def test_a_doubt_stands_at_its_step(found: Diagnosis) -> None:
+    first, second = found.steps
+    page = page_of(replace(found, steps=(first, replace(second, doubt="too heavy to be true"))))
+    assert page.levels[:3] == ["good", "note", "note"]
+    assert "In doubt. Too heavy to be true." in page.plain
+
+
 def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     worse = level(0.2, 0.55, 0.35, simulated=0.04)
     first, second = found.steps

@@ -15,6 +15,7 @@ from spatial_arm import experiment, written
 from idtool.config import EffectEntry
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of, with_effects, with_fixed_inertia
+from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment
 
 Array = NDArray[np.float64]
@@ -53,7 +54,6 @@ def found(here: Ground, steps: int = 3, off: float = 0.8) -> Trial:
         entry("end_stop", stiffness=0.0, position=off * STOP),
     ]
     done = tried(here, entries, (0, 1), silent, steps)
-    assert done is not None
     return done
 
 
@@ -107,19 +107,30 @@ def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: 
         entry("end_stop", stiffness=0.0, position=STOP),
     ]
     done = tried(here, entries, [0], silent, 3)
-    assert done is not None
     assert values(done)[0] == pytest.approx(VELOCITY, rel=0.03)
     assert values(done)[1] == STOP
     assert set(done.errors) == {KEYS[0]}
     fixed = tried(here, entries, [0], silent, 0)
-    assert fixed is not None
     assert fixed.errors == {}
     assert fixed.ground.left().sum() > done.ground.left().sum()
 
 
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
     here = grounded(tmp_path, log)
-    assert tried(here, [entry("stribeck_friction", stribeck=0.0, velocity=-1.0)], [0], silent) is None
+    with pytest.raises(ConfigError, match="velocity of -1 cannot be"):
+        tried(here, [entry("stribeck_friction", stribeck=0.0, velocity=-1.0)], [0], silent)
+
+
+def test_an_effect_that_the_motion_does_not_tell_is_not_fitted(tmp_path: Path, log: Log) -> None:
+    """Presliding whose state is known only once the joint has moved nearly as far as in the whole log."""
+    here = grounded(tmp_path, log)
+    way = float(np.abs(np.diff(log["q"][:, 0])).sum())
+    short, long = (
+        entry("presliding_hysteresis", amplitude=0.0, displacement=share * way / 4) for share in (0.04, 0.98)
+    )
+    assert tried(here, [short], [0], silent, 0).ground.rows.sum() == here.rows.sum()
+    with pytest.raises(ConfigError, match=r"joint hinge has \d+ of \d+ samples left in which all effects are defined"):
+        tried(here, [long], [0], silent, 0)
 
 
 def fitted(tried: Experiment) -> Ground:

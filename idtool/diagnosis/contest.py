@@ -21,6 +21,7 @@ from idtool.effects.probe import Probe
 from idtool.experiment import Progress
 
 Array = NDArray[np.float64]
+Place = tuple[str, ...]
 
 SURE = 5.0  # standard errors of noise that a gain must be worth: some thousand candidates compete
 _EACH = 4.0  # more for each further parameter
@@ -74,6 +75,8 @@ class Choice:
         Why each effect that was tried lost.
     inflation
         How many rows are worth one independent one.
+    failed
+        Of ``lost``, those that could not be fitted.
     """
 
     here: Ground
@@ -82,6 +85,7 @@ class Choice:
     others: tuple[Contender, ...]
     lost: tuple[Candidate, ...]
     inflation: float
+    failed: tuple[Candidate, ...] = ()
 
     def alternatives(self) -> Iterator[Candidate]:
         """What came near, the best first."""
@@ -89,7 +93,7 @@ class Choice:
             yield candidate(one, self.here)
 
 
-def place_of(probe: Probe) -> tuple[str, ...]:
+def place_of(probe: Probe) -> Place:
     """What an effect is on; other sources are other effects."""
     return (*probe.on, *(f"{probe.shape[name]:g}" for name in ("source",) if name in probe.shape))
 

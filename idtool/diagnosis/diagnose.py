@@ -9,19 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.command_delay import with_delay
 from idtool.diagnosis.contest import SURE, candidate, share
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.floor import Floor, noise_floor
-from idtool.diagnosis.ground import ground
+from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.level import level
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict, Where
 from idtool.diagnosis.rounds import APART, Added, Search
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
-from idtool.diagnosis.trial import with_effects, with_fixed_inertia
+from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unknown import UNKNOWN, unnamed
 from idtool.diagnosis.where import located, residual_maps, unexplained
-from idtool.diagnosis.words import aside, sentence, separating
+from idtool.diagnosis.words import aside, doubted, sentence, separating
 from idtool.effects import named_effect
 from idtool.experiment import Experiment, Progress
 from idtool.fitting import Fit, fit
@@ -77,6 +78,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         If the logs or the model cannot be used, or an effect cannot be where it is assumed.
     """
     started = time.perf_counter()
+    experiment, delay, _ = with_delay(experiment, progress)
     wrong = faults(experiment, progress)
     if options.inertia == "fixed":
         experiment = with_fixed_inertia(experiment)
@@ -85,10 +87,11 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         search.assume(effect, on)
     search.run()
     first = fit(experiment, progress, options.simulated)
-    last = fit(search.final(), progress, options.simulated) if search.named else first
+    last = _last(search, first, options.simulated)
     structure = _structure(search)
     floor = _floor(search, structure)
-    steps = [*_steps(search, first, options.simulated), *_unknown(search, structure, floor, last)]
+    named = doubted(_steps(search, first, last, options.simulated), experiment.model)
+    steps = [*named, *_unknown(search, structure, floor, last)]
     joints = experiment.equation.joints
     before, after = (_of(one) for one in (first, last))
     return Diagnosis(
@@ -103,9 +106,23 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         verdict=_verdict(steps),
         maps_before=residual_maps(first.experiment, first.estimate.theta, progress),
         maps_after=residual_maps(last.experiment, last.estimate.theta, progress),
-        warnings=_notes(search),
+        warnings=(
+            *(delay.warnings if delay else ()),
+            *dict.fromkeys(step.doubt for step in steps if step.doubt),
+            *_notes(search),
+        ),
         seconds=time.perf_counter() - started,
     )
+
+
+def _last(search: Search, first: Fit, simulated: bool) -> Fit:
+    """The model with all effects that it can be fitted with."""
+    while search.named:
+        try:
+            return fit(search.final(), search.progress, simulated)
+        except FAILURES as failure:
+            search.leave_out(search.named[-1], failure)
+    return first
 
 
 def _of(one: Fit) -> Level:
@@ -117,12 +134,12 @@ def _of(one: Fit) -> Level:
     return Level(one.train.errors["identified"].rms(joints), held_out.rms(joints) if held_out.samples else None, moved)
 
 
-def _steps(search: Search, first: Fit, simulated: bool) -> list[Step]:
+def _steps(search: Search, first: Fit, last: Fit, simulated: bool) -> list[Step]:
     """What was found, step by step, with the shape values of the end."""
     steps: list[Step] = []
     experiment, theta, before = first.experiment, first.estimate.theta, _of(first)
     for k, one in enumerate(search.named):
-        found = ground(with_effects(search.here.experiment, search.entries(k + 1), search.here.theta), search.progress)
+        found = _so_far(search, k + 1, last)
         after = level(found.experiment, found.estimate.theta, simulated, search.progress)
         where = located(experiment, theta, found.experiment, found.estimate.theta, search.progress)
         values, errors = _parameters(one, search)
@@ -146,6 +163,15 @@ def _steps(search: Search, first: Fit, simulated: bool) -> list[Step]:
         steps.append(replace(step, sentence=sentence(step, units)))
         experiment, theta, before = found.experiment, found.estimate.theta, after
     return steps
+
+
+def _so_far(search: Search, count: int, last: Fit) -> Ground | Fit:
+    """The model with the effects that were found first; with all of them, where those alone cannot be fitted."""
+    experiment = with_effects(search.here.experiment, search.entries(count), search.here.theta)
+    try:
+        return ground(experiment, search.progress)
+    except FAILURES:
+        return last
 
 
 def _parameters(one: Added, search: Search) -> tuple[dict[str, object], dict[str, object]]:
@@ -217,6 +243,8 @@ def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last:
 def _notes(search: Search) -> tuple[str, ...]:
     """What a reader should know."""
     notes = [aside(one.entry) for one in search.added if one not in search.named]
+    there = {(one.chosen.effect, one.chosen.on) for one in search.added}
+    notes += [f"{' on '.join(one)} {reason}" for one, reason in search.failed.items() if one not in there]
     if search.rounded:
         notes.append(
             f"within {1e3 * APART:.0f} ms of reversals friction on {', '.join(search.rounded)} is not what its level "
@@ -229,5 +257,5 @@ def _verdict(steps: Sequence[Step]) -> Verdict:
     named = any(step.entry is not None for step in steps)
     left = any(step.entry is None for step in steps)
     if named:
-        return "partly_explained" if left else "explained"
+        return "partly_explained" if left or any(step.doubt for step in steps) else "explained"
     return "unexplained" if left else "no_disagreement"

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import Config, EffectEntry, Regularization
+from idtool.config import WEAK, Config, EffectEntry
 from idtool.effects import build_effects
 from idtool.exceptions import SolverError
 from idtool.experiment import Experiment
@@ -153,7 +153,7 @@ class Posed:
         noise = np.sqrt(self.free(T) * power)
         noise[noise == 0] = 1.0
         try:
-            theta = identify(fit.equation, fit.bodies, data, fit.sets, Regularization(), noise=noise).theta
+            theta = identify(fit.equation, fit.bodies, data, fit.sets, WEAK, noise=noise).theta
         except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
             return None
         left = [f.squares(theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)]

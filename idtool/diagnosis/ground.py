@@ -12,6 +12,7 @@ Letters: p coefficients theta; r directions y; F blocks of time; sigma_j noise o
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,12 +22,14 @@ from numpy.typing import NDArray
 from idtool.barrier import Barrier
 from idtool.blocks import Blocks, cut, together
 from idtool.effects.torque_sensor import Sensor
-from idtool.experiment import Experiment, Progress, tracked
+from idtool.exceptions import ConfigError
+from idtool.experiment import Experiment, Progress, Rows, tracked
 from idtool.identified import choose_sets
 from idtool.identify import Estimate, identify
 from idtool.present import PresentModel
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
+from idtool.signals import Batch
 from idtool.weights import free_noise, weighted_rows
 
 Array = NDArray[np.float64]
@@ -36,6 +39,7 @@ _SHORTEST = 0.4  # s of a block
 _GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _SEEN = 1e-5  # of a direction's weight that data have: with less, it is the prior's
 _RANK = 1e-13  # of the largest eigenvalue
+_KNOWN = 0.1  # of a joint's rows that count, at which a model must know its own columns
 _SEED = 0
 
 
@@ -130,7 +134,8 @@ def ground(
     Raises
     ------
     IdtoolError
-        If there are fewer samples than it takes, or the problem could not be solved.
+        If there are fewer samples than it takes, as where an effect knows its columns at next to none of them, or the
+        problem could not be solved.
     """
     length, apart = fold_rows(experiment), like.apart if like else apart
     counting = like.experiment.equation if like and not own_rows else experiment.equation
@@ -142,7 +147,14 @@ def ground(
     noise = free_noise(equation, reduction, known) if like is None else like.noise * _rescaled(experiment, size, like)
     sets, _ = choose_sets(experiment.model.bodies, config.constraints)
     found = identify(
-        equation, experiment.model.bodies, reduction, sets, config.regularization, known, config.solver.name, noise
+        equation,
+        experiment.model.bodies,
+        reduction,
+        sets,
+        config.regularization.or_weak(),
+        known,
+        config.solver.name,
+        noise,
     )
     theta, ways, held = _directions(equation, reduction, found, noise)
     parts = [part for log in blocks for part in log.parts]
@@ -217,18 +229,34 @@ def fold_rows(experiment: Experiment) -> int:
 def _blocks(
     experiment: Experiment, length: int, progress: Progress, counting: LinearModel, apart: float
 ) -> list[Blocks]:
-    """The training data in blocks of so many rows, those that an equation knows its columns at."""
-    found = []
+    """The training data in blocks of so many rows, those that an equation knows its columns at.
+
+    Raises
+    ------
+    ConfigError
+        If the experiment's own equation knows its columns at next to none of them on a joint.
+    """
+    equation, found = experiment.equation, []
+    counted, known = np.zeros((2, len(equation.joints)))
+
+    def rows(batches: Iterable[Batch]) -> Rows:
+        for batch in batches:
+            kept = counting.clear(batch, apart)
+            own = equation.clear(batch, apart) if equation is not counting else kept
+            counted[:] += [keep.sum() for keep in kept]
+            known[:] += [(keep & sure).sum() for keep, sure in zip(kept, own, strict=True)]
+            yield [batch.filter(x) for x in equation.columns(batch.motion)], kept
+
     for run in (run for run in experiment.runs if run.train):
         low_pass = run.signals.low_pass
         batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
-        rows = (
-            ([batch.filter(x) for x in experiment.equation.columns(batch.motion)], counting.clear(batch, apart))
-            for batch in batches
-        )
-        parts = tuple(cut(rows, length, low_pass.redundancy))
+        parts = tuple(cut(rows(batches), length, low_pass.redundancy))
         if parts:
             found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
+    for name, own, all_of_them in zip(equation.joints, known, counted, strict=True):
+        if own < _KNOWN * all_of_them:
+            what = f"joint {name} has {own:.0f} of {all_of_them:.0f} samples left in which all effects are defined"
+            raise ConfigError("effects", f"{what}; log more motion")
     return found
 
 

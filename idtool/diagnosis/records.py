@@ -114,6 +114,8 @@ class Step:
         Errors without and with it.
     sentence
         What was found, for people.
+    doubt
+        What speaks against it, a plain sentence; empty where nothing does.
     """
 
     chosen: Candidate
@@ -129,6 +131,7 @@ class Step:
     before: Level
     after: Level
     sentence: str
+    doubt: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 from idtool.config import EffectEntry
-from idtool.diagnosis.contest import WORTH, Choice, Contender, candidate, is_answer, saved, worthwhile
+from idtool.diagnosis.contest import WORTH, Choice, Contender, Place, candidate, is_answer, place_of, saved, worthwhile
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.search import DETERMINED, assumed, searched
-from idtool.diagnosis.trial import Key, tried, value_of, with_effects
+from idtool.diagnosis.search import DETERMINED, assumed, searched, unfitted
+from idtool.diagnosis.trial import FAILURES, Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
 from idtool.diagnosis.words import superseded
 from idtool.effects import known_effects
 from idtool.effects.time_delay import WITHIN, TimeDelay
-from idtool.exceptions import ConfigError, IdtoolError
+from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
 
 APART = 0.04  # s from reversals
@@ -70,6 +70,8 @@ class Search:
         The round that found nothing more.
     rounded
         Joints whose friction is another around reversals, which were left aside in the end.
+    failed
+        By effect and what it acts on, why the model could not be fitted with it.
 
     Parameters
     ----------
@@ -89,11 +91,13 @@ class Search:
         self.removed: list[str] = []
         self.last: Choice | None = None
         self.rounded: tuple[str, ...] = ()
+        self.failed: dict[tuple[str, str], str] = {}
+        self._skipped: set[Place] = set()
         self._plain = experiment.config.effects
         self._least = WITHIN * max(run.signals.log.dt for run in experiment.runs)
         self._within: tuple[EffectEntry, ...] = ()
         self.here = ground(experiment, progress)
-        self._settle([])
+        self._settled([])
         self.first = self.here
 
     @property
@@ -115,10 +119,9 @@ class Search:
             If it cannot be there.
         """
         choice = assumed(self.here, self.progress, effect, on, self._bursts())
-        if choice.winner is None:
+        if choice.winner is None or self._add(choice, choice.winner):
             what = f"{effect}:{on or 'any joint'} cannot be there"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
-        self._add(choice, choice.winner)
 
     def run(self) -> None:
         """Add what pays, until nothing more does; where it is quieter away from reversals, there.
@@ -143,13 +146,13 @@ class Search:
     def _apart(self, apart: float) -> None:
         """Look at rows so far from reversals [s]."""
         self.here = ground(self.here.experiment, self.progress, apart=apart)
-        self._settle([one.entry for one in self.added])
+        self._settled([one.entry for one in self.added])
 
     def _quieter(self) -> tuple[str, ...]:
         """Joints of which the rows away from reversals tell far more; none where those of another tell less."""
         try:
             away = ground(self.here.experiment, self.progress, apart=APART)
-        except IdtoolError:
+        except FAILURES:
             return ()
         told, told_away = (one.rows.sum(axis=0) / np.square(one.noise) for one in (self.here, away))
         if (told_away < _LESS * told).any():
@@ -160,10 +163,14 @@ class Search:
         seen: set[frozenset[tuple[str, str | None]]] = set()
         while len(self.named) < self._most:
             effects = self._effects if worth == WORTH else self._turning()
-            self.last = searched(self.here, self.first, self.progress, effects, self._bursts(), worth)
-            if self.last.winner is None:
+            found = searched(self.here, self.first, self.progress, effects, self._bursts(), worth, self._skipped)
+            self.last = found
+            self.failed |= {(one.effect, one.on): one.reason for one in found.failed}
+            if found.winner is None:
                 break
-            self._add(self.last, self.last.winner)
+            if failure := self._add(found, found.winner):
+                self._skip(found.winner, failure)
+                continue
             self._prune()
             state = frozenset((one.chosen.effect, one.chosen.on) for one in self.added)
             if state in seen:
@@ -180,11 +187,35 @@ class Search:
             return ()
         return bursts(self.here.experiment, self.here.estimate.theta, self.progress)
 
-    def _add(self, choice: Choice, winner: Contender) -> None:
-        chosen = candidate(winner, self.here)
-        entries = winner.trial.entries
-        self.added.append(Added(entries[-1], choice, chosen))
-        self._settle([*(one.entry for one in self.added[:-1]), entries[-1]])
+    def _add(self, choice: Choice, winner: Contender) -> Exception | None:
+        """Add an effect; why it could not be, if so."""
+        self.added.append(Added(winner.trial.entries[-1], choice, candidate(winner, self.here)))
+        failure = self._settled([one.entry for one in self.added])
+        if failure:
+            self.added.pop()
+        return failure
+
+    def _skip(self, one: Contender, failure: Exception) -> None:
+        """Try a candidate no more."""
+        self._skipped.add(place_of(one.found.probe))
+        chosen = candidate(one, self.here)
+        self.failed[chosen.effect, chosen.on] = unfitted(failure)
+
+    def leave_out(self, one: Added, failure: Exception) -> None:
+        """Take out an effect with which the whole model cannot be fitted."""
+        self.added = [other for other in self.added if other is not one]
+        self.failed[one.chosen.effect, one.chosen.on] = unfitted(failure)
+        self._settled([other.entry for other in self.added])
+
+    def _settled(self, added: Sequence[EffectEntry]) -> Exception | None:
+        """`_settle`, or leave all as it was and give the reason."""
+        before = self.here, self._within
+        try:
+            self._settle(added)
+        except FAILURES as failure:
+            self.here, self._within = before
+            return failure
+        return None
 
     def _settle(self, added: Sequence[EffectEntry]) -> None:
         """Fit all anew, shape values together, the joints weighed by what is left now."""
@@ -207,9 +238,11 @@ class Search:
         experiment = with_effects(self.here.experiment, [*self._plain, *entries], self.here.theta)
         self.here = ground(experiment, self.progress, apart=self.here.apart)
         moving = range(first, first + len(entries))
-        trial = tried(self.here, experiment.config.effects, moving, self.progress, _POLISHES) if entries else None
-        self.here = trial.ground if trial is not None else self.here
-        return trial.errors if trial is not None else {}
+        if not entries:
+            return {}
+        trial = tried(self.here, experiment.config.effects, moving, self.progress, _POLISHES)
+        self.here = trial.ground
+        return trial.errors
 
     def _prune(self) -> None:
         """Take out what no longer pays."""
@@ -220,24 +253,29 @@ class Search:
                 i += 1
                 continue
             out = self.added.pop(i)
-            by = self.added[-1].chosen
+            if self._settled(others):  # the rest cannot be fitted without it
+                self.added.insert(i, out)
+                i += 1
+                continue
             if is_answer(out.chosen.effect):
-                self.removed.append(superseded(out.chosen, by))
-            self._settle(others)
+                self.removed.append(superseded(out.chosen, self.added[-1].chosen))
 
     def _trim(self) -> None:
         """Leave out what an effect need not have and the data do not tell."""
         entries = [_trimmed(one) for one in self.added]
         if any(entry is not one.entry for entry, one in zip(entries, self.added, strict=True)):
-            self._settle(entries)
+            self._settled(entries)
 
     def _needed(self, one: Added, others: Sequence[EffectEntry]) -> bool:
         """Whether an effect still pays beside the others, on the rows that they know."""
         now, theta = self.here, self.here.theta
-        if now.apart != one.choice.here.apart:
-            now = ground(now.experiment, self.progress, apart=one.choice.here.apart)
-        without = ground(with_effects(now.experiment, others, theta), self.progress, now, own_rows=True)
-        here = ground(now.experiment, self.progress, without)
+        try:
+            if now.apart != one.choice.here.apart:
+                now = ground(now.experiment, self.progress, apart=one.choice.here.apart)
+            without = ground(with_effects(now.experiment, others, theta), self.progress, now, own_rows=True)
+            here = ground(now.experiment, self.progress, without)
+        except FAILURES:  # nothing speaks against it
+            return True
         gain, of = float(saved(without, here).sum()), one.chosen
         return worthwhile(gain, without, one.choice.inflation, of.joint is not None, of.parameters)
 

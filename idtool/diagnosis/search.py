@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from idtool.diagnosis.contest import SURE, WORTH, Choice, Contender, chosen, place_of, recorded, saved
+from idtool.diagnosis.contest import SURE, WORTH, Choice, Contender, Place, chosen, is_answer, place_of, recorded, saved
 from idtool.diagnosis.ground import Ground, held_out
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
-from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of
+from idtool.diagnosis.trial import FAILURES, Trial, is_fixed, reason_of, tried, value_of
 from idtool.effects import known_effects
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Survey
+from idtool.exceptions import ConfigError
 from idtool.experiment import Progress
 
 _CONTENDERS = 7  # that are tried more finely
@@ -37,6 +39,7 @@ def searched(
     effects: Sequence[str] | None,
     bursts: tuple[tuple[float, float], ...] = (),
     worth: float = WORTH,
+    skipped: Container[Place] = (),
 ) -> Choice:
     """Look for the effect that explains most of what a model leaves.
 
@@ -54,26 +57,34 @@ def searched(
         Stretches of time in which the residual is out of the ordinary [s].
     worth
         Share of a joint's squared residual that an effect must explain.
+    skipped
+        What is not tried, by `place_of`.
     """
-    found = screened(here, _probes(here, effects, bursts), progress)
+    probes = [probe for probe in _probes(here, effects, bursts) if place_of(probe) not in skipped]
+    found = screened(here, probes, progress)
     inflation = _inflation(here, found)
     best = _best(found)
     contenders = sorted(best.values(), key=lambda one: -one.gain)[:_CONTENDERS]
     best |= _best(screened(here, list(_finer(contenders, found)), progress, "looking closer"), best)
     ranked = sorted(best.values(), key=lambda one: -one.gain)
     fitted: list[Contender] = []
+    rejected: list[Candidate] = []
     failed: list[Candidate] = []
     for one in ranked[:_FINALISTS]:
         if one.gain < max([SURE**2 * inflation, *(_NEAR * other.found.gain for other in fitted)]):
             break
-        own = _fitted(here, one, progress)
-        reason = _against(own, here, first) if own else "cannot be fitted together with the rest of the model"
-        if own and not reason:
-            fitted.append(own)
+        try:
+            own = _fitted(here, one, progress)
+        except FAILURES as failure:
+            failed.append(recorded(one, here, unfitted(failure)))
+            continue
+        if reason := _against(own, here, first):
+            rejected.append(recorded(one, here, reason))
         else:
-            failed.append(recorded(one, here, reason))
+            fitted.append(own)
     fitted.sort(key=lambda one: -one.gain)
-    return chosen(here, fitted, failed, found, inflation, progress, worth)
+    choice = chosen(here, fitted, [*rejected, *failed], found, inflation, progress, worth)
+    return replace(choice, failed=tuple(one for one in failed if is_answer(one.effect)))
 
 
 def assumed(
@@ -96,9 +107,14 @@ def assumed(
     """
     probes = [probe for probe in _probes(here, (effect,), bursts) if on is None or probe.on[1] == on]
     found = screened(here, probes, progress)
-    possible = sorted((one for one in found if one.entry), key=lambda one: (not one.allowed, -one.gain))
-    fitted = (own for one in possible if (own := _fitted(here, one, progress)) is not None)
-    return Choice(here, next(fitted, None), (), (), (), _inflation(here, found))
+    winner = None
+    for one in sorted(found, key=lambda one: (not one.allowed, -one.gain)):
+        try:
+            winner = _fitted(here, one, progress)
+        except FAILURES:
+            continue
+        break
+    return Choice(here, winner, (), (), (), _inflation(here, found))
 
 
 def _probes(here: Ground, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...]) -> list[Probe]:
@@ -147,13 +163,18 @@ def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Prob
                 yield one.probe.at({**one.probe.shape, name: float(value)})
 
 
-def _fitted(here: Ground, one: Found, progress: Progress) -> Contender | None:
-    """A candidate in the model; None where the two cannot be fitted together."""
+def _fitted(here: Ground, one: Found, progress: Progress) -> Contender:
+    """A candidate in the model; raises as `tried`, and where no such effect can be."""
     if one.entry is None:
-        return None
+        raise ConfigError("effects", "it is beyond what such an effect can be")
     entries = (*here.experiment.config.effects, one.entry)
     trial = tried(here, entries, [len(entries) - 1], progress)
-    return None if trial is None else Contender(one, trial, saved(here, trial.ground))
+    return Contender(one, trial, saved(here, trial.ground))
+
+
+def unfitted(failure: Exception) -> str:
+    """Why a candidate lost that cannot be fitted."""
+    return f"cannot be fitted together with the rest of the model: {reason_of(failure)}"
 
 
 def _against(one: Contender, here: Ground, first: Ground) -> str:

@@ -32,12 +32,19 @@ from idtool.signals import Motion
 Array = NDArray[np.float64]
 Key = tuple[int, str]  # place in the configuration's effects, and name of a parameter
 
+FAILURES = (IdtoolError, np.linalg.LinAlgError)  # of a model that cannot be fitted
+
 _STEP = 1e-3  # of a shape value, or this where it is small: of a difference
 _FAR = 0.3  # of a value that a step goes at the most
 _BETTER = 1e-4  # of the squared residual that a step must save
 _BEYOND = 2.0  # times the values tried, that a shape value may move
 _SCAN = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # of a value, that are tried
 _AS_GOOD = 0.9  # of the largest gain
+
+
+def reason_of(failure: Exception) -> str:
+    """What a failure says, without the file or key that it is about."""
+    return failure.what if isinstance(failure, IdtoolError) else "its equations have no solution"
 
 
 @dataclass(frozen=True)
@@ -105,8 +112,8 @@ def is_fixed(experiment: Experiment) -> bool:
 
 def tried(
     before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, steps: int = 1
-) -> Trial | None:
-    """A model with other effects, fitted with the same weights; None where it cannot be fitted.
+) -> Trial:
+    """A model with other effects, fitted with the same weights.
 
     Parameters
     ----------
@@ -120,11 +127,13 @@ def tried(
         Told how far it has come.
     steps
         How often they are.
+
+    Raises
+    ------
+    IdtoolError, LinAlgError
+        If it cannot be fitted; see `FAILURES`.
     """
-    try:
-        here = ground(with_effects(before.experiment, entries, before.theta), progress, before)
-    except IdtoolError:
-        return None
+    here = ground(with_effects(before.experiment, entries, before.theta), progress, before)
     errors: dict[Key, float] = {}
     ranges = _ranges(before, entries, moving)
     for i in moving:
@@ -202,7 +211,7 @@ def _step(
             changed[i] = _with(changed[i], name, float(moved))
         try:
             there = ground(with_effects(here.experiment, changed, here.theta), progress, here)
-        except IdtoolError:
+        except FAILURES:
             continue
         if there.left().sum() < here.left().sum():
             return there, errors

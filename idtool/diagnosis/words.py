@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from idtool.config import EffectEntry
 from idtool.diagnosis.records import Candidate, Level, Step
 from idtool.effects import known_effects
+from idtool.effects.payload import Payload
+from idtool.model import Model
 
 _SHOWN = 4  # parameters in a sentence
 
@@ -31,6 +34,23 @@ def sentence(step: Step, units: Mapping[str, str]) -> str:
     )
     region = "" if step.where.region in ("", "all along") else f" {step.where.region}"
     return f"{chosen.on}:{region} {means} ({chosen.effect}: {figures}): {_shrinks(step, units)}"
+
+
+def doubted(steps: Sequence[Step], model: Model) -> list[Step]:
+    """The same steps, with a doubt on payloads that together outweigh the robot."""
+    loads = [step for step in steps if step.chosen.effect == Payload.id]
+    mass = sum(float(step.parameters["mass"]) for step in loads)
+    robot = sum(float(body.pi[0]) for body in model.bodies)
+    if mass <= robot:
+        return list(steps)
+    on = " and ".join(step.chosen.on for step in loads)
+    doubt = (
+        f"the payload on {on}, {mass:.3g} kg, is heavier than all moving links and rotors of the URDF, "
+        f"{robot:.3g} kg: it may stand in for what the model lacks, such as rotors, or for masses of the URDF that are "
+        "wrong; weigh the robot and diagnose with known.total_mass and --inertia refit, or log motion that lifts the "
+        "load in other postures"
+    )
+    return [replace(step, doubt=doubt) if step.chosen.effect == Payload.id else step for step in steps]
 
 
 def _figure(name: str, value: object, error: object) -> str:

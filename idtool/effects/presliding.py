@@ -17,7 +17,7 @@ from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 
-_FORGETS = 4.0  # displacements of travel after which 2 % are left of where a loop began
+_FORGETS = 4.0  # displacements along the path after which 2 % are left of where a loop began
 _SHORTEST, _LONGEST, _TRIED = 5e-4, 0.15, 8  # of the travel
 _SHAKES = 3.0  # still · dt: path to and fro that is noise
 
@@ -64,8 +64,8 @@ class PreslidingHysteresis(JointTerm):
         One that rests there begins in the middle.
         """
         joint = int(self.joint)
-        q, v, still = motion.q[joint], motion.v[joint], float(motion.still[joint])
-        way = np.diff(_steadied(q, _SHAKES * still * motion.dt))
+        v, still = motion.v[joint], float(motion.still[joint])
+        way = self._way(motion)
         left = np.exp(-np.abs(way) / self.shape["displacement"])
         gain = np.sign(way) * (1 - left)
         first = float(np.tanh(v[0] / still))
@@ -74,11 +74,19 @@ class PreslidingHysteresis(JointTerm):
         return self.torque(states, v)
 
     def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
-        """Until the joint has travelled so far that it does not matter where it came from."""
+        """Until the joint has moved so far, to and fro, that it does not matter where it came from.
+
+        Two states along the same path come nearer by e every displacement, in whichever direction it leads.
+        """
+        moved = np.cumsum(np.abs(self._way(motion)))
+        short = np.append(0.0, moved) < _FORGETS * self.shape["displacement"]
+        return {int(self.joint): short}
+
+    def _way(self, motion: Motion) -> Array:
+        """The joint's way from each sample to the next without its shaking, shape (N − 1,)."""
         joint = int(self.joint)
-        q = motion.q[joint]
-        travelled = np.maximum.accumulate(q) - np.minimum.accumulate(q)
-        return {joint: travelled < _FORGETS * self.shape["displacement"]}
+        play = _SHAKES * float(motion.still[joint]) * motion.dt
+        return np.diff(_steadied(motion.q[joint], play))
 
     def join(self, theta: Array, mechanism: Mechanism) -> None:
         """See `Effect.join`."""

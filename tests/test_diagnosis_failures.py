@@ -1,0 +1,145 @@
+"""Candidates that fail: a diagnosis goes on without them, names them, and keeps what else was found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from disturbed import experiment_of, on, quiet
+from numpy.typing import NDArray
+
+from idtool.config import EffectEntry
+from idtool.diagnosis import diagnose as module
+from idtool.diagnosis import rounds
+from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.records import Diagnosis
+from idtool.diagnosis.rounds import Search
+from idtool.effects.spring import ParallelSpring
+from idtool.exceptions import ConfigError, SolverError
+from idtool.experiment import Experiment
+from idtool.signals import Motion
+
+EFFECTS = ("parallel_spring", "torque_offset")
+SPRING, OFFSET = ("parallel_spring", "j1"), ("torque_offset", "j2")
+REASON = "was not solved, as this test wants it"
+NOTE = "parallel_spring on j1 cannot be fitted together with the rest of the model: "
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+    """An arm with a spring on its first joint and an offset on its second."""
+
+    def hidden(t: Any, q: Any, v: Any, tau: Any) -> Any:
+        spring, offset = (on(0, lambda t, q, v, tau: 3.0 * (q - 0.4)), on(1, lambda t, q, v, tau: 0.5 + 0 * t))
+        return spring(t, q, v, tau) + offset(t, q, v, tau)
+
+    return experiment_of(tmp_path_factory.mktemp("arm"), hidden, rows=slice(8000))
+
+
+def diagnosed(experiment: Experiment) -> Diagnosis:
+    return diagnose(experiment, Options(effects=EFFECTS, simulated=False), quiet)
+
+
+def named(found: Diagnosis) -> set[tuple[str, str]]:
+    return {(step.chosen.effect, step.chosen.on) for step in found.steps if step.entry is not None}
+
+
+def refuse_springs(entries: Iterable[EffectEntry]) -> None:
+    if any(entry.effect == ParallelSpring.id for entry in entries):
+        raise SolverError("solver", REASON)
+
+
+def test_both_are_found_where_nothing_fails(arm: Experiment) -> None:
+    found = diagnosed(arm)
+    assert named(found) == {SPRING, OFFSET}
+    assert found.verdict == "explained"
+    assert not any("cannot be fitted" in warning for warning in found.warnings)
+
+
+def without_spring(found: Diagnosis, reason: str) -> None:
+    """The offset was found, the spring's failure is named, and what it leaves is unknown."""
+    assert OFFSET in named(found)
+    assert SPRING not in named(found)
+    assert any(warning.startswith(NOTE + reason) for warning in found.warnings)
+    assert found.verdict == "partly_explained"
+    assert found.after.validation is not None
+    assert found.before.validation is not None
+    assert found.after.validation["j2"] < 0.5 * found.before.validation["j2"]
+
+
+def test_an_effect_that_the_motion_does_not_tell_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    def undefined(self: ParallelSpring, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+        return {int(self.joint): np.ones(len(motion.t), dtype=bool)}
+
+    monkeypatch.setattr(ParallelSpring, "undefined", undefined)
+    without_spring(diagnosed(arm), "joint j1 has 0 of ")
+
+
+def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    inner = rounds.tried
+
+    def tried(before: Any, entries: Any, *others: Any) -> Any:
+        refuse_springs(entries)
+        return inner(before, entries, *others)
+
+    monkeypatch.setattr(rounds, "tried", tried)
+    without_spring(diagnosed(arm), REASON)
+    search = Search(arm, EFFECTS, 3, quiet)
+    with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be there"):
+        search.assume(*SPRING)
+    search.assume(*OFFSET)
+    assert [one.chosen.effect for one in search.added] == ["torque_offset"]
+
+
+def test_an_effect_that_only_the_last_fit_cannot_have_is_left_out(
+    arm: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = module.fit
+
+    def fit(experiment: Experiment, *others: Any) -> Any:
+        refuse_springs(experiment.config.effects)
+        return inner(experiment, *others)
+
+    monkeypatch.setattr(module, "fit", fit)
+    found = diagnosed(arm)
+    assert SPRING not in named(found)
+    assert any(warning.startswith(NOTE + REASON) for warning in found.warnings)
+
+
+def test_a_step_whose_own_model_cannot_be_fitted_has_the_errors_of_the_whole(
+    arm: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ground(experiment: Experiment, *others: Any) -> Any:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(module, "ground", ground)
+    found = diagnosed(arm)
+    assert named(found) == {SPRING, OFFSET}
+    for step in found.steps:
+        assert step.after.validation == pytest.approx(found.after.validation)
+
+
+def test_an_effect_without_which_the_rest_cannot_be_fitted_stays(
+    arm: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The spring pays no more, but taking it out fails."""
+    search = Search(arm, EFFECTS, 3, quiet)
+    for effect, joint in (SPRING, OFFSET):
+        search.assume(effect, joint)
+    inner, before = rounds.ground, search.here
+
+    def ground(experiment: Experiment, *others: Any, **options: Any) -> Any:
+        if not any(entry.effect == ParallelSpring.id for entry in experiment.config.effects):
+            raise ConfigError("effects", REASON)
+        return inner(experiment, *others, **options)
+
+    monkeypatch.setattr(rounds, "ground", ground)
+    search._prune()
+    assert search.here is before
+    monkeypatch.setattr(Search, "_needed", lambda self, one, others: False)
+    search._prune()
+    assert [one.chosen.effect for one in search.added] == ["parallel_spring", "torque_offset"]
+    assert search.here is before
+    assert not search.removed
