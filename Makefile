@@ -4,8 +4,9 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3,$(she
 BIN := .venv/bin
 READY := .venv/.ready
 JOBS ?= 2
+KERNELS ?= Haswell SkylakeX Zen Sandybridge
 
-.PHONY: demo test test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean
+.PHONY: demo test test-blas test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean regularization
 
 demo: $(READY)  ## the main job on the sample logs
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
@@ -17,6 +18,9 @@ test: $(READY)  ## style, types and tests
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m "not slow"
+
+test-blas: $(READY)  ## the tests with OpenBLAS's kernels for other CPUs, which round differently
+	$(BIN)/python tests/blas_kernels.py --jobs $(JOBS) $(KERNELS)
 
 test-slow: $(READY)  ## what takes longer than CI allows
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m slow
@@ -34,6 +38,9 @@ benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured i
 
 coverage: $(READY)  ## how often the 95 % intervals cover the truth, on 260 simulated logs; takes minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/coverage.py --jobs $(JOBS)
+
+regularization: $(READY)  ## how near the truth a fit ends for every weight of the prior, on simulated robots; takes an hour
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/regularization.py --jobs $(JOBS)
 
 scoreboard: $(READY)  ## what `idtool diagnose` names of what is hidden in simulated robots; takes hours
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/scoreboard.py --jobs $(JOBS)

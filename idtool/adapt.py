@@ -1,4 +1,6 @@
-"""Online identification: the parameters updated sample by sample, within the chosen sets, without a look ahead.
+"""Online identification: the parameters updated row by row, within the chosen sets, without a look ahead.
+
+A row is what the filter's decimation leaves: about four a period of its cut-off, however fast the log was sampled.
 
 Composite adaptation (Slotine & Li 1989) drives the parameters by the error of the filtered torque's prediction and by
 the tracking error of a controller that uses them. A log cannot react to a controller, so only the first part has a role
@@ -62,7 +64,9 @@ class Adaptation:
     information, pull
         The last estimate minimises ½ xᵀ information x − pullᵀ x; shapes (m, m) and (m,).
     samples
-        How many were used.
+        How many rows were used.
+    update_hz
+        Rows, and so updates, per second of log; the lowest of the logs' [Hz].
     seconds
         Wall time.
     """
@@ -79,6 +83,7 @@ class Adaptation:
     information: Array
     pull: Array
     samples: int
+    update_hz: float
     seconds: float
 
     def prediction_rms(self, joints: Sequence[str]) -> dict[str, float]:
@@ -131,9 +136,10 @@ def adapt(
     if not fit.samples:
         raise LogError(experiment.runs[0].signals.log.path, "is too short for the filters; log for longer")
     t, theta = rows.all(fit.theta)
+    update_hz = min(1 / (run.signals.log.dt * run.signals.low_pass.stride) for run in experiment.runs)
     return Adaptation(
         *(t, theta, theta[-1], fit.units, fit.squares, fit.predicted, forgetting, tuple(sets), fit.problem),
-        *(*fit.normal(), fit.samples, time.perf_counter() - started),
+        *(*fit.normal(), fit.samples, update_hz, time.perf_counter() - started),
     )
 
 
@@ -238,6 +244,7 @@ def adapt_report(adaptation: Adaptation, experiment: Experiment) -> dict[str, An
             "friction": {joint: _friction(theta, experiment, joint) for joint in equation.joints},
         },
         "samples": adaptation.samples,
+        "update_hz": adaptation.update_hz,
         "seconds": adaptation.seconds,
         "warnings": list(experiment.warnings),
         "logs": [str(run.signals.log.path) for run in experiment.runs],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from idtool.exceptions import ConfigError, LogError, ModelError
 from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
-from idtool.names import some
+from idtool.names import shown, some
 from idtool.provenance import Source
 from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
@@ -28,6 +28,9 @@ Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Iterable[tuple[list[NDArray[np.float64]], list[NDArray[np.bool_]]]]
 
 _MOST = 1e12  # of a signal in SI: powers of what is larger are not finite
+_TRAVEL = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
+_TURN = 0.02  # rad, of any other joint
+_OF_SAMPLES = (0.5, 99.5)  # percentiles between which it moves: a spike is no motion
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """What a user should know, a plain sentence each."""
         several = len(self.runs) > 1
-        said = list(self.model.warnings)
+        said = [*self.model.warnings, *self._left_out()]
         fits = [source for run in self.runs if run.train for source in run.signals.log.sources]
         twice = sorted({Path(one.path).name for one in fits if [s.sha256 for s in fits].count(one.sha256) > 1})
         said += [f"{', '.join(twice)}: the same log more than once; standard errors are too small"] if twice else []
@@ -84,10 +87,34 @@ class Experiment:
             for trained in (True, False)
         )
         said += [f"{path.name} is fitted to and validated on: its error says little" for path in sorted(fitted & kept)]
+        controller = self.config.controller
+        by_command = any(run.signals.command.joints.any() for run in self.runs)
+        if by_command and controller is not None and controller.known_delay is None:
+            said.append("controller.delay is auto, and nothing is fitted here: 0 is taken; fit writes it to model.yaml")
         for run in self.runs:
             prefix = f"{run.signals.log.path.name}: " if several else ""
             said += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
         return tuple(said)
+
+    def _left_out(self) -> Iterator[str]:
+        """Joints that the model takes as standing still though they move, on one branch with joints that it has."""
+        moved, robot = [], self.model.robot
+        for joint in robot.joints.values():
+            if joint.kind == "fixed" or joint.mimic or joint.name in self.model.names:
+                continue
+            if not any(robot.on_one_branch(joint.name, name) for name in self.model.names):
+                continue  # the root stands still, so that nothing is felt of it
+            travel = max((_travel(run.signals.log, joint.name) for run in self.runs), default=0.0)
+            if travel > _TRAVEL.get(joint.kind, _TURN):
+                unit = "m" if joint.kind == "prismatic" else "rad"
+                place = self.config.locked_joints.get(joint.name, 0.0)
+                moved.append(f"{shown(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
+        if moved:
+            yield (
+                f"taken as standing still, though they move in the log: {', '.join(moved)}; what their motion does to "
+                "the other joints' torque is not in the model and falsifies the parameters: add them to joints, or log "
+                "them at rest"
+            )
 
     @property
     def sources(self) -> tuple[Source, ...]:
@@ -163,8 +190,20 @@ class Experiment:
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect tells where samples are missing")
         if still:
             what = "hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints"
+            if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
+                what = f"has no sample in the part to fit in which all effects are defined ({some(effects)})"
+                what += "; log more motion, or leave out those that need it"
             raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
         return data
+
+
+def _travel(log: Log, joint: str) -> float:
+    """How far a joint of a log moves [rad or m]; 0 where the log does not have it."""
+    if not log.has("q", joint):
+        return 0.0
+    q = log.signals["q"][:, log.joints.index(joint)]
+    low, high = np.nanpercentile(q, _OF_SAMPLES)
+    return float(high - low)
 
 
 def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:

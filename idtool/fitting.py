@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.command_delay import CommandDelay, command_delay, with_delay
+from idtool.config import Regularization
 from idtool.doubts import doubts
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Method, identified
 from idtool.identify import Estimate
 from idtool.inertia import SIZE
+from idtool.regularization_path import RegularizationPath
 from idtool.replay import Replay, replay
 from idtool.sets import ConstraintSet
 from idtool.simulation_report import simulation_notes
@@ -37,6 +40,10 @@ class Fit:
         The constraint set of each body.
     estimate
         The coefficients with their certificate.
+    regularization
+        The prior with its weight as a number.
+    path
+        How that was chosen; None where it was given.
     trust
         Standard errors, and what they rest on.
     train, validation
@@ -47,18 +54,23 @@ class Fit:
         What a user should know, a plain sentence each.
     seconds
         Wall time of each stage.
+    delay
+        From command to torque, as the data have it; None: no torque comes from a command, or it was not asked for.
     """
 
     experiment: Experiment
     method: Method
     sets: tuple[ConstraintSet, ...]
     estimate: Estimate
+    regularization: Regularization
+    path: RegularizationPath | None
     trust: Trust
     train: Evaluation
     validation: Evaluation
     simulation: Replay | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
+    delay: CommandDelay | None
 
     @property
     def uncertainty(self) -> Uncertainty:
@@ -102,12 +114,17 @@ def fit(
         If the problem could not be solved.
     """
     clock = _Clock()
-    found = identified(experiment, method, progress)
+    experiment, delay, data = with_delay(experiment, progress)
+    if delay is None and questioned:
+        delay = command_delay(experiment, progress)
+    clock.done("delay")
+    found = identified(experiment, method, progress, data)
     for _ in range(_AGAIN if experiment.equation.refers else 0):
         experiment = replace(experiment, equation=experiment.equation.about(found.estimate.theta))
-        found = identified(experiment, method, progress)
+        settled = experiment.config.model_copy(update={"regularization": found.regularization})
+        found = replace(identified(replace(experiment, config=settled), method, progress), path=found.path)
     estimate = found.estimate
-    warnings = [*experiment.warnings, *found.warnings]
+    warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *found.warnings]
     clock.done("identify")
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
@@ -115,16 +132,30 @@ def fit(
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")
-    warnings += doubts(experiment, estimate, validation if held_out else train, held_out)
+    warnings += doubts(experiment, found, validation if held_out else train, held_out)
     clock.done("evaluate")
-    believed = trust(experiment, found, train.independent, progress, questioned)
+    change = delay.slope * delay.error if delay and delay.error else None
+    believed = trust(experiment, found, train.independent, progress, questioned, change)
     warnings += believed.warnings
     clock.done("uncertainty")
     simulation = replay(experiment, models, held_out, progress) if simulated else None
     warnings += simulation_notes(simulation, "identified")
     clock.done("simulate")
-    evaluated = (train, validation, simulation)
-    return Fit(experiment, method, found.sets, estimate, believed, *evaluated, tuple(warnings), clock.seconds)
+    return Fit(
+        experiment,
+        method,
+        found.sets,
+        estimate,
+        found.regularization,
+        found.path,
+        believed,
+        train,
+        validation,
+        simulation,
+        tuple(warnings),
+        clock.seconds,
+        delay,
+    )
 
 
 class _Clock:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from idtool.convex import enclosing
 from idtool.exceptions import ModelError
 from idtool.meshes import Mesh, UnreadableError, numbers, read_mesh, together
 from idtool.robot import Robot, parse_xml
@@ -36,7 +37,7 @@ class Geometry:
     ----------
     points
         Points in the link's frame whose convex hull encloses all that was read, shape (n, 3) [m]; around a curved
-        primitive up to 1 % larger than it.
+        primitive or a mesh of many vertices up to 1 % larger than it.
     read
         What was read, in words.
     missing
@@ -183,10 +184,5 @@ def _around_ball() -> Array:
 
 
 def _mesh(urdf: Path, name: str) -> Array:
-    """Corners of a mesh's convex hull, or all its vertices where they span no volume, as in the file; shape (n, 3)."""
-    mesh = read_mesh(urdf, name)
-    points = mesh.points[np.unique(mesh.faces)]
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        return points
+    """Points around a mesh, as in the file, shape (n, 3)."""
+    return enclosing(read_mesh(urdf, name).corners)

@@ -10,14 +10,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.backends import check_backend
 from idtool.blocks import Blocks, together
 from idtool.body import Body
+from idtool.config import Regularization
+from idtool.exceptions import SolverError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify
 from idtool.local import LOCAL
+from idtool.prior_bodies import prior_bodies
 from idtool.reduction import Reduction
+from idtool.regularization_path import RegularizationPath, assumed_weight, regularization_path
 from idtool.sets import ConstraintSet, choose_set
 from idtool.two_stage import TwoStage, two_stage
+from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 
@@ -38,6 +44,12 @@ class Identified:
         What the estimate was made from: all of them, for instrumental variables seen through the instruments.
     estimate
         The coefficients.
+    prior
+        The bodies that the fit was pulled towards; see `prior_bodies`.
+    regularization
+        Its kind, and its weight as a number.
+    path
+        How that was chosen; None where it was given.
     again
         The identification by least squares from other data.
     two_stage
@@ -50,6 +62,9 @@ class Identified:
     data: tuple[Blocks, ...]
     reduction: Reduction
     estimate: Estimate
+    prior: tuple[Body, ...]
+    regularization: Regularization
+    path: RegularizationPath | None
     again: Callable[[Reduction], Estimate]
     two_stage: TwoStage | None
     warnings: tuple[str, ...]
@@ -59,7 +74,9 @@ class Identified:
         return self.again(data).theta
 
 
-def identified(experiment: Experiment, method: Method, progress: Progress) -> Identified:
+def identified(
+    experiment: Experiment, method: Method, progress: Progress, data: tuple[Blocks, ...] | None = None
+) -> Identified:
     """Reduce and identify.
 
     Parameters
@@ -70,6 +87,8 @@ def identified(experiment: Experiment, method: Method, progress: Progress) -> Id
         Least squares, or instrumental variables, which noise in q and v does not bias.
     progress
         Told the stage and how far it has come.
+    data
+        The training data, where they have been reduced before.
 
     Raises
     ------
@@ -80,27 +99,65 @@ def identified(experiment: Experiment, method: Method, progress: Progress) -> Id
     SolverError
         If the problem could not be solved.
     """
-    data = experiment.blocks(lambda run: experiment.rows(run, progress))
+    if backend := experiment.config.solver.backend:
+        check_backend(backend)  # before the logs are read through
+    data = data or experiment.blocks(lambda run: experiment.rows(run, progress))
     reduction = together([log.total for log in data])
-    config, bodies = experiment.config, experiment.model.bodies
+    config = experiment.config
     wanted = config.constraints or ("full" if config.solver.name in LOCAL else None)  # all that a local solver knows
-    sets, remarks = choose_sets(bodies, wanted)
+    sets, remarks = choose_sets(experiment.model.bodies, wanted)
+    experiment, path, said = _with_prior(experiment, data, reduction, sets, progress)
+    remarks += said
+    regularization, prior = experiment.config.regularization, experiment.model.bodies
     progress("solving", 0.0)
     again = partial(
         identify,
         experiment.equation,
-        bodies,
+        experiment.model.bodies,
         sets=sets,
-        regularization=config.regularization,
+        regularization=regularization,
         known=experiment.known,
         solver=config.solver.name,
+        backend=config.solver.backend,
     )
     estimate = again(reduction)
     if method == "ls":
-        return Identified(sets, data, reduction, estimate, again, None, tuple(remarks))
+        return Identified(sets, data, reduction, estimate, prior, regularization, path, again, None, tuple(remarks))
     other = two_stage(experiment, sets, estimate.theta, progress)
     estimate = replace(again(other.projected, noise=other.noise), noise=other.noise)
-    return Identified(sets, data, other.projected, estimate, again, other, (*remarks, *other.warnings))
+    warnings = (*remarks, *other.warnings)
+    return Identified(sets, data, other.projected, estimate, prior, regularization, path, again, other, warnings)
+
+
+def _with_prior(
+    experiment: Experiment,
+    data: Sequence[Blocks],
+    reduction: Reduction,
+    sets: Sequence[ConstraintSet],
+    progress: Progress,
+) -> tuple[Experiment, RegularizationPath | None, list[str]]:
+    """The experiment with the prior that its fit is pulled towards and its weight as a number; how that was chosen."""
+    regularization = experiment.config.regularization
+    prior = prior_bodies(experiment.config, experiment.model, experiment.equation, reduction)
+    said = list(prior.warnings)
+    if prior.placeholders:
+        regularization = regularization.model_copy(update={"mass_precision": 1.0})  # nobody has weighed these
+    if prior.bodies is not experiment.model.bodies:
+        model = replace(experiment.model, bodies=prior.bodies)
+        experiment = replace(experiment, model=model, equation=prior.equation)
+    path = None
+    if regularization.is_automatic:
+        progress("choosing the prior's weight", 0.0)
+        equation, bodies, known = experiment.equation, experiment.model.bodies, experiment.known
+        noise = free_noise(equation, reduction, known)
+        try:
+            path = regularization_path(equation, bodies, data, sets, regularization, known, noise)
+            regularization = regularization.weighing(path.weight)
+        except SolverError:  # what cannot be fulfilled, the fit itself says with its place in the configuration
+            regularization = regularization.weighing(assumed_weight(reduction))
+            said.append(f"the prior's weight could not be chosen from the data; {regularization.number:.1g} is assumed")
+    config = experiment.config.model_copy(update={"regularization": regularization})
+    return replace(experiment, config=config), path, said
 
 
 def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[str]]:

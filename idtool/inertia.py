@@ -22,6 +22,8 @@ SIZE = len(NAMES)
 #: Powers of length in the parameters' units.
 POWERS = np.repeat([0.0, 1.0, 2.0], [1, 3, 6])
 
+DIGITS = 12  # of what is written to files: a body 1e-9 inside its set stays there, and more are not known
+
 # Row and column of the rotational inertia's entries, in the order of pi.
 _ROW = np.array([0, 0, 1, 0, 1, 2])
 _COLUMN = np.array([0, 1, 1, 2, 2, 2])
@@ -99,6 +101,22 @@ def mass_com_inertia(pi: ArrayLike) -> tuple[float, Array, Array]:
     com = pi[1:4] / mass if mass else np.zeros(3)
     S = skew(com)
     return mass, com, symmetric(pi[4:]) - mass * S @ S.T
+
+
+def rounded(values: ArrayLike, digits: int = DIGITS) -> Array:
+    """Numbers of one unit to so many digits of the largest of them, shape (...)."""
+    values = np.asarray(values, dtype=float)
+    largest = float(np.abs(values).max(initial=0.0))
+    if not 0 < largest < np.inf:
+        return values
+    return np.asarray(np.round(values, digits - 1 - int(np.floor(np.log10(largest)))) + 0.0)  # no −0
+
+
+def rounded_inertial(pi: ArrayLike) -> tuple[float, Array, Array]:
+    """`mass_com_inertia` to the digits that are written to files: a centre of mass next to the origin is the origin."""
+    mass, com, inertia = mass_com_inertia(pi)
+    gyration = np.sqrt(abs(np.trace(inertia) / (2 * mass))) if mass else 0.0
+    return float(rounded(mass)), rounded([*com, gyration])[:3], rounded(inertia)
 
 
 def transformation(R: ArrayLike, p: ArrayLike) -> Array:

@@ -19,7 +19,7 @@ from idtool.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 
-INTERIOR = 1e-6  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
+INTERIOR = 1e-9  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 
 
 @dataclass(frozen=True)

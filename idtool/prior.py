@@ -6,6 +6,9 @@
 
 The last two do not depend on units and frames. They need a prior that a body can have; where it has not, the nearest
 that is well inside takes its place.
+
+A mass is known better than an inertia: it has been on scales, or follows from volume and material, whereas an inertia
+needs to know where inside it is. Relative deviations of the mass therefore count mass_precision² times as much.
 """
 
 from __future__ import annotations
@@ -61,9 +64,13 @@ class LogDet:
         """Its constant part, −weight · n."""
         return -self.weight * len(self.G[0])
 
+    def matrix(self, z: Array) -> Array:
+        """X, shape (4, 4)."""
+        return np.asarray(np.tensordot(z[self.own], self.G, axes=1))
+
     def value(self, z: Array) -> float:
         """The term; infinite where X is not positive definite."""
-        X = np.tensordot(z[self.own], self.G, axes=1)
+        X = self.matrix(z)
         eigenvalues = np.linalg.eigvalsh(X)
         if eigenvalues[0] <= 0:
             return np.inf
@@ -71,12 +78,12 @@ class LogDet:
 
     def gradient(self, z: Array) -> Array:
         """Its derivative with respect to the ten, shape (10,)."""
-        X = np.tensordot(z[self.own], self.G, axes=1)
+        X = self.matrix(z)
         return np.asarray(self.weight * np.einsum("kij,ji->k", self.G, np.eye(len(X)) - np.linalg.inv(X)))
 
     def root(self, z: Array) -> Array:
         """A matrix whose square, root.T @ root, is the second derivative, shape (16, 10)."""
-        X = np.tensordot(z[self.own], self.G, axes=1)
+        X = self.matrix(z)
         inverse = np.linalg.inv(np.linalg.cholesky(X))
         return np.asarray(np.sqrt(self.weight) * (inverse @ self.G @ inverse.T).reshape(SIZE, -1).T)
 
@@ -128,7 +135,7 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
     units
         Units of theta, shape (p,).
     """
-    pull, prior = np.sqrt(regularization.weight), model.prior
+    pull, prior = np.sqrt(regularization.number), model.prior
     p, inertial = len(prior), SIZE * len(bodies)
     L = np.zeros((inertial, p))
     if regularization.kind == "euclidean":
@@ -140,14 +147,27 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
             prior[own] = reference(body.pi, units[own])
             M = units[own, None] * pullback(prior[own]) * units[own]
             L[own, own] = pull * np.linalg.cholesky(M).T / units[own]
-    return np.column_stack([L, L @ prior])
+    masses = _mass_rows(bodies, regularization, units, p)
+    return np.column_stack([np.concatenate([L, masses]), np.concatenate([L @ prior, masses @ model.prior])])
+
+
+def _mass_rows(bodies: Sequence[Body], regularization: Regularization, units: Array, p: int) -> Array:
+    """What masses count beyond their share in the distance, shape (bodies, p)."""
+    rows = np.zeros((len(bodies), p))
+    if regularization.kind == "none" or regularization.units == "si":
+        return rows
+    share = 1.0 if regularization.kind == "euclidean" else 0.5  # of a mass's relative deviation squared, in d
+    beyond = share * (regularization.masses_known_better**2 - 1)
+    for i in range(len(bodies)):
+        rows[i, SIZE * i] = np.sqrt(regularization.number * beyond) / units[SIZE * i]
+    return rows
 
 
 def log_dets(
     model: LinearModel, bodies: Sequence[Body], regularization: Regularization, known: Knowledge, scale: Array
 ) -> tuple[LogDet, ...]:
     """The divergences of all bodies, copies too, from their priors in terms of z in units of ``scale``, shape (p',)."""
-    if regularization.kind != "entropic" or not regularization.weight:
+    if regularization.kind != "entropic" or not regularization.number:
         return ()
     terms = []
     for i, body in enumerate(bodies):
@@ -158,5 +178,5 @@ def log_dets(
         J = pseudo_inertia(reference(body.pi, units))
         inverse = np.linalg.inv(np.linalg.cholesky(J))
         G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ BASIS @ inverse.T, axes=1)
-        terms.append(LogDet(first, G, regularization.weight))
+        terms.append(LogDet(first, G, regularization.number))
     return tuple(terms)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, cast
 
 import numpy as np
@@ -13,11 +14,12 @@ from idtool.body import Body
 from idtool.config import Config, EffectEntry
 from idtool.effects import NamedEffect, named_effect, plain
 from idtool.fitting import Fit
-from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
 from idtool.knowledge import Fact
 from idtool.provenance import Source, provenance
+from idtool.regularization_path import PathPoint
 from idtool.simulation_report import simulation_report
-from idtool.trust_report import intervals, reflected_inertia, rests_on, trust_report
+from idtool.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
 from idtool.urdf import JointDynamics
 from idtool.validation import Evaluation
 from idtool.verdict import Verdict, judge
@@ -26,7 +28,7 @@ from idtool.witness import deviation_ellipsoid
 Array = NDArray[np.float64]
 
 HEADER = {"idtool": __version__, "schema": 1}
-_SOLVER = ("name", "status", "objective", "duality_gap", "iterations", "seconds", "violation")
+_SOLVER = ("name", "status", "objective", "duality_gap", "iterations", "seconds", "violation", "parameter_error")
 _FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
 
 
@@ -52,8 +54,9 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "friction": {joint: friction_report(fit, joint) for joint in joints},
         "friction_intervals": {joint: friction_intervals(fit, joint) for joint in joints},
         "rotors": reflected_inertia(fit),
+        "controller": controller_report(fit),
         **trust_report(fit),
-        "regularization": experiment.config.regularization.model_dump(mode="json"),
+        "regularization": regularization_report(fit),
         "known": [_known(fact, fit) for fact in experiment.known.facts],
         "solver": {name: getattr(fit.estimate.certificate, name) for name in _SOLVER},
         "seconds": fit.seconds,
@@ -61,6 +64,33 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "logs": [str(run.signals.log.path) for run in experiment.runs],
         "urdf": str(experiment.model.robot.path),
     }
+
+
+def regularization_report(fit: Fit) -> dict[str, Any]:
+    """The prior's kind and weight, and where the weight was chosen from the data, how."""
+    prior = fit.regularization.model_dump(mode="json")
+    prior["mass_precision"], path = fit.regularization.masses_known_better, fit.path
+    if path is None:
+        return {**prior, "automatic": None}
+    automatic = {
+        "limit": path.limit,
+        "reason": path.reason,
+        "best": _or_none(path.best),
+        "standard_error": _or_none(path.standard_error),
+        "chosen": _point(path.chosen),
+        "weaker": _point(path.weaker),
+        "stronger": _point(path.stronger),
+        "path": [_point(point) for point in path.points],
+    }
+    return {**prior, "automatic": automatic}
+
+
+def _point(point: PathPoint) -> dict[str, float | None]:
+    return {name: _or_none(value) for name, value in asdict(point).items()}
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _known(fact: Fact, fit: Fit) -> dict[str, Any]:
@@ -194,33 +224,39 @@ def model_config(fit: Fit) -> dict[str, Any]:
         if body.kind == "rotor":
             data["rotors"][body.name].pop("inertial", None)
             if body.name not in robot_links:  # else it is in the URDF
-                mass, com, inertia = mass_com_inertia(fit.parameters(i))
+                mass, com, inertia = rounded_inertial(fit.parameters(i))
                 inertial = {"mass": mass, "com": com.tolist(), "inertia": six(inertia).tolist()}
                 data["rotors"][body.name]["inertial"] = inertial
     return data
 
 
-def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, float]]:
+def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
     """What was identified of an effect's parameters, as the configuration has them."""
     equation = fit.experiment.equation
     places = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
     i = places[named_effect(entry, fit.experiment.model).key]
     part = slice(*equation.offsets()[i : i + 2])
     covariance = fit.uncertainty.covariance[part, part]
-    return plain(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
+    found = plain(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
+    return {name: _written(**pair) for name, pair in found.items()}
 
 
 def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:
     return {name: _term(fit, effect, joint) for name, effect in _FRICTION.items()}
 
 
-def _term(fit: Fit, effect: str, joint: str) -> dict[str, float] | bool:
+def _term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:
     """A joint's coefficient as the configuration has it; False where the model lacks it."""
     pair = _coefficient(fit, effect, joint)
     if pair is None:
         return False
-    value, error = pair
-    return {"value": value} if error is None else {"value": value, "standard_error": error}
+    return _written(*pair)
+
+
+def _written(value: Any, standard_error: Any = None) -> dict[str, Any]:
+    """A number or a list of them, with its error, to the digits that stand in a configuration."""
+    written = {"value": rounded(value).tolist()}
+    return written if standard_error is None else written | {"standard_error": rounded(standard_error, 4).tolist()}
 
 
 def validation_report(

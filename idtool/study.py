@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from idtool.adapt import adapt, convergence, time_to
 from idtool.certificate import Certificate
+from idtool.command_delay import with_delay
 from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve, solve_locally
@@ -137,6 +138,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
         If nothing is left to fit a joint to.
     """
     started = time.perf_counter()
+    experiment, delay, _ = with_delay(experiment, progress)
     validation = held_out(experiment, progress)
     if not validation[0].rows:
         raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
@@ -144,7 +146,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)
     noise = free_noise(equation, total, experiment.known)
-    warnings = list(experiment.warnings)
+    warnings = [*experiment.warnings, *(delay.warnings if delay else ())]
     names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
     state = {name: _stating(experiment, name, noise) for name in names}
     problems = {name: state[name](total) for name in names}
@@ -174,7 +176,7 @@ def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduc
     sets = [choose_set(body, name) for body in bodies]
 
     def state(data: Reduction) -> Problem:
-        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.known)
+        return build_problem(equation, bodies, data, sets, config.regularization.or_weak(), noise, experiment.known)
 
     return state
 
@@ -209,7 +211,7 @@ def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str], pr
 
 def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], Outcome]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
-    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
+    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization.or_weak()
     ways: dict[str, Callable[[], Outcome]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else given.model_copy(update={"kind": name, "units": "relative"})

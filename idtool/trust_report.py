@@ -68,6 +68,25 @@ def trust_report(fit: Fit) -> dict[str, Any]:
     }
 
 
+def controller_report(fit: Fit) -> dict[str, Any] | None:
+    """The entry ``controller`` of report.json; None where no torque comes from a command."""
+    experiment, found = fit.experiment, fit.delay
+    controller = experiment.config.controller
+    if controller is None or not any(run.signals.command.joints.any() for run in experiment.runs):
+        return None
+    given = controller.known_delay if found is None else found.given
+    return {
+        "delay": experiment.runs[0].signals.command.delay,
+        "given": given.value if given else None,
+        "fitted": found.value if found else None,
+        "standard_error": found.standard_error if found else None,
+        "known_friction_standard_error": found.known_friction_error if found else None,
+        "correlation": found.correlation if found else None,
+        "contradicted": found.contradicted if found else None,
+        "text": found.text if found else None,
+    }
+
+
 def _bootstrap_ratio(fit: Fit) -> float | None:
     """Resampled standard errors over analytic ones, the median."""
     found = fit.trust.scatter

@@ -6,7 +6,7 @@ the information of all rows on y, in units of the joints' noise, is 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,21 @@ class Uncertainty:
         covariance = visible @ self.spread @ visible.T
         covariance[~self.identifiable, ~self.identifiable] = np.inf
         return np.asarray(covariance)
+
+    def with_error(self, change: Array) -> Uncertainty:
+        """The same with an error by which all coefficients change together.
+
+        Parameters
+        ----------
+        change
+            By one standard error of it, shape (p,).
+        """
+        seen = self.directions
+        ways = np.column_stack([seen.visible * seen.gain, seen.hidden])
+        size = np.abs(ways).max(axis=1, initial=np.finfo(float).tiny)
+        steps = np.linalg.lstsq(ways / size[:, None], change / size, rcond=None)[0]
+        y = steps[: len(seen.gain)] * seen.gain
+        return replace(self, spread=self.spread + np.outer(y, y))
 
     def of(self, rows: Array) -> Array:
         """Standard errors of combinations of the coefficients.

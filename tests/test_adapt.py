@@ -52,7 +52,7 @@ def test_tighter_sets_converge_sooner_on_the_leg(leg: Experiment) -> None:
     """Remark 5: from the URDF's figures to a tenth of their error against the fit of the whole log."""
     sets = [choose_set(body, "ellipsoid") for body in leg.model.bodies]
     reduction = leg.reduce(quiet)
-    target = identify(leg.equation, leg.model.bodies, reduction, sets, leg.config.regularization, leg.known)
+    target = identify(leg.equation, leg.model.bodies, reduction, sets, leg.config.regularization.or_weak(), leg.known)
     rows = weighted_rows(leg.equation, reduction, target.noise)[:, :-1]
     seconds: dict[str, float] = {}
     for name in ("none", "full", "ellipsoid"):
@@ -103,6 +103,8 @@ def test_the_report_is_plain_data(short: Experiment) -> None:
     found = adapted(short, "full", np.inf)
     report = json.loads(json.dumps(adapt_report(found, short), allow_nan=False))
     assert report["forgetting"] is None
+    assert report["update_hz"] == pytest.approx(1000 / 6)  # of 1 kHz, four rows a period of 40 Hz
+    assert report["samples"] == pytest.approx(found.t[-1] * report["update_hz"], abs=1)
     assert report["joints"] == ["abad", "hip", "knee"]
     assert report["constraints"] == dict.fromkeys(report["bodies"], "full")
     assert len(report["t"]) == len(report["theta"]) == len(found.t)

@@ -19,7 +19,7 @@ PACKAGE = ROOT / "idtool"
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
     *("exceptions", "interrupt", "names", "provenance", "safe_yaml"),
-    *("inertia", "ellipsoid", "inequality", "shapes", "metric", "witness"),
+    *("inertia", "convex", "ellipsoid", "inequality", "shapes", "metric", "witness"),
     *("config", "robot", "meshes", "geometry", "bounding", "logs", "description", "inspection"),
     *(
         "body",
@@ -40,10 +40,15 @@ ORDER = (
         "knowledge",
         "base",
         "weights",
+        "prior_bodies",
         "prior",
         "problem",
+        "barrier",
+        "regularization_path",
         "certificate",
         "conic",
+        "backends",
+        "refinement",
         "local",
     ),
     *(
@@ -75,6 +80,7 @@ ORDER = (
         "validation",
         "identified",
         "trust",
+        "command_delay",
         "doubts",
         "fitting",
         "regression",
@@ -83,7 +89,6 @@ ORDER = (
         "excitation",
     ),
     *(
-        "barrier",
         "diagnosis",
         "causal",
         "recursive",
@@ -107,6 +112,7 @@ ORDER = (
 
 WALLS = {
     "clarabel": {"conic"},
+    "cvxpy": {"backends"},
     "pinocchio": {"dynamics"},
     "mcap": {"logs"},
     "yourdfpy": {"robot"},

@@ -217,7 +217,7 @@ def test_a_slip_in_any_key_names_the_key_that_was_meant(refusal: Refusal, path: 
             "constraints: tight",
             "constraints: input should be 'none', 'semi', 'full', 'known_com', 'com_ellipsoid', 'ellipsoid', 'shape'",
         ),
-        ("solver: {name: mosek}", "solver.name: input should be 'clarabel', 'log_cholesky' or 'manifold'"),
+        ("solver: {name: mosek}", "solver.name: input should be 'clarabel', 'cvxpy', 'log_cholesky' or 'manifold'"),
         ("controller: {kd: {hip: 1}}", "controller.kp: field required"),
         ("seed: 0.5", "seed: input should be a valid integer"),
         ("effects: [{joint: hip}]", "effects.0.effect: field required"),

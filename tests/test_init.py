@@ -89,7 +89,7 @@ def test_without_torque_or_gains_it_says_what_is_missing_and_the_second_run_does
     config_with(file, file, controller=gains)
     second = init(urdf, run, "--config", file, "--force")
     assert not [left for left in second["left"] if left["needed"]]
-    assert second["config"]["controller"] == {**gains, "delay": pytest.approx(0.5e-3)}
+    assert second["config"]["controller"] == {**gains, "delay": "auto"}
     assert second["config"]["effects"] == []
     assert second["rms"]["found"]["overall"] < 0.1
 

@@ -61,7 +61,7 @@ def coarse(motion: Motion) -> Log:
 
 
 def least_squares(experiment: Experiment) -> Array:
-    bodies, regularization = experiment.model.bodies, experiment.config.regularization
+    bodies, regularization = experiment.model.bodies, experiment.config.regularization.or_weak()
     sets, _ = choose_sets(bodies, None)
     reduction = experiment.reduce(silent)
     return identify(experiment.equation, bodies, reduction, sets, regularization, experiment.known).theta

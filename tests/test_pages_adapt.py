@@ -66,6 +66,7 @@ def adapt_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
             "friction": {joint: {"viscous": 0.3, "coulomb": 0.3, "offset": None} for joint in joints},
         },
         "samples": 20000,
+        "update_hz": 166.7,
         "seconds": 3.1,
         "warnings": [],
         "urdf": "/robots/leg.urdf",
@@ -139,6 +140,11 @@ def test_when_a_mass_has_settled_is_said(report: dict[str, Any]) -> None:
     text = page_of(report).plain
     assert f"every body's mass stays within 5 % of its last value. {BODY}" not in text
     assert settling_time(t, t) == pytest.approx(19.0, abs=0.01)
+
+
+def test_how_often_the_parameters_were_updated_is_said(report: dict[str, Any]) -> None:
+    text = page_of(report).plain
+    assert "once for each decimated row, not for each logged sample: 20000 times, at 166.7 Hz." in text
 
 
 def test_a_mass_that_wanders_to_the_end_is_named(report: dict[str, Any]) -> None:

@@ -182,7 +182,7 @@ def test_what_is_known_otherwise_is_beside_what_was_identified(fitted: Fit, repo
 
 
 def test_the_regularization_is_named(fitted: Fit, report: dict[str, Any]) -> None:
-    report["regularization"] = {"kind": "entropic", "weight": 1e-6, "units": "relative"}
+    report["regularization"] = {"kind": "entropic", "weight": 1e-6, "units": "relative", "automatic": None}
     assert "entropic, weight 1.0e-06, relative units" in Page(fit_page(fitted, report, "idtool fit")).text
 
 

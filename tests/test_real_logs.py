@@ -11,6 +11,7 @@ import pytest
 import yaml
 from commands import config_with, fitted, validated
 
+from idtool.command_delay import with_delay
 from idtool.config import read_config
 from idtool.experiment import prepare
 from idtool.geometry import link_geometry
@@ -39,6 +40,10 @@ FREE = {
 GO2, GO2_YAML = DATA / "go2" / "go2.urdf", ROOT / "configs" / "go2.yaml"
 GO2_FIT, GO2_HELD_OUT = [DATA / "go2" / f"chirp_{run}.csv" for run in (4, 5, 6)], DATA / "go2" / "chirp_7.csv"
 FL_LEG = ["FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"]
+
+
+def silent(stage: str, share: float) -> None:
+    """No progress."""
 
 
 def check_bodies(report: dict[str, Any], ellipsoids: Sequence[str]) -> None:
@@ -97,12 +102,34 @@ def test_go2_bodies(go2: tuple[Path, dict[str, Any]]) -> None:
     assert set(report["bodies"]) == moving
     check_bodies(report, sorted(moving))
     for name in moving & set(settings.rotors):
-        rotor, axis = settings.rotors[name], np.array(settings.rotors[name].axis)
-        (ratio,) = rotor.ratios.values()
-        armature = ratio**2 * axis @ symmetric(report["bodies"][name]["inertia_com"]) @ axis
-        assert armature > 0, name
-        if "calf" in name:  # published fits: 0.042 to 0.044 kg·m²
-            assert armature == pytest.approx(0.043, rel=0.2), name
+        assert armature(config, report, name) > 0, name
+
+
+def armature(config: Path, report: dict[str, Any], name: str) -> float:
+    """What a rotor adds to its joint's inertia [kg·m²]."""
+    rotor = read_config(config).rotors[name]
+    (ratio,) = rotor.ratios.values()
+    axis = np.array(rotor.axis)
+    return float(ratio**2 * axis @ symmetric(report["bodies"][name]["inertia_com"]) @ axis)
+
+
+def test_go2s_delay(go2: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    """Two samples. Published fits took it for one, and found 0.042 to 0.044 kg·m² for the calf: so does this one then.
+
+    A delay and the inertia stand for one another where a joint is late behind its command.
+    """
+    config, report = go2
+    found = report["controller"]
+    assert found["given"] is None
+    assert found["fitted"] == pytest.approx(0.0106, abs=3 * found["standard_error"])
+    assert 0.0001 < found["standard_error"] < 0.002
+    controller = yaml.safe_load(GO2_YAML.read_text())["controller"] | {"delay": 0.005}
+    given = config_with(tmp_path / "given.yaml", config, controller=controller)
+    before = fitted(tmp_path / "out", GO2, *GO2_FIT, "--validate", GO2_HELD_OUT, "--config", given)
+    assert report["rms"]["validation"]["overall"] < 0.99 * before["rms"]["validation"]["overall"]
+    assert armature(given, before, "FL_calf_rotor") == pytest.approx(0.043, rel=0.2)
+    masses = [sum(body["mass"] for body in one["bodies"].values()) for one in (report, before)]
+    assert masses[0] < 0.9 * masses[1]  # nearer to the URDF's
 
 
 def test_go2_errors(go2: tuple[Path, dict[str, Any]]) -> None:
@@ -110,13 +137,13 @@ def test_go2_errors(go2: tuple[Path, dict[str, Any]]) -> None:
     config, report = go2
     rms = report["rms"]["validation"]["overall"]
     assert rms < 0.2 * report["rms"]["prior_validation"]["overall"]
-    experiment = prepare(read_robot(GO2), read_config(config), GO2_FIT, [GO2_HELD_OUT])
-    equation, reduction = experiment.equation, experiment.reduce(lambda stage, share: None)
+    experiment, _, _ = with_delay(prepare(read_robot(GO2), read_config(config), GO2_FIT, [GO2_HELD_OUT]), silent)
+    equation, reduction = experiment.equation, experiment.reduce(silent)
     rows = weighted_rows(equation, reduction, np.ones(len(reduction)))
     size = np.linalg.norm(rows[:, :-1], axis=0)
     size[size == 0] = 1
     free = np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=1e-10)[0] / size
-    left = evaluate(experiment, {"free": free}, held_out=True, progress=lambda stage, share: None).errors["free"]
+    left = evaluate(experiment, {"free": free}, held_out=True, progress=silent).errors["free"]
     assert rms <= 1.1 * left.rms(equation.joints)["overall"]
 
 

@@ -154,7 +154,9 @@ def test_it_comes_to_the_fit_of_the_whole_log(made: Made) -> None:
     fit = started(data, "ellipsoid")
     theta = run(fit, data, tau)
     sets = [choose_set(body, "ellipsoid") for body in data.model.bodies]
-    whole = identify(data.linear, data.model.bodies, data.reduction(tau), sets, data.config.regularization, data.known)
+    whole = identify(
+        data.linear, data.model.bodies, data.reduction(tau), sets, data.config.regularization.or_weak(), data.known
+    )
     B = determined(data, fit.units)
     start, offline, online = (np.linalg.norm(B @ (t - data.theta)) for t in (theta[0], whole.theta, theta[-1]))
     assert np.linalg.norm(B @ (whole.theta - theta[-1])) < 0.02 * start, (start, offline, online)

@@ -30,6 +30,7 @@ SHAPES: dict[str, list[dict[str, Any]]] = {
     "shank_link": [{"kind": "capsule", "center": [0, 0, -0.1725], "radius": 0.045, "length": 0.5}],
     "thigh_link": [{"kind": "hull"}],
 }
+WEAK = {"kind": "euclidean", "weight": 1e-6}
 KNOWN: dict[str, Any] = {
     "mirror": [{"body": "knee_rotor", "of": "hip_rotor", "plane": "xz"}],
     "known": {"mass": MASS, "total_mass": {"value": 4.5, "standard_error": 0.2}},
@@ -127,8 +128,8 @@ def test_shapes_and_splits_are_told(known: dict[str, Any]) -> None:
         parts = np.array([part["pi"] for part in body["split"]])
         np.testing.assert_allclose(parts.sum(axis=0), body["pi"], rtol=1e-9, atol=1e-12)
         assert [part["mass"] for part in body["split"]] == parts[:, 0].tolist()
-    shows(thigh)
-    assert shank["witness"] is None  # a cylinder has conditions, and no points that show a body
+    # Cylinders and hulls have conditions, and no points that show a body.
+    assert shank["witness"] is thigh["witness"] is None
 
 
 def test_a_copy_is_the_image_of_its_original(known: dict[str, Any]) -> None:
@@ -160,8 +161,11 @@ def test_what_was_known_is_set_against_what_was_found(known: dict[str, Any], pla
 
 
 def test_the_prior_that_was_used_is_told(known: dict[str, Any], plain: dict[str, Any]) -> None:
-    assert plain["regularization"] == {"kind": "euclidean", "weight": 1e-6, "units": "relative"}
-    assert known["regularization"] == {"kind": "entropic", "weight": 1e-5, "units": "relative"}
+    told = {"kind": "entropic", "weight": 1e-5, "mass_precision": 1.0, "units": "relative", "automatic": None}
+    assert known["regularization"] == told
+    chosen = plain["regularization"]
+    assert (chosen["kind"], chosen["mass_precision"], chosen["units"]) == ("entropic", 5.0, "relative")
+    assert chosen["weight"] == chosen["automatic"]["chosen"]["weight"]
     assert abs(known["solver"]["duality_gap"]) < 1e-6
 
 
@@ -176,7 +180,7 @@ def test_every_fact_is_told_under_its_own_name(known: dict[str, Any]) -> None:
 
 def test_without_constraints_the_violations_say_why(tmp_path: Path) -> None:
     """Few data and no prior to speak of: bodies come out that cannot be."""
-    report = report_of(tmp_path, constraints="none")
+    report = report_of(tmp_path, constraints="none", regularization=WEAK)
     wrong = {name: body for name, body in report["bodies"].items() if not body["realizable"]}
     assert len(wrong) >= 2
     for name, body in report["bodies"].items():
@@ -206,7 +210,8 @@ def test_a_body_within_full_consistency_may_be_outside_its_ellipsoid(tmp_path: P
     """That is said, by the bounds that the configuration has, whatever set was asked for."""
     narrow = [{"center": [0, 0, -0.171], "semi_axes": [0.01, 0.01, 0.02]}]
     ellipsoids = {**DATA["bounding_ellipsoids"], "thigh_link": narrow}
-    thigh = report_of(tmp_path, constraints="full", bounding_ellipsoids=ellipsoids)["bodies"]["thigh_link"]
+    report = report_of(tmp_path, constraints="full", bounding_ellipsoids=ellipsoids, regularization=WEAK)
+    thigh = report["bodies"]["thigh_link"]
     assert (thigh["constraints"], thigh["realizable"], thigh["witness"]) == ("full", False, None)
     (said,) = thigh["violations"]
     assert said.startswith("some mass lies beyond its ")

@@ -196,7 +196,7 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
     monkeypatch.setattr("idtool.trust.inquiry.scatter", correlated)
     many, few = questioned(4.0), questioned(1 / 400)
     np.testing.assert_allclose(many.uncertainty.of(base()), plain.of(base()), rtol=0.4)
-    assert (many.uncertainty.of(base()) >= plain.of(base())).all()
+    assert (many.uncertainty.of(base()) >= plain.of(base()) * (1 - 1e-9)).all()
     worth = few.uncertainty.directions.worth
     assert np.trace(few.uncertainty.spread) * worth / len(few.uncertainty.spread) == pytest.approx(400)
     times = 9.0

@@ -32,10 +32,11 @@ def adapt_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Identify online, sample by sample and within the constraints, and write the parameters over time."""
+    """Identify online, one update for each decimated row, within the constraints; write the parameters over time."""
     from idtool.adapt import adapt, adapt_report
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
+    from idtool.command_delay import with_delay
     from idtool.identified import choose_sets
     from idtool.outputs import as_json as dump
     from idtool.outputs import write_all
@@ -49,12 +50,13 @@ def adapt_command(
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         experiment = experiment_of(model, logs, holdout=0.0, progress=progress)
+        experiment, delay, _ = with_delay(experiment, progress)
         sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
         result = adapt(experiment, sets, forgetting, progress=progress)
         report = {
             **HEADER,
             **adapt_report(result, experiment),
-            "warnings": [*experiment.warnings, *remarks],
+            "warnings": [*experiment.warnings, *(delay.warnings if delay else ()), *remarks],
         }
         write_all(folder, {"adapt.json": dump(report), "adapt.html": adapt_page(report, command())})
     show_adaptation(terminal, report, folder)

@@ -163,6 +163,7 @@ def _task(
     progress: Callable[[str, float], None],
 ) -> tuple[Task, Logged | None, Experiment | None]:
     """The robot and what is to be told, of the joints that are logged already, where some are; and these logs."""
+    from idtool.command_delay import with_delay
     from idtool.effects import build_effects
     from idtool.excitation.design import Logged
     from idtool.excitation.task import make_task
@@ -175,7 +176,7 @@ def _task(
     robot, settings, measured = given.robot, given.settings, dict[str, float]()
     logged = experiment = None
     if logs:
-        experiment = prepare(robot, settings, logs, holdout=0.0)
+        experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0), progress)
         model, equation, known, settings = experiment.model, experiment.equation, experiment.known, experiment.config
         reduction = experiment.reduce(progress)
         logged = Logged(reduction, free_noise(equation, reduction, known))

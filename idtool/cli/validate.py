@@ -81,16 +81,15 @@ def _regression(terminal: Terminal, options: bool) -> None:
     """`idtool validate` without arguments."""
     if options:
         raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
-    from idtool.regression import read_manifest, run_case
+    from idtool.regression import find_manifest, read_manifest, run_case
     from idtool.report import HEADER
     from idtool.terminal.validation import show_regression
 
-    here, home = Path("sample_logs"), Path(__file__).parents[2] / "sample_logs"
-    folder = here if (here / "manifest.yaml").exists() else home
+    manifest = find_manifest()
     outcomes = []
     with terminal.progress() as progress:
-        for case in read_manifest(folder / "manifest.yaml"):
-            outcomes += run_case(case, folder, progress)
+        for case in read_manifest(manifest):
+            outcomes += run_case(case, manifest.parent, progress)
     show_regression(terminal, outcomes)
     cases = [
         {"case": o.case, "joint": o.joint, "rms": o.rms, "bound": o.bound, "prior": o.prior, "ok": o.ok}

@@ -6,12 +6,13 @@ Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic 
 from idtool.config.base import Positive, Record, checked
 from idtool.config.bounds import Bounding, BoundingShape, HullBound
 from idtool.config.config import Config, parse_config, read_config
-from idtool.config.estimation import Known, Measured, Mirror, Regularization, Solver
+from idtool.config.estimation import WEAK, Known, Measured, Mirror, Regularization, Solver
 from idtool.config.rotors import Rotor
 from idtool.config.signals import Controller
 from idtool.config.terms import EffectEntry, Friction, Uncertain
 
 __all__ = [
+    "WEAK",
     "Bounding",
     "BoundingShape",
     "Config",

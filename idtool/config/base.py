@@ -46,6 +46,9 @@ class Record(BaseModel):
 R = TypeVar("R", bound=Record)
 
 
+_TAGS = ("by joint", "alike", "[key]", "[auto]", "[number]")  # of the forms that a value can have, not of keys
+
+
 def checked(kind: type[R], data: Any, where: str) -> R:
     """A record from plain data.
 
@@ -58,7 +61,7 @@ def checked(kind: type[R], data: Any, where: str) -> R:
         return kind.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"] if part not in ("by joint", "alike", "[key]"))
+        key = ".".join(part for part in map(str, first["loc"]) if part not in _TAGS)
         message = first["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
         message = message.split(" or instance of ")[0].replace("valid dictionary", "mapping of keys to values")
         raise ConfigError(f"{where}: {key}" if key else where, message[0].lower() + message[1:]) from None

@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from idtool.certificate import GAP, ROUNDING
 from idtool.diagnosis.records import Residual
 from idtool.fitting import Fit
 from idtool.pages.base import render
 from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
+from idtool.pages.prior import PRIOR, prior_view
 from idtool.pages.residuals import residual_views
 from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
@@ -29,6 +31,7 @@ _SECTIONS = (
     SIMULATION,
     ("Friction", "friction.html"),
     ("Bodies", "bodies.html"),
+    PRIOR,
     RESTS,
     BASE,
     LOGS,
@@ -60,7 +63,10 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None =
     shown, views = fit.validation if held_out else fit.train, body_views(report["bodies"])
     robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
     left = {"residuals": residual_views(*maps, units, _NAMES, _MODELS)} if maps else {}
-    sections = [section for section in _SECTIONS if section != _RESIDUALS or maps]
+    prior_chosen = report["regularization"]["automatic"] is not None
+    shown_if = {_RESIDUALS: bool(maps), PRIOR: prior_chosen}
+    sections = [section for section in _SECTIONS if shown_if.get(section, True)]
+    path = prior_view(report) if prior_chosen else {}
     return render(
         f"{Path(report['urdf']).stem}: identified dynamics",
         with_robot(with_trust(with_simulation(sections, report), report), robot),
@@ -71,6 +77,7 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None =
             **views,
             **robot,
             **left,
+            **path,
         },
         report=report,
         groups=by_unit(units),
@@ -80,6 +87,8 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None =
         worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
         worst=max(report["joints"], key=lambda name: (own or report["rms"]["train"])[name]),
         determined=fit.uncertainty.identifiable,
+        gap=(gap := max(abs(report["solver"]["duality_gap"]), ROUNDING)),
+        certified=gap <= GAP,
         closest=fit.estimate.certificate.where,
         command=command,
     )

@@ -95,7 +95,7 @@ class Bench:
         train = self._part(self.train, equation)
         sets, _ = choose_sets(model.bodies, config.constraints)
         known = knowledge(config, model, equation)
-        theta = identify(equation, model.bodies, train, sets, config.regularization, known).theta
+        theta = identify(equation, model.bodies, train, sets, config.regularization.or_weak(), known).theta
         held_out = self._part(self.held_out, equation)
         named = [(c.effect, c.owner) for c in equation.coefficients]
         values = dict(zip(named, theta.tolist(), strict=True))

@@ -119,11 +119,8 @@ def controller(draft: Draft) -> Section | None:
         return None
     units = f"kp {draft.unit('stiffness', names)}, kd {draft.unit('damping', names)}"
     what = f"The joint controller that made the torque, as none was logged: {units} at the joint"
-    late = (
-        "delay: s from command to torque: half a sample, as a command is held until the next one (default); a longer "
-        "one is for you to fill in, as data cannot tell it from friction and inertia.",
-    )
-    given, delay = draft.given.get("controller"), {"delay": half_a_sample(draft)}
+    late = ("delay: s from command to torque; auto: idtool fit finds it (default).",)
+    given, delay = draft.given.get("controller"), {"delay": "auto"}
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
         remark = "Nothing can be fitted without: fill in kp and kd where null."
@@ -132,11 +129,6 @@ def controller(draft: Draft) -> Section | None:
     if "delay" in given:
         return Section("controller", (said,), given)
     return Section("controller", (said, *late), {**given, **delay})
-
-
-def half_a_sample(draft: Draft) -> float:
-    """Of the logs [s]."""
-    return _short(0.5 / min(draft.recorded.rates_hz))
 
 
 def known(draft: Draft) -> Section:

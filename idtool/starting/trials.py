@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.command_delay import with_delay
 from idtool.config import Config, parse_config
 from idtool.effects.time_delay import WITHIN
 from idtool.experiment import Experiment, Progress, prepare
@@ -117,7 +118,8 @@ class Workshop:
 
     def bench(self, config: Config) -> Bench:
         """A variant's logs, reduced."""
-        return Bench(prepare(self.robot, config, self.logs, holdout=HOLDOUT), self.progress)
+        experiment, _, _ = with_delay(prepare(self.robot, config, self.logs, holdout=HOLDOUT), self.progress)
+        return Bench(experiment, self.progress)
 
 
 def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) -> Found:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from idtool.certificate import GAP, ROUNDING
 from idtool.terminal.base import Terminal, figure, new_table, units_of
 from idtool.terminal.simulation import show_simulation
 from idtool.terminal.tables import Words
@@ -32,11 +33,23 @@ def show_fit(terminal: Terminal, report: dict[str, Any], folder: Path) -> None:
         pairs = [(friction[key], friction["standard_error"][key]) for key in ("viscous", "coulomb", "offset")]
         table.add_row(name, *(figure(x) for pair in pairs for x in pair))
     terminal.show(table)
+    if report["controller"] and report["controller"]["text"]:
+        terminal.say(f"controller delay: {report['controller']['text']}")
     _show_trust(terminal, report)
-    solver = report["solver"]
-    terminal.say(f"optimum certified to a relative duality gap of {abs(solver['duality_gap']):.1e}")
+    prior = report["regularization"]
+    if prior["automatic"] is not None:
+        terminal.say(f"the prior's weight is {prior['weight']:.2g}: {prior['automatic']['reason']}")
+    terminal.say(_optimality(report["solver"]))
     terminal.warn(report["warnings"])
     terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html")
+
+
+def _optimality(solver: dict[str, Any]) -> str:
+    """How far the cost may be above the least."""
+    gap = max(abs(solver["duality_gap"]), ROUNDING)
+    if gap <= GAP:
+        return f"optimum certified to a relative duality gap of {gap:.1e}"
+    return f"not the optimum: {solver['name']} ended at a cost that may be {gap:.1e} above the least, relative to it"
 
 
 def _show_bodies(terminal: Terminal, report: dict[str, Any]) -> None:

@@ -88,7 +88,12 @@ class Trust:
 
 
 def trust(
-    experiment: Experiment, solution: Identified, independent: Mapping[str, float], progress: Progress, questioned: bool
+    experiment: Experiment,
+    solution: Identified,
+    independent: Mapping[str, float],
+    progress: Progress,
+    questioned: bool,
+    change: Array | None = None,
 ) -> Trust:
     """Question a fit.
 
@@ -102,6 +107,8 @@ def trust(
         Told the stage and how far it has come.
     questioned
         Whether to ask what each number rests on, logs whether they agree, and whether noise has biased it.
+    change
+        Of the coefficients by one standard error of what was fitted beforehand, shape (p,); None: nothing was.
     """
     equation, model, known, estimate = experiment.equation, experiment.model, experiment.known, solution.estimate
     rng = np.random.default_rng(experiment.config.seed)
@@ -113,6 +120,8 @@ def trust(
     errors = found.uncertainty
     if found.bootstrap is None or found.correlated:
         errors = _counted(errors, independent)
+    if change is not None:
+        errors = errors.with_error(change)
     held_out = any(run.held_out for run in experiment.runs)
     ahead = prediction(experiment, errors, held_out, progress)
     asked = compared = biased = None

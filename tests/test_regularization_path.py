@@ -1,0 +1,192 @@
+"""The weight that `auto` takes: its path against the conic solver's, its choice against what a user wants of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import LEG, TRAIN
+from robots import random_urdf
+from synthetic import Synthetic, bounds, synthetic
+
+import idtool
+from idtool.blocks import Blocks
+from idtool.config import Config, Regularization, parse_config
+from idtool.effects import build_effects
+from idtool.identified import choose_sets
+from idtool.identify import identify
+from idtool.inertia import SIZE
+from idtool.prior_bodies import placeholder_reasons
+from idtool.regressor import LinearModel
+from idtool.regularization_path import WEIGHTS, RegularizationPath, regularization_path
+from idtool.robot import Robot
+from idtool.weights import free_noise
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+ROWS = 40  # of a block
+
+
+@pytest.fixture
+def arm(robot_of: Callable[[str], Robot]) -> Synthetic:
+    """Three joints, bounding ellipsoids, friction; its prior is another body than the truth."""
+    rng = np.random.default_rng(5)
+    read = robot_of(random_urdf(rng, size=3, kinds=("revolute",), mimic=0, massless=0))
+    return synthetic(rng, read, 20 * ROWS, bounds(rng, read))
+
+
+def blocks_of(s: Synthetic, tau: Array, count: int) -> Blocks:
+    """The samples in so many blocks of a second each."""
+    parts = []
+    for rows in np.array_split(np.arange(tau.shape[1]), count):
+        block = replace(s, Y=s.Y[:, rows])
+        parts.append(block.reduction(tau[:, rows]))
+    return Blocks("log", tuple(parts), 1.0)
+
+
+def path_of(s: Synthetic, tau: Array, count: int = 20, **prior: Any) -> RegularizationPath:
+    blocks = blocks_of(s, tau, count)
+    sets, _ = choose_sets(s.model.bodies, None)
+    noise = free_noise(s.linear, blocks.total, s.known)
+    regularization = Regularization.model_validate(prior)
+    return regularization_path(s.linear, s.model.bodies, [blocks], sets, regularization, s.known, noise)
+
+
+@pytest.mark.parametrize("kind", ["entropic", "euclidean", "pullback"])
+def test_every_point_of_the_path_is_the_solvers_optimum(arm: Synthetic, kind: str) -> None:
+    tau = arm.noisy(0.1)
+    path = path_of(arm, tau, kind=kind)
+    total = blocks_of(arm, tau, 20).total
+    sets, _ = choose_sets(arm.model.bodies, None)
+    noise = free_noise(arm.linear, total, arm.known)
+    unweighted = Regularization.model_validate({"kind": kind})
+    for point in path.points[2::3]:
+        own = identify(
+            arm.linear, arm.model.bodies, total, sets, unweighted.weighing(point.weight), arm.known, noise=noise
+        )
+        rows = sum(factor.rows for factor in total)
+        factors = zip(total, arm.linear.active(), noise, strict=True)
+        error = sum(factor.squares(own.theta[columns]) / sigma**2 for factor, columns, sigma in factors) / rows
+        assert point.train_error == pytest.approx(np.sqrt(error), rel=1e-3)
+
+
+def test_errors_grow_and_distances_shrink_with_the_weight(arm: Synthetic) -> None:
+    path = path_of(arm, arm.noisy(0.1))
+    weights = [point.weight for point in path.points]
+    errors = [point.train_error for point in path.points]
+    distances = [point.distance for point in path.points]
+    assert weights == sorted(WEIGHTS)
+    assert all(b > a - 1e-4 for a, b in pairwise(errors))
+    assert all(b < a * (1 + 1e-3) for a, b in pairwise(distances))
+    assert path.weaker.distance > path.chosen.distance > path.stronger.distance
+    assert path.chosen.weight == pytest.approx(10 * path.weaker.weight) == pytest.approx(path.stronger.weight / 10)
+
+
+def test_the_chosen_weight_costs_little_and_is_no_smaller_than_the_best(arm: Synthetic) -> None:
+    path = path_of(arm, arm.noisy(0.1))
+    best = next(point for point in path.points if point.weight == path.best)
+    assert path.weight >= path.best * (1 - 1e-9)
+    assert path.chosen.train_error <= 1.016 * best.train_error
+    assert path.chosen.validation_error**2 <= best.validation_error**2 + 1.01 * path.standard_error
+
+
+def test_with_more_noise_bodies_stay_nearer_to_the_prior(arm: Synthetic) -> None:
+    quiet, loud = (path_of(arm, arm.noisy(noise)).chosen.distance for noise in (0.01, 1.0))
+    assert loud < 0.7 * quiet
+
+
+def test_a_prior_that_is_the_truth_is_kept(arm: Synthetic) -> None:
+    """Next to nothing contradicts it, whatever the weight."""
+    own = arm.theta[: SIZE * len(arm.model.bodies)].reshape(-1, SIZE)
+    bodies = tuple(replace(body, pi=pi) for body, pi in zip(arm.model.bodies, own, strict=True))
+    model = replace(arm.model, bodies=bodies)
+    right = replace(arm, model=model, linear=LinearModel(model.names, build_effects(model, arm.config)))
+    path = path_of(right, right.noisy(0.1))
+    assert path.weight > 1
+    assert path.chosen.distance < 0.01
+
+
+def test_a_log_too_short_to_leave_out_a_part_is_said_to_be(arm: Synthetic) -> None:
+    path = path_of(arm, arm.noisy(0.1), count=3)
+    assert path.limit == "untested"
+    assert np.isnan(path.best)
+    assert WEIGHTS[-1] <= path.weight <= WEIGHTS[0]
+
+
+def leg_with(change: Callable[[dict[str, Any]], None]) -> idtool.Model:
+    config = idtool.Model(LEG).config
+    change(config)
+    return idtool.Model(LEG, config)
+
+
+def masses(result: Any) -> dict[str, float]:
+    return {name: body.mass for name, body in result.bodies.items()}
+
+
+@pytest.fixture(scope="module")
+def leg() -> Any:
+    return idtool.fit(LEG, TRAIN, quick=True)
+
+
+def test_the_result_tells_the_weight_and_its_path(leg: Any) -> None:
+    told = leg._report["regularization"]
+    assert told["kind"] == "entropic"
+    assert told["weight"] == told["automatic"]["chosen"]["weight"]
+    assert told["automatic"]["limit"] in ("validation", "residual")
+    assert len(told["automatic"]["path"]) == len(WEIGHTS)
+
+
+def test_a_number_is_taken_as_it_is() -> None:
+    model = leg_with(lambda config: config.update(regularization={"weight": 1e-3}))
+    told = idtool.fit(model, TRAIN, quick=True)._report["regularization"]
+    assert (told["weight"], told["mass_precision"], told["automatic"]) == (1e-3, 1.0, None)
+
+
+def test_a_weight_is_auto_or_a_number() -> None:
+    assert parse_config({"regularization": {"weight": "auto"}}, "x").regularization.is_automatic
+    with pytest.raises(idtool.IdtoolError, match=r"regularization\.weight: "):
+        parse_config({"regularization": {"weight": "firm"}}, "x")
+    assert not Config(regularization=Regularization(kind="none")).regularization.is_automatic
+
+
+def placeholders(inertia: Sequence[float], mass: float) -> Callable[[str], str]:
+    """A URDF's text in which every link has the same mass and inertia."""
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    own = " ".join(f'{name}="{value}"' for name, value in zip(names, inertia, strict=True))
+
+    def change(text: str) -> str:
+        text = re.sub(r"<inertia [^>]*/>", f"<inertia {own}/>", text)
+        return re.sub(r'<mass value="[^"]*"/>', f'<mass value="{mass}"/>', text)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("inertia", "mass"),
+    [((1, 0, 0, 1, 0, 1), 1.0), ((1e-6, 0, 0, 1e-6, 0, 1e-6), 1e-6), ((0.01, 0, 0, 0.02, 0, 0.01), 2.0)],
+)
+def test_placeholders_give_way_to_geometry(inertia: Sequence[float], mass: float, leg: Any, tmp_path: Any) -> None:
+    """Unit inertias, next to none, all alike: the torque is predicted nearly as well as with a real prior."""
+    urdf = tmp_path / "leg.urdf"
+    urdf.write_text(placeholders(inertia, mass)(LEG.read_text()))
+    config = {**idtool.Model(LEG).config, "known": {"total_mass": 4.04}}
+    result = idtool.fit(idtool.Model(urdf, config), TRAIN, quick=True)
+    assert any("placeholder for abad_link" in warning for warning in result.warnings)
+    assert result.rms.validation["overall"] < 1.05 * leg.rms.validation["overall"]
+    assert sum(masses(result).values()) == pytest.approx(4.04, rel=1e-6)
+
+
+def test_a_real_urdf_is_no_placeholder(arm: Synthetic) -> None:
+    assert placeholder_reasons(arm.model.bodies) == {}
+
+
+def test_masses_that_are_known_take_the_priors_inertia_along(leg: Any) -> None:
+    """Twice the weight: nobody keeps a link's inertia and doubles its mass."""
+    heavy = leg_with(lambda config: config.update(known={"mass": {"thigh_link": 2 * leg.bodies["thigh_link"].mass}}))
+    result = idtool.fit(heavy, TRAIN, quick=True)
+    assert result.bodies["thigh_link"].mass == pytest.approx(2 * leg.bodies["thigh_link"].mass, rel=1e-9)
+    assert result.rms.validation["overall"] < 1.1 * leg.rms.validation["overall"]
