@@ -287,10 +287,8 @@ def _finished(problem: Problem, solution: Solution, name: str, started: float) -
     """A solver's optimum refined and checked, or as it is where refining makes it no better."""
     solution = replace(solution, x=_polished(problem, solution.x))
     if not np.isfinite(problem.cost(problem.S @ solution.x)):
-        known = f" of {some(problem.facts)}" if problem.facts else ""
-        raise SolverError(
-            "solver", f"found nothing that has a cost ({solution.status}); check units and magnitudes{known}"
-        )
+        _, where = violation(problem, solution.x)
+        raise _unsolved(problem, where, name, f"no body found ({solution.status})")
     certificate = _certified(problem, solution, APART, name, started)
     if refined := refine(problem, solution):
         better = replace(refined.solution, x=_polished(problem, refined.solution.x))
@@ -300,10 +298,16 @@ def _finished(problem: Problem, solution: Solution, name: str, started: float) -
             solution, certificate = better, check
     if not certificate.holds:
         gap, violated = certificate.duality_gap, certificate.violation
-        by = "" if name == "clarabel" else f" by {name}"
-        what = f"not solved well enough{by}: relative duality gap {gap:.1e}, violation {violated:.1e}"
-        raise SolverError(certificate.where or "solver", what)
+        reason = f"relative duality gap {gap:.1e}, violation {violated:.1e}"
+        raise _unsolved(problem, certificate.where, name, reason)
     return solution.x, certificate
+
+
+def _unsolved(problem: Problem, where: str, name: str, reason: str) -> SolverError:
+    """What to say of a problem that a solver leaves without a solution."""
+    by = "" if name == "clarabel" else f" by {name}"
+    known = f" of {some(problem.facts)}" if problem.facts else ""
+    return SolverError(where or "solver", f"not solved well enough{by}: {reason}; check units and magnitudes{known}")
 
 
 def _certified(problem: Problem, solution: Solution, margin: float, name: str, started: float) -> Certificate:

@@ -3,8 +3,9 @@
 Every weight is tried on blocks of time that were not fitted. The data object to a weight
 
 - where its error on them is more than one standard error above the best weight's (Breiman et al. 1984), or
-- where it costs more than 1.5 % of the residual on the data that were fitted. Residuals of real robots are mostly
-  what the model lacks, not noise; parameters that follow them further than that explain something else.
+- where it moves the fit by more than three and a half standard errors from what fits best. Residuals of real robots are mostly
+  what the model lacks, not noise, and samples of them are far from independent. So they count as many as there would be
+  samples of white noise whose mean square is as uncertain as the validation error.
 
 All of it runs on R-factors: no log is read again. Each point is the minimiser of a barrier, tracked from the last one.
 
@@ -37,14 +38,14 @@ WEIGHTS = 10.0 ** np.append(np.arange(1, -4.1, -0.5), -5)  # from the firmest
 _FOLDS = 5
 _SHORTEST = 1.0  # s of a block: what a residual's correlation seldom outlasts
 _LAGS = 3  # blocks over which errors may still be correlated
-_COST = 0.015  # of the residual, that a prior may add
+_MOVED = 3.5  # standard errors by which a prior may move the fit
 _GAP = 1e-4  # of the cost, by which a point of the path may miss its minimum
 _UNTESTED = 0.3  # relative standard error of the prior's inertias that is assumed where logs are too short to ask
 
 _REASONS = {
     "validation": "with more, blocks of time that were left out would be predicted worse by over one standard error",
-    "residual": f"with more, the torque error on the data that were fitted would grow by over {100 * _COST:g} %",
-    "range": "it is the largest that is tried, as the logs do not contradict the URDF",
+    "significance": f"with more, the fit would be moved by over {_MOVED:g} standard errors from what the data say",
+    "range": "it is the largest that is tried",
     "untested": "the logs are too short to leave out a part, so the URDF's inertias are trusted to "
     f"{100 * _UNTESTED:g} %",
 }
@@ -91,8 +92,8 @@ class RegularizationPath:
     standard_error
         Of the best weight's validation error; NaN where logs are too short.
     limit
-        Why the weight is not larger: ``validation``, ``residual``, ``range`` (it is the largest tried) or ``untested``
-        (logs are too short to leave out a part).
+        Why the weight is not larger: ``validation``, ``significance``, ``range`` (it is the largest tried) or
+        ``untested`` (logs are too short to leave out a part).
     """
 
     points: tuple[PathPoint, ...]
@@ -166,8 +167,12 @@ def regularization_path(
 
 def _largest(validation: Array, train: Array, best: int, spread: float) -> tuple[float, str]:
     """The largest weight that the data do not object to, between two of those tried, and what objects to more."""
-    allowed = {"validation": validation[best] + spread, "residual": train[best] * (1 + _COST) ** 2}
-    share = {"validation": validation / allowed["validation"], "residual": train / allowed["residual"]}
+    independent = 2 / (spread / validation[best]) ** 2  # samples of white noise with that spread of the mean square
+    allowed = {
+        "validation": validation[best] + spread,
+        "significance": train[best] * (1 + _MOVED**2 / independent),
+    }
+    share = {"validation": validation / allowed["validation"], "significance": train / allowed["significance"]}
     for i in range(best, 0, -1):
         beyond = {name: float(ratio[i - 1]) for name, ratio in share.items() if ratio[i - 1] > 1}
         if not beyond:

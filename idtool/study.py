@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -138,7 +138,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
         If nothing is left to fit a joint to.
     """
     started = time.perf_counter()
-    experiment, delay, _ = with_delay(experiment, progress)
+    experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
     validation = held_out(experiment, progress)
     if not validation[0].rows:
         raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
@@ -170,13 +170,19 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     )
 
 
+def _weakly_regularized(experiment: Experiment) -> Experiment:
+    """The same with a number for the prior's weight: what an automatic one chooses would hide what a set does."""
+    regularization = experiment.config.regularization.or_weak()
+    return replace(experiment, config=experiment.config.model_copy(update={"regularization": regularization}))
+
+
 def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduction], Problem]:
     """What states the problem of a constraint set for a reduction."""
     equation, bodies, config = experiment.equation, experiment.model.bodies, experiment.config
     sets = [choose_set(body, name) for body in bodies]
 
     def state(data: Reduction) -> Problem:
-        return build_problem(equation, bodies, data, sets, config.regularization.or_weak(), noise, experiment.known)
+        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.known)
 
     return state
 
@@ -211,7 +217,7 @@ def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str], pr
 
 def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], Outcome]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
-    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization.or_weak()
+    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
     ways: dict[str, Callable[[], Outcome]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else given.model_copy(update={"kind": name, "units": "relative"})

@@ -41,7 +41,7 @@ def estimate(s: Synthetic, prior: tuple[str, float] = ("euclidean", 1e-4), **opt
 
 
 def problem_of(s: Synthetic, name: str = "ellipsoid") -> Problem:
-    bodies, regularization = s.model.bodies, Regularization(weight=1e-4)
+    bodies, regularization = s.model.bodies, Regularization(kind="euclidean", weight=1e-4)
     sets, sigma = [choose_set(body, name) for body in bodies], s.tau.std(axis=1)
     return build_problem(s.linear, bodies, s.reduction(s.noisy(1.0)), sets, regularization, sigma, s.known)
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 import yaml
-from commands import JOINTS, idtool
+from commands import JOINTS, csv_text, idtool, sample_table
 from doc_pages import PAGES, Reader
 from doc_tables import misfits, section
 
@@ -37,6 +37,18 @@ def config_with(folder: Path, name: str, **changes: Any) -> str:
     return name
 
 
+def commanded(folder: Path, name: str, stiffness: float) -> str:
+    """The first seconds of the sample log with the command that its torque answers to, in the torque's place."""
+    header, *rows = sample_table(4000)
+    places = [(header.index(f"q_{joint}"), header.index(f"tau_{joint}")) for joint in JOINTS]
+    for row in rows:
+        for q, tau in places:
+            row[tau] = repr(float(row[q]) + float(row[tau]) / stiffness)
+    renamed = [title.replace("tau_", "qcmd_") for title in header]
+    (folder / name).write_text(csv_text([renamed, *rows]))
+    return name
+
+
 AS_IN_REPORT = ("friction", "friction_intervals", "rotors", "bodies", "known", "solver")  # of diagnosis.json
 
 
@@ -46,6 +58,7 @@ def check_keys(heading: str, *reports: dict[str, Any], whole: Sequence[str] = ()
     ``whole`` are keys named with all they hold.
     """
     names = {"joint": {joint for one in reports for joint in (*one.get("joints", JOINTS), "overall")}}
+    names["fit"] = {"chosen", "weaker", "stronger"}
     if isinstance(reports[0].get("bodies"), dict):
         bodies = {body for one in reports for body in one["bodies"]}
         names |= {"body": bodies, "rotor": bodies}
@@ -61,11 +74,13 @@ def test_every_key_of_report_json_is_documented(reader: Reader) -> None:
         reader.folder, "known.yaml", known={"total_mass": 3.8}, constraints="none", bounding_ellipsoids={}
     )
     parts = config_with(reader.folder, "parts.yaml", bounding_ellipsoids=union)
+    late = config_with(reader.folder, "late.yaml", controller={"kp": dict.fromkeys(JOINTS, 300.0)})
     check_keys(
         "report.json",
         report(reader, "fit", "leg.urdf", "run1.mcap", "run2.mcap"),
         report(reader, "fit", "leg.urdf", "run1.mcap", "--quick", "--config", known),
         report(reader, "fit", "leg.urdf", "run1.mcap", "--quick", "--config", parts),
+        report(reader, "fit", "leg.urdf", commanded(reader.folder, "late.csv", 300.0), "--config", late),
     )
 
 

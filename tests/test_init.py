@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from commands import LEG, SAMPLES, TRAIN, VALIDATE, config_with, fitted, idtool
 from imposed import with_torque
 from recordings import State, ros2, write_mcap
@@ -120,7 +121,11 @@ def test_leg_from_scratch_is_as_good_as_with_the_configuration_by_hand(tmp_path:
     for name in ("own", "hand"):
         shutil.copy(LEG, tmp_path / f"{name}.urdf")
     report = init(tmp_path / "own.urdf", TRAIN)
-    assert [entry["joint"] for entry in report["config"]["effects"]] == ["knee"]  # elsewhere links can stand for rotors
+    rotors = {entry["joint"]: entry["parameters"]["inertia"] for entry in report["config"]["effects"]}
+    true = yaml.safe_load((SAMPLES / "truth.yaml").read_text())["leg"]["bodies"]
+    ratio = yaml.safe_load((SAMPLES / "leg.yaml").read_text())["rotors"]["hip_rotor"]["gear_ratio"]
+    about_axis = {joint: max(true[f"{joint}_rotor"]["inertia"]) for joint in ("abad", "hip", "knee")}
+    assert rotors == {joint: pytest.approx(ratio**2 * own, rel=0.1) for joint, own in about_axis.items()}
     assert set(report["config"]["bounding_ellipsoids"]) == {"abad_link", "thigh_link", "shank_link"}
     config_with(tmp_path / "hand.yaml", SAMPLES / "leg.yaml", filter={"cutoff_hz": report["band_hz"]})
     rms = {

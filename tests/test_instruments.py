@@ -36,8 +36,9 @@ def silent(stage: str, share: float) -> None:
 
 
 def of(log: Log, controller: Controller | None, holdout: float = 0.0) -> Experiment:
-    """The leg with a log, its velocities differentiated."""
-    config: dict[str, Any] = yaml.safe_load((runs.SAMPLES / "leg.yaml").read_text()) | {"velocity": "differentiated"}
+    """The leg with a log, its velocities differentiated, and no prior to speak of."""
+    config: dict[str, Any] = yaml.safe_load((runs.SAMPLES / "leg.yaml").read_text())
+    config |= {"velocity": "differentiated", "regularization": {"kind": "euclidean", "weight": 1e-6}}
     if controller is not None:
         kp, kd = (dict(zip(runs.JOINTS, gains, strict=True)) for gains in (controller.kp, controller.kd))
         config["controller"] = {"kp": kp, "kd": kd, "delay": DELAY}
@@ -61,7 +62,7 @@ def coarse(motion: Motion) -> Log:
 
 
 def least_squares(experiment: Experiment) -> Array:
-    bodies, regularization = experiment.model.bodies, experiment.config.regularization.or_weak()
+    bodies, regularization = experiment.model.bodies, experiment.config.regularization
     sets, _ = choose_sets(bodies, None)
     reduction = experiment.reduce(silent)
     return identify(experiment.equation, bodies, reduction, sets, regularization, experiment.known).theta

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.config import Config
 from idtool.effects import build_effects
-from idtool.exceptions import LogError
+from idtool.exceptions import LogError, SolverError
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.knowledge import knowledge
+from idtool.prior_bodies import prior_bodies
 from idtool.reduction import Factor, Reduction, empty, merge
 from idtool.regressor import LinearModel
+from idtool.regularization_path import assumed_weight
 
 Array = NDArray[np.float64]
 
@@ -95,7 +98,15 @@ class Bench:
         train = self._part(self.train, equation)
         sets, _ = choose_sets(model.bodies, config.constraints)
         known = knowledge(config, model, equation)
-        theta = identify(equation, model.bodies, train, sets, config.regularization.or_weak(), known).theta
+        prior = prior_bodies(config, model, equation, train)
+        solve = partial(identify, prior.equation, prior.bodies, train, sets, known=known)
+        given = config.regularization
+        # Bodies are held, or they would stand in for the terms that are tried.
+        held = given.weighing(assumed_weight(train)) if given.is_automatic else given
+        try:
+            theta = solve(regularization=held).theta
+        except SolverError:  # data that no body explains, as of torque with the wrong sign
+            theta = solve(regularization=given.or_weak()).theta
         held_out = self._part(self.held_out, equation)
         named = [(c.effect, c.owner) for c in equation.coefficients]
         values = dict(zip(named, theta.tolist(), strict=True))

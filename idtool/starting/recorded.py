@@ -21,6 +21,8 @@ from idtool.starting.doubts import doubts
 from idtool.starting.seen import Seen, find_topic, see
 
 _LEAST_BAND = 5.0  # Hz: below it, friction at reversals is blurred into everything else
+# Torque that is computed from a command holds kp times the noise of q, which at ω looks like an inertia of kp / ω².
+_BAND_OF_COMMANDED = 2.0
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,10 @@ class Recorded:
         Of each log.
     motion_hz
         Below this lies what moves the joints: the widest band of a joint's velocity, the median over the logs.
+    bands
+        How many times that the filter's cut-off is.
     cutoff_hz
-        The filter's cut-off by that.
+        The cut-off.
     warnings
         What a user should know.
     """
@@ -74,6 +78,7 @@ class Recorded:
     topics: tuple[str, ...]
     rates_hz: tuple[float, ...]
     motion_hz: float
+    bands: float
     cutoff_hz: float
     warnings: tuple[str, ...]
 
@@ -110,6 +115,8 @@ def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progr
     }
     moving = tuple(name for name in joints if _moves(name, seen))
     motion = float(np.median([_motion(one, moving) for one in seen]))
+    commanded = tuple(name for name in joints if any(_is_commanded(name, one) for one in seen))
+    bands = _BAND_OF_COMMANDED if commanded else BAND
     return Recorded(
         logs=tuple(one.log for one in seen),
         able=able,
@@ -117,12 +124,13 @@ def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progr
         moving=moving,
         locked=locked,
         untold=untold,
-        commanded=tuple(name for name in joints if any(_is_commanded(name, one) for one in seen)),
+        commanded=commanded,
         topic=topic if topics else None,
         topics=topics,
         rates_hz=tuple(one.inspection.rate_hz for one in seen),
         motion_hz=motion,
-        cutoff_hz=_cutoff(motion, min(default_cutoff(one.inspection.dt) for one in seen)),
+        bands=bands,
+        cutoff_hz=_cutoff(bands * motion, min(default_cutoff(one.inspection.dt) for one in seen)),
         warnings=doubts(robot, seen, joints, tuple(locked)),
     )
 
@@ -199,6 +207,6 @@ def _motion(seen: Seen, joints: Sequence[str]) -> float:
     return max((band for band in bands if band is not None), default=0.0)
 
 
-def _cutoff(motion: float, most: float) -> float:
-    """The filter's cut-off for a motion below a frequency, to two digits [Hz]."""
-    return float(f"{min(max(BAND * motion, _LEAST_BAND), most):.2g}")
+def _cutoff(wanted: float, most: float) -> float:
+    """The cut-off nearest to one that is wanted, to two digits [Hz]."""
+    return float(f"{min(max(wanted, _LEAST_BAND), most):.2g}")
