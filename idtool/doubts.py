@@ -103,7 +103,7 @@ def _shapes(found: Identified) -> Iterator[str]:
             f"{some(names)}: next to a {shape}, as no link is: the motion does not show the inertia about every axis; "
             "use a larger regularization.weight, or a motion that turns the link about more axes (idtool excite)"
         )
-    rim = [body.name for body, pi in _bodies(found) if _at_rim(body, pi)]
+    rim = [body.name for body, pi in _bodies(found) if _at_rim(body, pi) and not _at_rim(body, body.pi)]
     if rim:
         yield (
             f"{some(rim)}: all mass lies at the rim of the bounding ellipsoid: it may be too small, or the mass stands "

@@ -3,9 +3,9 @@
 Every weight is tried on blocks of time that were not fitted. The data object to a weight
 
 - where its error on them is more than one standard error above the best weight's (Breiman et al. 1984), or
-- where it moves the fit by more than three and a half standard errors from what fits best. Residuals of real robots are mostly
-  what the model lacks, not noise, and samples of them are far from independent. So they count as many as there would be
-  samples of white noise whose mean square is as uncertain as the validation error.
+- where it moves the fit by more than three and a half standard errors from what fits best. Residuals of real robots
+  are mostly what the model lacks, not noise, and samples of them are far from independent. So they count as many as
+  there would be samples of white noise whose mean square is as uncertain as the validation error.
 
 All of it runs on R-factors: no log is read again. Each point is the minimiser of a barrier, tracked from the last one.
 

@@ -79,8 +79,8 @@ def low_pass(draft: Draft) -> Section:
     seen = draft.recorded
     what = (
         "One zero-phase low-pass for every signal alike. cutoff_hz: above what moves the joints, which lies below "
-        f"{seen.motion_hz:.2g} Hz: {seen.bands:g} times that, from 5 Hz up to 40 Hz or a fifth of the rate (logs); kind "
-        "and order (default)."
+        f"{seen.motion_hz:.2g} Hz: {seen.bands:g} times that, from 5 Hz up to 40 Hz or a fifth of the rate (logs); "
+        "kind and order (default)."
     )
     if seen.commanded:
         what += " Torque computed from commands holds the encoders' noise, which passes for inertia at a higher one."

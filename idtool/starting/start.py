@@ -186,6 +186,8 @@ def _left(draft: Draft) -> list[Left]:
         left += _unbounded(draft)
     if "rotors" not in draft.given:
         left.append(Left("rotors", "mass, inertia and gear ratio, where the joints are geared"))
+    if "total_mass" not in draft.given.get("known", {}):
+        left.append(Left("known.total_mass", "what moves, on a scale: torque alone seldom tells it"))
     return left
 
 

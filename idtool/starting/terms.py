@@ -138,5 +138,6 @@ def known(draft: Draft) -> Section:
     what = "Masses that were measured by other means, kg; with a standard error they are soft. To fill in where null."
     masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
     prior = f"The URDF has {some(masses)}." if masses else "The URDF has none."
+    whole = "total_mass: of all that moves, rotors included; easily measured, and seldom told by torque."
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
-    return Section("known", (), None, (what, prior), {"mass": entry, "total_mass": None})
+    return Section("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from idtool.blocks import Blocks
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Identified
+from idtool.inertia import SIZE
 from idtool.names import some
 from idtool.trust.bias import BiasCheck, bias_check, estimates
 from idtool.trust.identifiability import Identifiability, identifiability
@@ -136,11 +137,22 @@ def trust(
     warnings = (
         *_of_blocks(found, solution.data),
         *_of_logs(compared),
+        *_of_masses(asked, experiment),
         *_of_bias(biased, solution.two_stage is not None),
         *([UNCHECKED] if questioned and pair is None else []),
         *_of_prediction(ahead, equation.joints),
     )
     return Trust(estimate.theta, errors, found, independent, ahead, asked, compared, biased, warnings)
+
+
+def _of_masses(asked: Identifiability | None, experiment: Experiment) -> Iterator[str]:
+    """Masses that a scale would tell and the torque does not."""
+    if asked is None or experiment.config.known.total_mass is not None:
+        return
+    names = [body.name for body in experiment.model.bodies]
+    untold = [name for name, basis in zip(names, asked.bases[::SIZE], strict=True) if basis.on == "prior"]
+    if untold:
+        yield f"the torque does not tell the mass of {some(untold)}: weigh what moves and give known.total_mass"
 
 
 def _counted(errors: Uncertainty, independent: Mapping[str, float]) -> Uncertainty:
