@@ -111,6 +111,8 @@ class Barrier:
         The function to start at; P positive definite but for the variables that no z depends on.
     gap
         What a minimiser may cost more than the least.
+    start
+        Where to begin if that is strictly inside, shape (m,); default: at the least without inequalities.
 
     Raises
     ------
@@ -118,14 +120,14 @@ class Barrier:
         If nothing fulfils the inequalities and what is known exactly.
     """
 
-    def __init__(self, problem: Problem, P: Array, q: Array, gap: float) -> None:
+    def __init__(self, problem: Problem, P: Array, q: Array, gap: float, start: Array | None = None) -> None:
         self._groups = _groups(problem)
         self._log_dets = _log_det_groups(problem)
         self._slope = sum((problem.S[term.own].T @ term.slope for term in problem.log_dets), np.zeros(len(q)))
         self.nu = sum(int(np.prod(group.least.shape[:2])) for group in self._groups)
         self._mu = gap / max(self.nu, 1)
         self._exact, self._e = problem.E @ problem.S, problem.e
-        self.x = self._middle = self._start(problem, P, q)
+        self.x = self._middle = self._start(P, q, start)
         self.move(P, q)
 
     def move(self, P: Array, q: Array, share: float = 1.0, start: Array | None = None) -> Array:
@@ -155,29 +157,40 @@ class Barrier:
             H[group.own[:, :, None], group.own[:, None, :]] += group.derivatives(x)[1]
         return H
 
-    def _start(self, problem: Problem, P: Array, q: Array) -> Array:
+    def _start(self, P: Array, q: Array, start: Array | None) -> Array:
         """A point strictly inside: the least s with X_i + s · 1 ⪰ 0, by the same method, until s is negative."""
-        m = problem.variables
+        m = len(q)
         size = float(P.diagonal().max())
         P, q = P / size + _SOFT * np.eye(m), q / size
-        x = np.asarray(np.linalg.solve(P, q), dtype=np.float64)
-        if len(problem.e):
-            x = x + np.linalg.lstsq(self._exact, problem.e - self._exact @ x, rcond=None)[0]
-            if np.abs(self._exact @ x - problem.e).max() > _EXACT:
-                raise SolverError("known", "facts contradict each other; give one of them a standard_error")
         inside = self._groups + self._log_dets
-        if not inside or min(group.smallest(x) for group in inside) > 0:
+        if start is not None and self._is_inside(self._with_facts(start)):
+            return self._with_facts(start)
+        x = self._with_facts(np.asarray(np.linalg.solve(P, q)))
+        if self._is_inside(x):
             return x
         groups = [replace(relaxed, weight=1.0) for group in inside for relaxed in group.relaxed(m)]
         wide = np.zeros((m + 1, m + 1))
         wide[:m, :m] = P
-        exact = np.column_stack([self._exact, np.zeros(len(problem.e))])
+        exact = np.column_stack([self._exact, np.zeros(len(self._e))])
         x = np.append(x, 1 - min(group.smallest(x) for group in inside))
         for pull in _PULL:
             x, _ = _minimise(groups, wide, np.append(q, -pull), x, exact, self._e)
             if x[-1] < 0:
                 return x[:m]
         raise SolverError("constraints", "no parameters fulfil them and what is known exactly; loosen one of them")
+
+    def _is_inside(self, x: Array) -> bool:
+        """Whether x is strictly inside of everything."""
+        return all(group.smallest(x) > 0 for group in self._groups + self._log_dets)
+
+    def _with_facts(self, x: Array) -> Array:
+        """The x nearest to another at which what is known exactly holds."""
+        if not len(self._e):
+            return x
+        x = x + np.linalg.lstsq(self._exact, self._e - self._exact @ x, rcond=None)[0]
+        if np.abs(self._exact @ x - self._e).max() > _EXACT:
+            raise SolverError("known", "facts contradict each other; give one of them a standard_error")
+        return x
 
 
 def _groups(problem: Problem) -> list[_Group]:

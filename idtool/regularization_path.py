@@ -35,6 +35,7 @@ from idtool.weights import weighted_rows
 Array = NDArray[np.float64]
 
 WEIGHTS = 10.0 ** np.append(np.arange(1, -4.1, -0.5), -5)  # from the firmest
+_VALIDATED = np.append(np.arange(0, len(WEIGHTS) - 1, 2), len(WEIGHTS) - 1)  # indices of those tried on blocks left out
 _FOLDS = 5
 _SHORTEST = 1.0  # s of a block: what a residual's correlation seldom outlasts
 _LAGS = 3  # blocks over which errors may still be correlated
@@ -61,7 +62,7 @@ class PathPoint:
         Of the prior.
     train_error, validation_error
         Root mean square residual on all data, and of each block of time under a fit to the others, in units of the
-        joints' noise; the latter is NaN where logs are too short.
+        joints' noise; the latter is interpolated between decades, and NaN where logs are too short.
     total_mass
         Of all bodies [kg].
     distance
@@ -150,19 +151,20 @@ def regularization_path(
     """
     total = together([log.total for log in data])
     tracker = _Tracker(model, bodies, total, sets, regularization, known, noise)
-    x = tracker.solve(total, WEIGHTS)
-    train = tracker.mean_squares(total, x @ tracker.problem.S.T)
+    x = tracker.solve(tracker.total, WEIGHTS)
+    train = tracker.mean_squares(tracker.total, x)
     blocks = _blocks(data)
     if len(blocks) < _FOLDS:
         weight = assumed_weight(total)
         untold = np.full(len(WEIGHTS), np.nan)
-        return tracker.path(total, x, untold, weight, np.nan, np.nan, "untested")
+        return tracker.path(x, untold, weight, np.nan, np.nan, "untested")
     errors, rows = tracker.validation_errors(blocks, x)
-    validation = errors.sum(axis=1) / rows.sum()
-    best = int(np.argmin(validation))
-    spread = _standard_error(errors[best] / rows, rows)
+    decades = errors.sum(axis=1) / rows.sum()
+    validation = np.interp(-np.log(WEIGHTS), -np.log(WEIGHTS[_VALIDATED]), decades)
+    best = int(_VALIDATED[np.argmin(decades)])
+    spread = _standard_error(errors[np.argmin(decades)] / rows, rows)
     weight, limit = _largest(validation, train, best, spread)
-    return tracker.path(total, x, validation, weight, float(WEIGHTS[best]), spread, limit)
+    return tracker.path(x, validation, weight, float(WEIGHTS[best]), spread, limit)
 
 
 def _largest(validation: Array, train: Array, best: int, spread: float) -> tuple[float, str]:
@@ -223,6 +225,8 @@ class _Tracker:
         With the weight 1: its constraints and log-dets.
     bodies
         How many there are.
+    total
+        Gram matrix of all data, per sample.
 
     Parameters
     ----------
@@ -244,14 +248,16 @@ class _Tracker:
             for weight in (0.0, 1.0)
         )
         self.model, self.noise, self.bodies = model, noise, len(bodies)
-        self._facts = _gram(without_prior) - self._gram(total)
+        self.total = self._gram(total)
+        self._facts = _gram(without_prior) - self.total
         self._prior = _gram(self.problem) - _gram(without_prior)
         gap = _GAP * max(without_prior.constant, _GAP)
-        self._barrier = Barrier(self.problem, *self._normal(self._gram(total), float(WEIGHTS[0])), gap)
+        prior = model.prior[known.free] / self.problem.scale
+        start = np.asarray(np.linalg.lstsq(self.problem.S, prior, rcond=None)[0])
+        self._barrier = Barrier(self.problem, *self._normal(self.total, float(WEIGHTS[0])), gap, start)
 
-    def solve(self, data: Reduction, weights: Array, starts: Array | None = None) -> Array:
+    def solve(self, gram: Array, weights: Array, starts: Array | None = None) -> Array:
         """The x of each weight, from the largest, shape (W, m); each from its own start or from the one before."""
-        gram = self._gram(data)
         x = np.zeros((len(weights), self.problem.variables))
         for i, weight in enumerate(weights.tolist()):
             x[i] = self._barrier.move(*self._normal(gram, weight), weight, None if starts is None else starts[i])
@@ -270,52 +276,46 @@ class _Tracker:
         G = gram + self._facts + weight * self._prior
         return 2 * S.T @ G[:-1, :-1] @ S, 2 * S.T @ G[:-1, -1]
 
-    def squares(self, data: Reduction, z: Array) -> Array:
-        """Sums of squared residuals in units of the noise, shape (W, p') to (W,)."""
-        theta = (z * self.problem.scale) @ self.problem.K.T
-        sums = np.zeros(len(z))
-        for factor, columns, sigma in zip(data, self.model.active(), self.noise, strict=True):
-            residuals = factor.R[:, :-1] @ theta[:, columns].T - factor.R[:, -1:]
-            sums += np.square(residuals).sum(axis=0) / sigma**2
-        return sums
-
-    def mean_squares(self, data: Reduction, z: Array) -> Array:
-        """Mean squared residuals in units of the noise, shape (W, p') to (W,)."""
-        return self.squares(data, z) / sum(factor.rows for factor in data)
+    def mean_squares(self, gram: Array, x: Array) -> Array:
+        """Mean squared residuals in units of the noise, of several x, shape (W, m) to (W,)."""
+        v = np.column_stack([x @ self.problem.S.T, np.full(len(x), -1.0)])
+        return np.asarray(((v @ gram) * v).sum(axis=1) / len(self.noise))
 
     def validation_errors(self, blocks: Sequence[Reduction], x: Array) -> tuple[Array, Array]:
-        """Squared errors of each block under the fits to the other folds, shape (W, B), and the blocks' rows (B,).
+        """Squared errors of each block under the fits to the other folds, shape (V, B), and the blocks' rows (B,).
 
-        The fits to all blocks, shape (W, m), are where the search begins.
+        V weights are tried, those of whole decades. The fits to all blocks, shape (W, m), are where the search begins.
         """
         rows = np.array([sum(factor.rows for factor in block) for block in blocks], dtype=float)
-        errors = np.zeros((len(WEIGHTS), len(blocks)))
+        grams = np.array([self._gram(block) for block in blocks])
+        weights, starts = WEIGHTS[_VALIDATED], x[_VALIDATED]
+        errors = np.zeros((len(weights), len(blocks)))
         fold_of = np.arange(len(blocks)) % _FOLDS
         for fold in range(_FOLDS):
-            others = together([blocks[i] for i in np.flatnonzero(fold_of != fold).tolist()])
-            candidates = self.solve(others, WEIGHTS, starts=x) @ self.problem.S.T
+            others = np.average(grams, axis=0, weights=rows * (fold_of != fold))
+            candidates = self.solve(others, weights, starts)
             for i in np.flatnonzero(fold_of == fold).tolist():
-                errors[:, i] = self.squares(blocks[i], candidates)
+                errors[:, i] = self.mean_squares(grams[i], candidates) * rows[i]
         return errors, rows
 
     def path(
-        self, total: Reduction, x: Array, validation: Array, weight: float, best: float, spread: float, limit: str
+        self, x: Array, validation: Array, weight: float, best: float, spread: float, limit: str
     ) -> RegularizationPath:
         """The path in figures, from the smallest weight."""
-        points = [self._point(total, *each) for each in zip(WEIGHTS, x, validation, strict=True)]
+        points = [self._point(*each) for each in zip(WEIGHTS, x, validation, strict=True)]
         near = weight * np.array([10.0, 1.0, 0.1])
         nearest = np.abs(np.log(WEIGHTS) - np.log(near)[:, None]).argmin(axis=1)
         errors = np.interp(np.log(near), np.log(WEIGHTS[::-1]), validation[::-1])
-        fits = self.solve(total, near, starts=x[nearest])
-        stronger, chosen, weaker = (self._point(total, *each) for each in zip(near, fits, errors, strict=True))
+        fits = self.solve(self.total, near, starts=x[nearest])
+        stronger, chosen, weaker = (self._point(*each) for each in zip(near, fits, errors, strict=True))
         return RegularizationPath(tuple(points[::-1]), chosen, weaker, stronger, best, spread, limit)
 
-    def _point(self, total: Reduction, weight: float, x: Array, validation: float) -> PathPoint:
+    def _point(self, weight: float, x: Array, validation: float) -> PathPoint:
         z = self.problem.S @ x
         v = np.append(z, -1.0)
         distance = float(v @ self._prior @ v) + sum(term.value(z) for term in self.problem.log_dets)
         masses = self.problem.theta(z)[: SIZE * self.bodies : SIZE]
-        train = float(np.sqrt(self.mean_squares(total, z[None])[0]))
+        train = float(np.sqrt(self.mean_squares(self.total, x[None])[0]))
         return PathPoint(float(weight), train, float(np.sqrt(validation)), float(masses.sum()), distance)
 
 
