@@ -113,7 +113,9 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
 def infeasible(problem: Problem) -> InfeasibleError:
     """The error that no parameters fulfil a problem's constraints."""
     what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
-    return InfeasibleError("solver", f"found no parameters that fulfil the constraints{what}; loosen one of them")
+    return InfeasibleError(
+        "solver", f"found no parameters that fulfil the constraints{what}; loosen one of them, or check its unit"
+    )
 
 
 def extreme_conic(

@@ -38,7 +38,7 @@ _ATTEMPTS: tuple[dict[str, float | bool], ...] = (
     {"equilibrate_enable": True},
 )
 ENOUGH = 1e-6  # error of the parameters, in units of the body, above which they are not at the optimum
-_FALLBACK = ("CLARABEL", "SCS")  # cvxpy's, where Clarabel fails on the problem as it is stated here
+_BACKEND = "CLARABEL"  # of cvxpy, also where Clarabel fails on the problem as it is stated here
 _SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 
@@ -121,7 +121,7 @@ def identify(
     if solver == "clarabel":
         x, certificate = _solve_with_fallback(problem)
     elif solver == "cvxpy":
-        x, certificate = solve_with_backend(problem, backend or _FALLBACK[0])
+        x, certificate = solve_with_backend(problem, backend or _BACKEND)
     else:
         x, certificate = solve_locally(problem, solver, model.prior[known.free] / problem.scale)
     return estimate(model, reduction, problem, x, certificate)
@@ -209,9 +209,8 @@ def _solve_with_fallback(problem: Problem) -> tuple[Array, Certificate]:
     except InfeasibleError:
         raise
     except SolverError:
-        for backend in _FALLBACK:
-            with suppress(SolverError):
-                return solve_with_backend(problem, backend)
+        with suppress(SolverError):
+            return solve_with_backend(problem, _BACKEND)
         raise
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import LEG, TRAIN
+from leg_truth import TRUTH
 
 import idtool
 
@@ -25,7 +26,15 @@ def said(config: Callable[[dict[str, Any]], None] = lambda data: None, quick: bo
 
 
 def test_of_data_as_they_should_be_nothing_is_said() -> None:
-    assert said(quick=False) == ""
+    """But that a scale would tell what the torque does not."""
+    (only,) = said(quick=False).splitlines()
+    assert only.startswith("the torque does not tell the mass of abad_link")
+    assert only.endswith("weigh what moves and give known.total_mass")
+
+
+def test_a_robot_that_was_weighed_is_not_to_be_weighed() -> None:
+    true_mass = sum(body.mass for body in TRUTH.bodies.values())
+    assert said(lambda data: data.update(known={"total_mass": true_mass}), quick=False) == ""
 
 
 @pytest.mark.parametrize(
@@ -46,8 +55,10 @@ def test_data_that_cannot_be_right_are_named_with_the_remedy(signals: dict[str, 
 
 def test_a_known_mass_in_grams_is_refused_by_its_name() -> None:
     """A leg of 368 kg would have to be a point at its joint."""
-    with pytest.raises(idtool.IdtoolError, match=r"check units and magnitudes of known\.mass: shank_link"):
+    with pytest.raises(idtool.IdtoolError, match=r"known\.mass: shank_link") as refused:
         said(lambda data: data.update(known={"mass": {"shank_link": 368}}))
+    assert "check" in str(refused.value)
+    assert "unit" in str(refused.value)
 
 
 def test_a_rotor_in_another_unit_shows_in_the_priors_error() -> None:
