@@ -23,6 +23,7 @@ from idtool.causal import causal_batches
 from idtool.exceptions import ConfigError, LogError
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.linear_algebra import svd
 from idtool.problem import Problem
 from idtool.provenance import provenance
 from idtool.recursive import RecursiveFit
@@ -208,7 +209,7 @@ def convergence(adaptation: Adaptation, target: Array, rows: Array) -> Array:
         Rows of data on the coefficients, shape (rows, p), such as `weighted_rows` without the last column: what they
         have in their kernel has no say.
     """
-    _, s, Vt = np.linalg.svd(rows * adaptation.units, full_matrices=False)
+    _, s, Vt = svd(rows * adaptation.units)
     B = Vt[s > _RANK * s[0]] / adaptation.units
     error = np.linalg.norm((adaptation.theta - target) @ B.T, axis=1)
     return np.asarray(error / error[0])

@@ -27,6 +27,7 @@ from idtool.command import LONGEST_DELAY
 from idtool.config import Config, Uncertain
 from idtool.experiment import Experiment, Progress, Rows, Run, tracked
 from idtool.knowledge import Knowledge
+from idtool.linear_algebra import svd
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
 from idtool.signals import Signals
@@ -395,6 +396,6 @@ def _solved(Y: Array, right: Array) -> tuple[Array, int]:
 def _less(rows: Array, Y: Array) -> Array:
     """What the columns of Y leave of other columns."""
     size = np.linalg.norm(Y, axis=0)
-    U, s, _ = np.linalg.svd(Y[:, size > 0] / size[size > 0], full_matrices=False)
+    U, s, _ = svd(Y[:, size > 0] / size[size > 0])
     U = U[:, s > _RANK * s[0]] if len(s) else U
     return np.asarray(rows - U @ (U.T @ rows))

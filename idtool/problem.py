@@ -25,6 +25,7 @@ from idtool.config import Regularization
 from idtool.exceptions import ConfigError
 from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
+from idtool.linear_algebra import svd
 from idtool.parts import INTERIOR, Matrix, Part, parts_of
 from idtool.prior import LogDet, log_dets, prior_rows
 from idtool.reduction import Reduction
@@ -237,7 +238,7 @@ def _equalities(known: Knowledge, scale: Array) -> tuple[Array, Array]:
     e = np.array([fact.value for fact in known.hard])
     size = np.linalg.norm(E, axis=1)
     E, e = E / size[:, None], e / size
-    U, s, Vt = np.linalg.svd(E, full_matrices=False)
+    U, s, Vt = svd(E)
     seen = s > _RANK * s[0]
     rows, values = Vt[seen], (U.T @ e)[seen] / s[seen]
     wrong = np.abs(E @ rows.T @ values - e)

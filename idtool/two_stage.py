@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve
 from idtool.instruments import Instruments, Kind, instrumented_rows, instruments
+from idtool.linear_algebra import svd
 from idtool.names import some
 from idtool.problem import build_problem
 from idtool.reduction import Factor, Reduction, reduce_blocks
@@ -175,8 +176,9 @@ def correlations(stacked: Factor, size: Array) -> Array:
     """
     m = _size(stacked)
     told = stacked.R[:, m:-1] * size * np.sqrt(stacked.independent / max(stacked.rows, 1))
-    U, s, _ = np.linalg.svd(told, full_matrices=False)
-    return np.minimum(np.linalg.svd(_basis(stacked.R[:, :m]).T @ U[:, s > _TOLD], compute_uv=False), 1.0)
+    U, s, _ = svd(told)
+    _, cosines, _ = svd(_basis(stacked.R[:, :m]).T @ U[:, s > _TOLD])
+    return np.minimum(cosines, 1.0)
 
 
 def weak_joints(equation: LinearModel, stacked: Reduction, noise: Array, theta: Array) -> list[str]:
@@ -203,7 +205,7 @@ def _size(stacked: Factor) -> int:
 def _basis(columns: Array) -> Array:
     """An orthonormal basis of what columns span, each of them as important as the others."""
     size = np.linalg.norm(columns, axis=0)
-    U, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    U, s, _ = svd(columns[:, size > 0] / size[size > 0])
     return np.asarray(U[:, s > _RANK * s.max(initial=0.0)])
 
 

@@ -15,6 +15,7 @@ from scipy.linalg import null_space
 
 from idtool.base import felt
 from idtool.knowledge import Knowledge
+from idtool.linear_algebra import svd
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 
@@ -169,7 +170,7 @@ def directions(model: LinearModel, reduction: Reduction, noise: Array, known: Kn
     size[size == 0] = 1.0
     exact = np.array([fact.row @ known.K / size for fact in known.hard]).reshape(-1, len(size))
     N = null_space(exact) if len(exact) else np.eye(len(size))
-    _, s, Vt = np.linalg.svd(W / size @ N, full_matrices=True)
+    _, s, Vt = svd(W / size @ N, full=True)
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
     ways = known.K @ (Vt @ N.T / size).T
     visible = ways[:, :rank] / s[:rank]

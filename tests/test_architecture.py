@@ -18,7 +18,7 @@ PACKAGE = ROOT / "idtool"
 
 # Lowest first. A file imports only from files above it; a new file takes its place here.
 ORDER = (
-    *("exceptions", "interrupt", "names", "provenance", "safe_yaml"),
+    *("exceptions", "interrupt", "linear_algebra", "names", "provenance", "safe_yaml"),
     *("inertia", "convex", "ellipsoid", "inequality", "shapes", "metric", "witness"),
     *("config", "robot", "meshes", "geometry", "bounding", "logs", "description", "inspection"),
     *(

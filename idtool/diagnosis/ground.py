@@ -26,6 +26,7 @@ from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress, Rows, tracked
 from idtool.identified import choose_sets
 from idtool.identify import Estimate, identify
+from idtool.linear_algebra import svd
 from idtool.present import PresentModel
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
@@ -289,7 +290,7 @@ def _null(exact: Array, count: int) -> Array:
     """The directions that leave what is known exactly as it is, shape (m, free)."""
     if not len(exact):
         return np.eye(count)
-    _, s, Vt = np.linalg.svd(exact, full_matrices=True)
+    _, s, Vt = svd(exact, full=True)
     return np.asarray(Vt[int(np.count_nonzero(s > 1e-9 * s[0])) :].T)
 
 

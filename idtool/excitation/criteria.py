@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from idtool.base import BaseParameters
 from idtool.exceptions import ConfigError
 from idtool.knowledge import Knowledge
+from idtool.linear_algebra import svd
 from idtool.names import nearest
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
@@ -177,7 +178,7 @@ def expected_errors(W: Array, base: BaseParameters) -> Errors:
     """
     size = np.linalg.norm(W, axis=0)
     size[size == 0] = 1.0
-    _, s, Vt = np.linalg.svd(np.linalg.qr(W / size, mode="r"), full_matrices=True)
+    _, s, Vt = svd(np.linalg.qr(W / size, mode="r"), full=True)
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
     root = Vt[:rank].T / s[:rank] / size[:, None]  # C = root rootᵀ
     unseen = np.square(Vt[rank:]).sum(axis=0) > _RANK

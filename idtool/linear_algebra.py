@@ -1,0 +1,33 @@
+"""What numpy's linear algebra lacks."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
+    """The singular value decomposition U diag(s) Vᵀ of a finite matrix, whatever its entries.
+
+    LAPACK's fast routine, gesdd, gives up on some matrices with entries as small as rounding errors; its slow one,
+    gesvd, does not.
+
+    Parameters
+    ----------
+    matrix
+        Shape (n, m).
+    full
+        Whether U and Vᵀ are square.
+
+    Returns
+    -------
+    U (n, k), s (k,), the largest first, and Vᵀ (k, m) with k = min(n, m); U (n, n) and Vᵀ (m, m) in full.
+    """
+    try:
+        U, s, Vt = np.linalg.svd(matrix, full_matrices=full)
+    except np.linalg.LinAlgError:
+        U, s, Vt = scipy.linalg.svd(matrix, full_matrices=full, lapack_driver="gesvd")
+    return np.asarray(U), np.asarray(s), np.asarray(Vt)
