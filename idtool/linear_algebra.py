@@ -26,6 +26,7 @@ def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
     -------
     U (n, k), s (k,), the largest first, and Vᵀ (k, m) with k = min(n, m); U (n, n) and Vᵀ (m, m) in full.
     """
+    matrix = np.asarray(matrix, dtype=np.float64)
     try:
         U, s, Vt = np.linalg.svd(matrix, full_matrices=full)
     except np.linalg.LinAlgError:
