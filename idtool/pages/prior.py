@@ -25,9 +25,9 @@ def prior_view(report: Mapping[str, Any]) -> dict[str, Any]:
     if automatic["standard_error"] is not None:
         errors.append(line("blocks of time left out", of["validation_error"], 1))
     panels = [
-        panel("error, in units of the noise", errors, log=True),
+        panel("error / noise", errors, log=True),
         panel("total mass [kg]", [line("total mass", of["total_mass"], 2)], log=True),
-        panel("distance from the prior", [line("distance", of["distance"], 3)], log=True),
+        panel("distance", [line("distance", of["distance"], 3)], log=True),
     ]
     return {
         "charts": {"prior": chart("Fits with other weights", of["weight"], "weight of the prior", panels, log=True)}
