@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.backends import solve_by_cvxpy
+from idtool.barrier import Barrier
 from idtool.body import Body
 from idtool.certificate import GAP, Certificate, cost_of_margin, lower_bound, violation
 from idtool.config import Regularization
-from idtool.conic import APART, Solution, solve_conic
+from idtool.conic import APART, Solution, infeasible, solve_conic
 from idtool.exceptions import InfeasibleError, SolverError
 from idtool.knowledge import Knowledge
 from idtool.local import LOCAL
@@ -172,8 +173,10 @@ def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate
         if solved[-1][0] <= ENOUGH:
             break
     if not solved:  # where one attempt proves the problem infeasible and the last merely gives up, that is the reason
-        infeasible = [error for error in errors if isinstance(error, InfeasibleError)]
-        raise (infeasible or errors)[-1]
+        proofs = [error for error in errors if isinstance(error, InfeasibleError)]
+        if not proofs and problem.facts and not _has_interior(problem):
+            raise infeasible(problem)
+        raise (proofs or errors)[-1]
     _, x, certificate = min(solved, key=lambda one: one[0])
     return x, certificate
 
@@ -200,6 +203,19 @@ def solve_with_backend(problem: Problem, backend: str) -> tuple[Array, Certifica
     started = time.perf_counter()
     solution = solve_by_cvxpy(problem, _free(problem), backend)
     return _finished(problem, solution, f"cvxpy ({backend})", started)
+
+
+def _has_interior(problem: Problem) -> bool:
+    """Whether some parameters fulfil everything with room to spare."""
+    m = problem.variables
+    numbers = (problem.E, problem.e, problem.bounds)
+    if not all(np.isfinite(x).all() for x in numbers):
+        return True  # which the solver has said
+    try:
+        Barrier(problem, np.eye(m), np.zeros(m), gap=1.0)
+    except SolverError:
+        return False
+    return True
 
 
 def _solve_with_fallback(problem: Problem) -> tuple[Array, Certificate]:
