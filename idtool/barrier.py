@@ -210,12 +210,15 @@ def _groups(problem: Problem) -> list[_Group]:
 
 
 def _log_det_groups(problem: Problem) -> list[_Group]:
-    """The problem's log-dets by how many variables their body has."""
-    found: dict[int, list[_Group]] = defaultdict(list)
+    """The problem's log-dets by how many variables their body has, a body's apart from its copies'."""
+    found: dict[tuple[int, int], list[_Group]] = defaultdict(list)
+    seen: dict[int, int] = defaultdict(int)
     for term in problem.log_dets:
         own = np.flatnonzero(problem.S[term.own].any(axis=0))
         G = np.tensordot(problem.S[term.own, own].T, term.G, axes=1)
-        found[len(own)].append(_Group(own[None], G[None], np.zeros((1, *G.shape[1:])), term.weight))
+        copy = seen[term.first]
+        seen[term.first] += 1
+        found[copy, len(own)].append(_Group(own[None], G[None], np.zeros((1, *G.shape[1:])), term.weight))
     return [replace(_joined(alike), weight=alike[0].weight) for alike in found.values()]
 
 

@@ -36,6 +36,7 @@ from idtool.weights import free_noise, freedom
 
 Array = NDArray[np.float64]
 
+_MUCH_THE_SAME = 0.9  # correlation of two effects that are worth a word
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
 _WEIGHINGS = 5  # of the joints by the noise that is left at the best delay
 _CLOSE = 1e-5  # s, between two of them
@@ -101,7 +102,7 @@ class CommandDelay:
         said = f"{found} from command to torque, fitted"
         if self.given is not None:
             said = f"{1e3 * self.given.value:.3g} ms from command to torque, as given; the data say {found}"
-        if not self.correlation:
+        if self.correlation < _MUCH_THE_SAME:
             return said
         known = _milliseconds(self.value, self.known_friction_error).partition(" ")[2]
         return f"{said}; viscous friction does much the same (correlation {self.correlation:.2f}): if known, {known}"

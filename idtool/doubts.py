@@ -44,7 +44,7 @@ def doubts(experiment: Experiment, found: Identified, shown: Evaluation, held_ou
         *_unsolved(experiment, found),
         *_unreal(experiment, found),
         *_masses(experiment, found),
-        *_shapes(found),
+        *_shapes(experiment, found),
         *_wrong(experiment, found, shown, held_out),
     ]
 
@@ -65,7 +65,8 @@ def _unreal(experiment: Experiment, found: Identified) -> Iterator[str]:
     unreal = [body.name for body, pi in _bodies(found) if np.linalg.eigvalsh(pseudo_inertia(pi))[0] <= 0]
     if unreal:
         yield f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them"
-    moved = moved_priors(experiment.equation, found.prior, found.regularization)
+    as_given = found.prior is experiment.model.bodies
+    moved = moved_priors(experiment.equation, found.prior, found.regularization) if as_given else ()
     if moved:
         yield f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it"
 
@@ -91,8 +92,10 @@ def _masses(experiment: Experiment, found: Identified) -> Iterator[str]:
         )
 
 
-def _shapes(found: Identified) -> Iterator[str]:
+def _shapes(experiment: Experiment, found: Identified) -> Iterator[str]:
     """Bodies that are next to having no extent, or that press against what bounds them."""
+    is_firm = experiment.config.regularization.is_automatic and found.regularization.kind == "entropic"
+    cure = "" if is_firm else "; leave regularization at its default, entropic and auto"
     thin: dict[str, list[str]] = {}
     for body, pi in _bodies(found):
         flat = int(np.count_nonzero(_gyration(pi) < _THIN * _gyration(body.pi)))
@@ -100,8 +103,8 @@ def _shapes(found: Identified) -> Iterator[str]:
             thin.setdefault(_SHAPES[flat - 1], []).append(body.name)
     for shape, names in thin.items():
         yield (
-            f"{some(names)}: next to a {shape}, as no link is: the motion does not show the inertia about every axis; "
-            "use a larger regularization.weight, or a motion that turns the link about more axes (idtool excite)"
+            f"{some(names)}: nearly a {shape}, as no real link is: the motion does not show the inertia about every "
+            f"axis; log one that turns the link about more axes (idtool excite){cure}"
         )
     rim = [body.name for body, pi in _bodies(found) if _at_rim(body, pi) and not _at_rim(body, body.pi)]
     if rim:

@@ -90,7 +90,7 @@ class Experiment:
         controller = self.config.controller
         by_command = any(run.signals.command.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            said.append("controller.delay is auto, and nothing is fitted here: 0 is taken; fit writes it to model.yaml")
+            said.append("controller.delay is auto, and no command is fitted to here: 0 is taken; fit finds it")
         for run in self.runs:
             prefix = f"{run.signals.log.path.name}: " if several else ""
             said += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
@@ -189,10 +189,10 @@ class Experiment:
             what = f"no stretch without a gap is long enough for the filter; the longest has {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect tells where samples are missing")
         if still:
-            what = "hardly moves in the part to fit; log a motion, or lock it by leaving it out of joints"
+            what = "hardly moves in the part to fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
-                what = f"has no sample in the part to fit in which all effects are defined ({some(effects)})"
-                what += "; log more motion, or leave out those that need it"
+                what += f", or only where one of the effects ({some(effects)}) is not defined"
+            what += "; log a motion, or lock it by leaving it out of joints"
             raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
         return data
 

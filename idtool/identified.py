@@ -138,9 +138,11 @@ def _with_prior(
 ) -> tuple[Experiment, RegularizationPath | None, list[str]]:
     """The experiment with the prior that its fit is pulled towards and its weight as a number; how that was chosen."""
     regularization = experiment.config.regularization
+    if regularization.kind == "none":
+        return experiment, None, []
     prior = prior_bodies(experiment.config, experiment.model, experiment.equation, reduction)
     said = list(prior.warnings)
-    if prior.placeholders:
+    if prior.placeholders and regularization.mass_precision is None:
         regularization = regularization.model_copy(update={"mass_precision": 1.0})  # nobody has weighed these
     if prior.bodies is not experiment.model.bodies:
         model = replace(experiment.model, bodies=prior.bodies)

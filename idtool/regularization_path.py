@@ -41,6 +41,7 @@ _SHORTEST = 1.0  # s of a block: what a residual's correlation seldom outlasts
 _LAGS = 3  # blocks over which errors may still be correlated
 _MOVED = 3.5  # standard errors by which a prior may move the fit
 _GAP = 1e-4  # of the cost, by which a point of the path may miss its minimum
+_ROUNDING = 1e-12  # of the torque's square: what is less of the residual's says nothing
 _UNTESTED = 0.3  # relative standard error of the prior's inertias that is assumed where logs are too short to ask
 
 _REASONS = {
@@ -279,7 +280,7 @@ class _Tracker:
     def mean_squares(self, gram: Array, x: Array) -> Array:
         """Mean squared residuals in units of the noise, of several x, shape (W, m) to (W,)."""
         v = np.column_stack([x @ self.problem.S.T, np.full(len(x), -1.0)])
-        return np.asarray(((v @ gram) * v).sum(axis=1) / len(self.noise))
+        return np.asarray(np.maximum(((v @ gram) * v).sum(axis=1), _ROUNDING * gram[-1, -1]) / len(self.noise))
 
     def validation_errors(self, blocks: Sequence[Reduction], x: Array) -> tuple[Array, Array]:
         """Squared errors of each block under the fits to the other folds, shape (V, B), and the blocks' rows (B,).
@@ -305,7 +306,7 @@ class _Tracker:
         points = [self._point(*each) for each in zip(WEIGHTS, x, validation, strict=True)]
         near = weight * np.array([10.0, 1.0, 0.1])
         nearest = np.abs(np.log(WEIGHTS) - np.log(near)[:, None]).argmin(axis=1)
-        errors = np.interp(np.log(near), np.log(WEIGHTS[::-1]), validation[::-1])
+        errors = np.interp(np.log(near), np.log(WEIGHTS[::-1]), validation[::-1], left=np.nan, right=np.nan)
         fits = self.solve(self.total, near, starts=x[nearest])
         stronger, chosen, weaker = (self._point(*each) for each in zip(near, fits, errors, strict=True))
         return RegularizationPath(tuple(points[::-1]), chosen, weaker, stronger, best, spread, limit)

@@ -69,7 +69,8 @@ def fit_report(fit: Fit) -> dict[str, Any]:
 def regularization_report(fit: Fit) -> dict[str, Any]:
     """The prior's kind and weight, and where the weight was chosen from the data, how."""
     prior = fit.regularization.model_dump(mode="json")
-    prior["mass_precision"], path = fit.regularization.masses_known_better, fit.path
+    prior["weight"], path = fit.regularization.number, fit.path
+    prior["mass_precision"] = fit.regularization.masses_known_better
     if path is None:
         return {**prior, "automatic": None}
     automatic = {

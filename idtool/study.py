@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from idtool.adapt import adapt, convergence, time_to
 from idtool.certificate import Certificate
 from idtool.command_delay import with_delay
+from idtool.config import WEAK
 from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve, solve_locally
@@ -218,9 +219,10 @@ def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str], pr
 def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], Outcome]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
     equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
+    weighted = given.model_copy(update={"weight": given.number or WEAK.number, "units": "relative"})
     ways: dict[str, Callable[[], Outcome]] = {}
     for name in (*PRIORS, *LOCAL):
-        kind = given if name in LOCAL else given.model_copy(update={"kind": name, "units": "relative"})
+        kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})
         chosen = "full" if name in LOCAL else "ellipsoid"
         sets = [choose_set(body, chosen) for body in bodies]
         problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)

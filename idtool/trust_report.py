@@ -75,13 +75,15 @@ def controller_report(fit: Fit) -> dict[str, Any] | None:
     if controller is None or not any(run.signals.command.joints.any() for run in experiment.runs):
         return None
     given = controller.known_delay if found is None else found.given
+    taken = controller.known_delay
+    told = found is not None and found.standard_error is not None
     return {
-        "delay": experiment.runs[0].signals.command.delay,
+        "delay": taken.value if taken else 0.0,
         "given": given.value if given else None,
-        "fitted": found.value if found else None,
+        "fitted": found.value if told and found else None,
         "standard_error": found.standard_error if found else None,
         "known_friction_standard_error": found.known_friction_error if found else None,
-        "correlation": found.correlation if found else None,
+        "correlation": found.correlation if told and found else None,
         "contradicted": found.contradicted if found else None,
         "text": found.text if found else None,
     }

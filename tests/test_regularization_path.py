@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,13 @@ from idtool.effects import build_effects
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.inertia import SIZE
-from idtool.prior_bodies import placeholder_reasons
+from idtool.model import build_model
+from idtool.prior_bodies import placeholder_reasons, polyhedron_moments
 from idtool.regressor import LinearModel
 from idtool.regularization_path import WEIGHTS, RegularizationPath, regularization_path
-from idtool.robot import Robot
+from idtool.robot import Robot, parse_robot
+from idtool.shapes.box import Box
+from idtool.shapes.cylinder import Cylinder
 from idtool.weights import free_noise
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -72,6 +76,15 @@ def test_every_point_of_the_path_is_the_solvers_optimum(arm: Synthetic, kind: st
         factors = zip(total, arm.linear.active(), noise, strict=True)
         error = sum(factor.squares(own.theta[columns]) / sigma**2 for factor, columns, sigma in factors) / rows
         assert point.train_error == pytest.approx(np.sqrt(error), rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["entropic", "pullback"])
+def test_a_body_and_its_copy_count_both(robot_of: Callable[[str], Robot], kind: str) -> None:
+    rng = np.random.default_rng(5)
+    read = robot_of(random_urdf(rng, size=3, kinds=("revolute",), mimic=0, massless=0))
+    copied = {"mirror": [{"body": "link2", "of": "link1"}], **bounds(rng, read)}
+    arm = synthetic(rng, read, 20 * ROWS, copied)
+    test_every_point_of_the_path_is_the_solvers_optimum(arm, kind)
 
 
 def test_errors_grow_and_distances_shrink_with_the_weight(arm: Synthetic) -> None:
@@ -189,6 +202,50 @@ def test_placeholders_give_way_to_geometry(inertia: Sequence[float], mass: float
     assert any("placeholder for abad_link" in warning for warning in result.warnings)
     assert result.rms.validation["overall"] < 1.05 * leg.rms.validation["overall"]
     assert sum(masses(result).values()) == pytest.approx(4.04, rel=1e-6)
+
+
+def test_links_of_one_kind_that_are_alike_are_no_placeholders() -> None:
+    """The same module three times; the same inertia for links of other lengths is another matter."""
+    joint = '<joint name="j{0}" type="revolute"><parent link="l{1}"/><child link="l{0}"/><origin xyz="{2} 0 0"/>'
+    joint += '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+    body = '<link name="l{}"><inertial><origin xyz="0.15 0 0"/><mass value="2"/>'
+    body += '<inertia ixx="0.002" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+
+    def reasons(lengths: Sequence[float]) -> dict[str, str]:
+        bodies = "".join(body.format(i) for i in range(1, 4))
+        joints = "".join(joint.format(i, i - 1, lengths[i - 1]) for i in range(1, 4))
+        urdf = f'<robot name="modular"><link name="l0"/>{bodies}{joints}</robot>'
+        robot = parse_robot(Path("modular.urdf"), urdf.encode())
+        return placeholder_reasons(build_model(robot, Config(), ["j1", "j2", "j3"]).bodies)
+
+    assert reasons([0.1, 0.3, 0.3]) == {}
+    assert set(reasons([0.1, 0.3, 0.6])) == {"l1", "l2", "l3"}
+
+
+@pytest.mark.parametrize(
+    ("points", "covariance"),
+    [
+        (Box((0, 0, 0), (1, 1, 0.2)).grid(500), np.diag([1, 1, 0.04]) / 12),
+        (Cylinder((0, 0, 0), 0.1, 1.0).grid(2000), np.diag([0.0025, 0.0025, 1 / 12])),
+    ],
+    ids=["box", "cylinder"],
+)
+def test_a_shape_is_filled_evenly(points: Array, covariance: Array) -> None:
+    center, found = polyhedron_moments(points + np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(center, [1, 2, 3], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found, covariance, rtol=0.05, atol=1e-9)
+
+
+def test_a_mass_that_is_hardly_known_leaves_the_prior_where_it_is() -> None:
+    def heaviest(standard_error: float | None) -> float:
+        def weigh(config: dict[str, Any]) -> None:
+            config["known"] = {"mass": {"abad_link": {"value": 3.0, "standard_error": standard_error}}}
+
+        result = idtool.fit(leg_with(weigh), TRAIN, quick=True, simulation=False)
+        return result.bodies["abad_link"].mass
+
+    assert heaviest(None) == pytest.approx(3.0)
+    assert heaviest(30.0) < 2.0
 
 
 def test_a_real_urdf_is_no_placeholder(arm: Synthetic) -> None:

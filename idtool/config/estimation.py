@@ -45,6 +45,8 @@ class Regularization(Record):
     @property
     def masses_known_better(self) -> float:
         """How many times better masses are known than inertias."""
+        if self.units == "si":
+            return 1.0
         if self.mass_precision is not None:
             return self.mass_precision
         return _MASS_PRECISION if self.is_automatic else 1.0
@@ -68,12 +70,16 @@ class Regularization(Record):
 
     def or_weak(self) -> Regularization:
         """The same; in place of an automatic weight the paper's, which leaves to the data whatever they can tell."""
-        return WEAK if self.is_automatic else self
+        if self.weight != "auto":
+            return self
+        return WEAK if self.is_automatic else self.weighing(0.0)
 
     @model_validator(mode="after")
     def _units_of_the_euclidean(self) -> Self:
         if self.units == "si" and self.kind in ("entropic", "pullback"):
             raise ValueError(f"units: si is for kind euclidean; {self.kind} does not depend on units")
+        if self.units == "si" and self.weight == "auto":
+            raise ValueError("units: si needs a number for the weight; auto is for relative units")
         return self
 
 

@@ -156,6 +156,7 @@ def ground(
         known,
         config.solver.name,
         noise,
+        config.solver.backend,
     )
     theta, ways, held = _directions(equation, reduction, found, noise)
     parts = [part for log in blocks for part in log.parts]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import EffectEntry
+from idtool.config import EffectEntry, Regularization
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
@@ -100,7 +100,8 @@ def with_fixed_inertia(experiment: Experiment) -> Experiment:
     p, known = len(experiment.equation.coefficients), experiment.known
     prior, count = experiment.equation.prior, SIZE * len(experiment.model.bodies)
     facts = tuple(Fact(_FIXED, np.eye(p)[i], float(prior[i])) for i in known.free if i < count)
-    config = experiment.config.model_copy(update={"constraints": "none"})
+    nothing = Regularization(kind="none", weight=0)  # left for a prior to say
+    config = experiment.config.model_copy(update={"constraints": "none", "regularization": nothing})
     soft = tuple(fact for fact in known.facts if fact.row[count:].any())  # others speak of what is fixed
     return replace(experiment, config=config, known=replace(known, facts=(*soft, *facts)))
 

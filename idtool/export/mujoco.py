@@ -107,9 +107,8 @@ def _controller(scene: Scene) -> list[str]:
         return []
     lines = ["The controller that drove the robot: ctrl = kp (qcmd - q) + kd (vcmd - v),"]
     delay = controller.known_delay
-    lines.append(
-        f"on a command {delay.value!r} s late." if delay else "on a command that is late by what was not fitted."
-    )
+    unknown = "with a delay that was not identified (controller.delay: auto)."
+    lines.append(f"on a command {delay.value!r} s late." if delay else unknown)
     for name in controller.kp:
         if name in scene.forces:
             lines.append(f"  {name}: kp {controller.kp[name]!r}, kd {controller.kd.get(name, 0.0)!r}")

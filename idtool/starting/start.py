@@ -122,7 +122,7 @@ def _tried(draft: Draft, model: Model, progress: Progress) -> Draft:
 
 
 def _section(draft: Draft, key: str) -> Section | None:
-    """A section; what is given there takes its place, but for a log's topic and a controller's delay that was found."""
+    """A section; what is given there takes its place, but for what logs add to a log's and a controller's entry."""
     part = _SECTIONS[key](draft)
     if key not in draft.given or (part is not None and key in _MERGED):
         return part
