@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import LEG, TRAIN, idtool
 from disturbed import experiment_of, on, quiet
 from numpy.typing import NDArray
 
@@ -143,3 +147,13 @@ def test_an_effect_without_which_the_rest_cannot_be_fitted_stays(
     assert [one.chosen.effect for one in search.added] == ["parallel_spring", "torque_offset"]
     assert search.here is before
     assert not search.removed
+
+
+def test_bodies_that_cannot_be_are_fixed_as_they_stand(tmp_path: Path) -> None:
+    """Whose inertia is zero, say: no prior has a say where the URDF's parameters are taken as known."""
+    nothing = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    urdf = tmp_path / "leg.urdf"
+    urdf.write_text(re.sub(r"<inertia [^>]*/>", nothing, LEG.read_text()))
+    shutil.copy(LEG.with_suffix(".yaml"), tmp_path)
+    options = ("--inertia", "fixed", "--effects", "torque_offset", "--no-simulation", "--quiet")
+    assert idtool("diagnose", urdf, TRAIN, *options, "--out", tmp_path / "out").code == 0

@@ -17,7 +17,7 @@ from synthetic import Synthetic, bounds, synthetic
 
 import idtool
 from idtool.blocks import Blocks
-from idtool.config import Config, Regularization, parse_config
+from idtool.config import WEAK, Config, Regularization, parse_config
 from idtool.effects import build_effects
 from idtool.identified import choose_sets
 from idtool.identify import identify
@@ -174,7 +174,12 @@ def test_a_weight_is_auto_or_a_number() -> None:
     assert parse_config({"regularization": {"weight": "auto"}}, "x").regularization.is_automatic
     with pytest.raises(idtool.IdtoolError, match=r"regularization\.weight: "):
         parse_config({"regularization": {"weight": "firm"}}, "x")
-    assert not Config(regularization=Regularization(kind="none")).regularization.is_automatic
+    none = Regularization(kind="none")
+    assert not none.is_automatic
+    assert (none.number, none.or_weak().weight) == (0.0, 0.0)
+    assert Regularization().or_weak() == WEAK
+    with pytest.raises(idtool.IdtoolError, match="units: si needs a number"):
+        parse_config({"regularization": {"kind": "euclidean", "units": "si"}}, "x")
 
 
 def placeholders(inertia: Sequence[float], mass: float) -> Callable[[str], str]:
