@@ -34,10 +34,13 @@ def interrupted(folder: Path, *command: object, after: float) -> tuple[int, str]
 
 @pytest.fixture(scope="module")
 def start() -> float:
-    """How long the interpreter takes to come to the command line, about [s]."""
-    begun = time.monotonic()
-    subprocess.run([IDTOOL, "--version"], capture_output=True, check=True)
-    return time.monotonic() - begun
+    """How long the interpreter takes at the most to come to the command line, on a machine with other work too [s]."""
+    taken = []
+    for _ in range(3):
+        begun = time.monotonic()
+        subprocess.run([IDTOOL, "--version"], capture_output=True, check=True)
+        taken.append(time.monotonic() - begun)
+    return 1.5 * max(taken)
 
 
 @pytest.mark.parametrize("after", [0.0, 0.3, 0.6, 1.0])
