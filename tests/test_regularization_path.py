@@ -25,7 +25,7 @@ from idtool.inertia import SIZE
 from idtool.model import build_model
 from idtool.prior_bodies import placeholder_reasons, polyhedron_moments
 from idtool.regressor import LinearModel
-from idtool.regularization_path import WEIGHTS, RegularizationPath, regularization_path
+from idtool.regularization_path import WEIGHTS, RegularizationPath, _largest_accepted, regularization_path
 from idtool.robot import Robot, parse_robot
 from idtool.shapes.box import Box
 from idtool.shapes.cylinder import Cylinder
@@ -102,12 +102,25 @@ def test_errors_grow_and_distances_shrink_with_the_weight(arm: Synthetic) -> Non
 def test_the_chosen_weight_moves_the_fit_by_3_5_standard_errors_and_is_no_smaller_than_the_best(arm: Synthetic) -> None:
     path = path_of(arm, arm.noisy(0.1))
     best = next(point for point in path.points if point.weight == path.best)
+    closest = min(point.train_error for point in path.points)
     assert path.weight >= path.best * (1 - 1e-9)
     independent = 2 / (path.standard_error / best.validation_error**2) ** 2
-    moved = np.sqrt(independent * ((path.chosen.train_error / best.train_error) ** 2 - 1))
+    moved = np.sqrt(independent * ((path.chosen.train_error / closest) ** 2 - 1))
     assert path.limit == "significance"
     assert moved == pytest.approx(3.5, rel=0.1)
     assert path.chosen.validation_error**2 <= best.validation_error**2 + 1.01 * path.standard_error
+
+
+def test_the_criterion_that_is_crossed_first_limits_the_weight() -> None:
+    """Of validation, a quarter of the way to the firmest weight, and significance, half of it, though it rises more."""
+    train, validation = np.ones(len(WEIGHTS)), np.ones(len(WEIGHTS))
+    standard_error = 0.01
+    allowed = 3.5**2 * standard_error**2 / 2
+    validation[0] = 1 + 4 * standard_error
+    train[1], train[0] = 1 - 1e-12, 1 + 2 * allowed
+    weight, limit = _largest_accepted(train, validation, len(WEIGHTS) - 1, standard_error)
+    assert limit == "validation"
+    assert weight == pytest.approx(WEIGHTS[1] * (WEIGHTS[0] / WEIGHTS[1]) ** 0.25)
 
 
 def test_white_noise_is_worth_as_many_samples_as_there_are(arm: Synthetic) -> None:
