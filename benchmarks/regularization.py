@@ -59,8 +59,8 @@ import leg_truth
 import idtool
 from idtool.base import structural_base
 from idtool.blocks import Blocks, together
+from idtool.common.exceptions import ConfigError, SolverError
 from idtool.config import Regularization, parse_config
-from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment, Rows, Run, prepare
 from idtool.fitting import fit
 from idtool.identified import identified

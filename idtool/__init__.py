@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from idtool.api.model import Model
     from idtool.api.simulate import SimulationResult, simulate
     from idtool.api.validate import ValidationResult, validate
-    from idtool.exceptions import ConfigError, IdtoolError, LogError, ModelError, SolverError
+    from idtool.common.exceptions import ConfigError, IdtoolError, LogError, ModelError, SolverError
 else:  # a type checker is not to take every name for a public one
 
     def __getattr__(name: str) -> Any:
@@ -60,7 +60,9 @@ __all__ = [
 ]
 
 _HOMES = {
-    **dict.fromkeys(("ConfigError", "IdtoolError", "LogError", "ModelError", "SolverError"), "idtool.exceptions"),
+    **dict.fromkeys(
+        ("ConfigError", "IdtoolError", "LogError", "ModelError", "SolverError"), "idtool.common.exceptions"
+    ),
     **dict.fromkeys(("DiagnosisResult", "diagnose"), "idtool.api.diagnose"),
     **dict.fromkeys(("FitResult", "fit"), "idtool.api.fit"),
     **dict.fromkeys(("Log", "read_log"), "idtool.api.log"),

@@ -1,6 +1,6 @@
 """`idtool`, and `python -m idtool`."""
 
-from idtool.interrupt import at_once
+from idtool.common.interrupt import at_once
 
 
 def main() -> None:

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.causal import causal_batches
-from idtool.exceptions import ConfigError, LogError
+from idtool.common.exceptions import ConfigError, LogError
+from idtool.common.linear_algebra import svd
+from idtool.common.provenance import provenance
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
-from idtool.linear_algebra import svd
 from idtool.problem import Problem
-from idtool.provenance import provenance
 from idtool.recursive import RecursiveFit
 from idtool.sets import ConstraintSet
 

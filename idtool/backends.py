@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import SolverError
 from idtool.conic import APART, Solution, infeasible
-from idtool.exceptions import SolverError
 from idtool.parts import Matrix
 from idtool.problem import Problem
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from idtool.exceptions import SolverError
+from idtool.common.exceptions import SolverError
 from idtool.problem import Problem
 
 Array = NDArray[np.float64]

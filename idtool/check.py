@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from idtool.body import Body, Frame
 from idtool.bounding import bounding_shape
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest
 from idtool.config import Config
-from idtool.exceptions import ConfigError
 from idtool.inertia import mass_com_inertia, six
-from idtool.names import nearest
 from idtool.projection import project
 from idtool.robot import Robot
 from idtool.sets import choose_set

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Frame
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
+from idtool.common.names import some
 from idtool.kinematics import body_places
 from idtool.model import Model
-from idtool.names import some
 from idtool.pieces import Distances, Piece, read_pieces
 from idtool.robot import Joint, Robot
 

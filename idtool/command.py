@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.channels import Channels
+from idtool.common.exceptions import LogError
+from idtool.common.names import some
 from idtool.config import Controller
-from idtool.exceptions import LogError
 from idtool.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
 from idtool.logs.log import Log
-from idtool.names import some
 
 Array = NDArray[np.float64]
 

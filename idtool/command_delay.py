@@ -24,10 +24,10 @@ from scipy.optimize import minimize_scalar, nnls
 
 from idtool.blocks import Blocks, together
 from idtool.command import LONGEST_DELAY
+from idtool.common.linear_algebra import svd
 from idtool.config import Config, Uncertain
 from idtool.experiment import Experiment, Progress, Rows, Run, tracked
 from idtool.knowledge import Knowledge
-from idtool.linear_algebra import svd
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
 from idtool.signals import Signals

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from idtool.exceptions import InfeasibleError, SolverError
-from idtool.names import some
+from idtool.common.exceptions import InfeasibleError, SolverError
+from idtool.common.names import some
 from idtool.parts import Matrix
 from idtool.prior import LogDet
 from idtool.problem import Problem

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from idtool.body import Body
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.mechanism import Mechanism
 
 Array = NDArray[np.float64]

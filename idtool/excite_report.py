@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
+from idtool.common.names import some
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task
 from idtool.inertia import SIZE
-from idtool.names import some
 from idtool.trust_report import combination_name, quantity, terms_report
 
 Array = NDArray[np.float64]

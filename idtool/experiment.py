@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from idtool.blocks import Blocks, block_rows, cut, most_blocks, together
 from idtool.command import commanded
+from idtool.common.exceptions import ConfigError, LogError, ModelError
+from idtool.common.names import shown, some
+from idtool.common.provenance import Source
 from idtool.config import Config
 from idtool.effects import build_effects
-from idtool.exceptions import ConfigError, LogError, ModelError
 from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
 from idtool.model import Model, build_model
-from idtool.names import shown, some
-from idtool.provenance import Source
 from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
 from idtool.robot import Robot

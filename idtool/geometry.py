@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from idtool.common.exceptions import ModelError
 from idtool.convex import enclosing
-from idtool.exceptions import ModelError
 from idtool.meshes import Mesh, UnreadableError, numbers, read_mesh, together
 from idtool.robot import Robot, parse_xml
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from idtool.backends import check_backend
 from idtool.blocks import Blocks, together
 from idtool.body import Body
+from idtool.common.exceptions import SolverError
 from idtool.config import Regularization
-from idtool.exceptions import SolverError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify
 from idtool.local import LOCAL

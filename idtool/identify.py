@@ -14,12 +14,12 @@ from idtool.backends import solve_by_cvxpy
 from idtool.barrier import Barrier
 from idtool.body import Body
 from idtool.certificate import GAP, Certificate, cost_of_margin, lower_bound, violation
+from idtool.common.exceptions import InfeasibleError, SolverError
+from idtool.common.names import some
 from idtool.config import Regularization
 from idtool.conic import APART, Solution, infeasible, solve_conic
-from idtool.exceptions import InfeasibleError, SolverError
 from idtool.knowledge import Knowledge
 from idtool.local import LOCAL
-from idtool.names import some
 from idtool.parts import INTERIOR
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.logs import Log
 from idtool.signals import Signals

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, some
 from idtool.config import Config, Measured, Mirror
 from idtool.ellipsoid import Ellipsoid
-from idtool.exceptions import ConfigError
 from idtool.inertia import SIZE, mirrored
 from idtool.model import Model
-from idtool.names import nearest, some
 from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import SolverError
+from idtool.common.exceptions import SolverError
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.identify import solve
 from idtool.inertia import SIZE, pseudo_inertia

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from idtool.common.exceptions import SolverError
 from idtool.conic import svec
-from idtool.exceptions import SolverError
 from idtool.inequality import DENSITY
 from idtool.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
 from idtool.parts import INTERIOR

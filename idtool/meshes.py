@@ -22,7 +22,7 @@ import trimesh
 from lxml import etree
 from numpy.typing import NDArray
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.robot import parse_xml
 
 Array = NDArray[np.float64]

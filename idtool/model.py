@@ -19,12 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from idtool.body import Body, Frame, Member
 from idtool.bounding import bounding_shape
+from idtool.common.exceptions import ConfigError, ModelError
+from idtool.common.names import nearest, some
 from idtool.config import Bounding, Config
 from idtool.config import Rotor as RotorConfig
 from idtool.ellipsoid import Ellipsoid
-from idtool.exceptions import ConfigError, ModelError
 from idtool.inertia import SIZE, from_mass_com_inertia, symmetric
-from idtool.names import nearest, some
 from idtool.robot import Joint, Robot
 from idtool.shapes import Shape
 

@@ -21,10 +21,10 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Frame
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
+from idtool.common.names import some
 from idtool.geometry import link_geometry, link_vertices
 from idtool.meshes import UnreadableError, numbers
-from idtool.names import some
 from idtool.robot import Robot, parse_xml
 
 Array = NDArray[np.float64]

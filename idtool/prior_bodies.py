@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from idtool.body import Body
+from idtool.common.names import some
 from idtool.config import Config
 from idtool.config.estimation import Measured
 from idtool.effects import build_effects
 from idtool.ellipsoid import Ellipsoid
 from idtool.inertia import SIZE, from_pseudo_inertia, mass_com_inertia
 from idtool.model import Model
-from idtool.names import some
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 from idtool.shapes import Shape

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body
+from idtool.common.exceptions import ConfigError
+from idtool.common.linear_algebra import svd
 from idtool.config import Regularization
-from idtool.exceptions import ConfigError
 from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
-from idtool.linear_algebra import svd
 from idtool.parts import INTERIOR, Matrix, Part, parts_of
 from idtool.prior import LogDet, log_dets, prior_rows
 from idtool.reduction import Reduction

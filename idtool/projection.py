@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Body
+from idtool.common.exceptions import SolverError
 from idtool.effects.rigid_body import scales
-from idtool.exceptions import SolverError
 from idtool.identify import solve
 from idtool.inertia import SIZE
 from idtool.metric import FLOOR, nearest_realizable, pullback

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from idtool.common.exceptions import SolverError
 from idtool.conic import extreme_conic
-from idtool.exceptions import SolverError
 from idtool.inertia import SIZE
 from idtool.parts import Part
 from idtool.problem import Problem

@@ -8,12 +8,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.safe_yaml import read_yaml
 from idtool.config import Config, Positive, Record, checked, read_config
-from idtool.exceptions import ConfigError
 from idtool.experiment import Progress, prepare
 from idtool.fitting import fit
 from idtool.robot import read_robot
-from idtool.safe_yaml import read_yaml
 
 
 class Case(Record):

@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ModelError
 from idtool.envelope import Envelope, Trace
-from idtool.exceptions import ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.mechanism import Mechanism
 from idtool.signals import Signals

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from idtool import __version__
 from idtool.body import Body
+from idtool.common.provenance import Source, provenance
 from idtool.config import Config, EffectEntry
 from idtool.effects import NamedEffect, named_effect, plain
 from idtool.fitting import Fit
 from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
 from idtool.knowledge import Fact
-from idtool.provenance import Source, provenance
 from idtool.regularization_path import PathPoint
 from idtool.simulation_report import simulation_report
 from idtool.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.exceptions import ConfigError
 from idtool.ellipsoid import Ellipsoid
 from idtool.envelope import Trace
-from idtool.exceptions import ConfigError
 from idtool.robot import Robot
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ import yourdfpy
 from lxml import etree
 from numpy.typing import NDArray
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
+from idtool.common.provenance import Source, source_of
 from idtool.inertia import SIZE, from_mass_com_inertia
-from idtool.provenance import Source, source_of
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError, ModelError
+from idtool.common.exceptions import LogError, ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.logs import Log, make_log
 from idtool.signals import Signals

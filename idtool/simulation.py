@@ -15,8 +15,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ModelError
 from idtool.drive import Drive, stride
-from idtool.exceptions import ModelError
 from idtool.integrate import LONGEST_STEP, Rollouts
 from idtool.mechanism import Mechanism
 from idtool.moment import Lanes, Moment, between

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from idtool.adapt import adapt, convergence, time_to
 from idtool.certificate import Certificate
 from idtool.command_delay import with_delay
+from idtool.common.exceptions import ConfigError, SolverError
 from idtool.config import WEAK
-from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve, solve_locally
 from idtool.inertia import SIZE, pseudo_inertia

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from idtool.common.provenance import provenance
 from idtool.identify import stuck_note
 from idtool.inequality import Inequality
 from idtool.inertia import SIZE
 from idtool.learning import Curve
-from idtool.provenance import provenance
 from idtool.study import Outcome, Study
 
 

@@ -22,11 +22,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.linear_algebra import svd
+from idtool.common.names import some
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve
 from idtool.instruments import Instruments, Kind, instrumented_rows, instruments
-from idtool.linear_algebra import svd
-from idtool.names import some
 from idtool.problem import build_problem
 from idtool.reduction import Factor, Reduction, reduce_blocks
 from idtool.regressor import LinearModel

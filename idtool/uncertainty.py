@@ -14,8 +14,8 @@ from scipy import stats
 from scipy.linalg import null_space
 
 from idtool.base import felt
+from idtool.common.linear_algebra import svd
 from idtool.knowledge import Knowledge
-from idtool.linear_algebra import svd
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 

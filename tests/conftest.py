@@ -10,8 +10,8 @@ import pytest
 from hypothesis import settings
 from robots import leg_urdf
 
+from idtool.common.exceptions import ConfigError
 from idtool.config import Config, parse_config, read_config
-from idtool.exceptions import ConfigError
 from idtool.model import Model, build_model
 from idtool.robot import Robot, read_robot
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from idtool import adapt as module
 from idtool.adapt import Adaptation, adapt, adapt_report, convergence, time_to
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.config import WEAK, read_config
-from idtool.exceptions import ConfigError, LogError
 from idtool.experiment import Experiment, prepare
 from idtool.identify import identify
 from idtool.robot import read_robot

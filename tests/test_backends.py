@@ -16,9 +16,9 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 from idtool.certificate import GAP
+from idtool.common.exceptions import SolverError
 from idtool.config import Regularization
 from idtool.conic import solve_conic
-from idtool.exceptions import SolverError
 from idtool.identify import ENOUGH, Estimate, identify, solve, solve_with_backend
 from idtool.problem import Problem, build_problem
 from idtool.robot import Robot

@@ -13,8 +13,8 @@ from robots import random_urdf
 from synthetic import bounds, synthetic
 
 from idtool.barrier import Barrier
+from idtool.common.exceptions import SolverError
 from idtool.config import Regularization
-from idtool.exceptions import SolverError
 from idtool.identify import solve
 from idtool.inequality import least
 from idtool.problem import Problem, build_problem

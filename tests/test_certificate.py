@@ -18,9 +18,9 @@ from units import in_units
 
 from idtool.body import Body
 from idtool.certificate import GAP
+from idtool.common.exceptions import SolverError
 from idtool.config import Regularization
 from idtool.conic import Solution, solve_conic
-from idtool.exceptions import SolverError
 from idtool.identify import identify, solve
 from idtool.inertia import SIZE, from_mass_com_inertia
 from idtool.problem import Problem, build_problem

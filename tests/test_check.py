@@ -16,10 +16,10 @@ from robots import joint, random_urdf, rotation
 from synthetic import point_parameters
 
 from idtool.check import check, nearest_bodies, repaired
+from idtool.common.exceptions import ConfigError
+from idtool.common.provenance import Source
 from idtool.config import Config, parse_config
-from idtool.exceptions import ConfigError
 from idtool.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
-from idtool.provenance import Source
 from idtool.robot import Robot, read_robot
 
 Array = NDArray[np.float64]

@@ -15,8 +15,8 @@ from touching import BOX, LOWER, SPHERE, UPPER, Build, arm, beside, checked, pla
 
 from idtool import collision
 from idtool.collision import SelfCollision
+from idtool.common.exceptions import ModelError
 from idtool.config import parse_config
-from idtool.exceptions import ModelError
 from idtool.model import build_model
 from idtool.robot import read_robot
 

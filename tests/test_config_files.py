@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from idtool.common.exceptions import ConfigError
 from idtool.config import Config, read_config
-from idtool.exceptions import ConfigError
 
 Read = Callable[[str | bytes], Config]
 Refusal = Callable[[str | bytes], str]

@@ -18,10 +18,10 @@ from synthetic import Synthetic, bounds, synthetic
 
 from idtool.body import Body
 from idtool.certificate import GAP, lower_bound
+from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.config import Regularization
 from idtool.conic import APART, Solution, smat, solve_conic, svec
 from idtool.ellipsoid import Ellipsoid
-from idtool.exceptions import InfeasibleError, SolverError
 from idtool.identify import solve
 from idtool.inertia import SIZE, pseudo_inertia
 from idtool.prior import moved_priors

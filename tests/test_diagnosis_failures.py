@@ -14,6 +14,7 @@ from commands import LEG, TRAIN, idtool
 from disturbed import experiment_of, on, quiet
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ConfigError, SolverError
 from idtool.config import EffectEntry
 from idtool.diagnosis import diagnose as module
 from idtool.diagnosis import rounds
@@ -21,7 +22,6 @@ from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.rounds import Search
 from idtool.effects.spring import ParallelSpring
-from idtool.exceptions import ConfigError, SolverError
 from idtool.experiment import Experiment
 from idtool.signals import Motion
 

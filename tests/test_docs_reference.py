@@ -19,11 +19,11 @@ from pydantic.fields import FieldInfo
 
 import idtool as idtool_library
 from idtool.cli import app
+from idtool.common.exceptions import ConfigError
 from idtool.config import Config, EffectEntry
 from idtool.effects import known_effects
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.link_effect import LinkEffect
-from idtool.exceptions import ConfigError
 from idtool.model import build_model
 from idtool.robot import read_robot
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, random_rotors, random_urdf
 
+from idtool.common.exceptions import ModelError
 from idtool.dynamics import Dynamics
 from idtool.effects import RigidBodies
-from idtool.exceptions import ModelError
 from idtool.mechanism import Mechanism
 from idtool.regressor import LinearModel
 from idtool.robot import Robot

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from robots import chain, joint
 
 import idtool.effects
+from idtool.common.exceptions import ConfigError
 from idtool.config import EffectEntry, parse_config
 from idtool.effects import build_effects, known_effects, named_effect
 from idtool.effects.joint_effect import JointEffect
-from idtool.exceptions import ConfigError
 from idtool.experiment import coefficients_of, prepare
 from idtool.fitting import fit
 from idtool.inertia import SIZE

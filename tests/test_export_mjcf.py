@@ -14,7 +14,7 @@ from lxml import etree
 from reference import Reference
 from robots import chain, link
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.export import to_drake, to_mujoco
 from idtool.robot import read_robot
 

@@ -13,7 +13,7 @@ from exported import EXACT, InMujoco, arm, balanced, mass_and_bias, model_of, pa
 from reference import Reference
 from robots import actuated, random_rotor, random_urdf
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.export import to_drake, to_mujoco
 from idtool.robot import read_robot
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.geometry import link_geometry, link_vertices
 from idtool.robot import Robot, read_robot
 

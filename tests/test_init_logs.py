@@ -15,8 +15,8 @@ from recordings import State, ros2, write_mcap
 from spatial_arm import ARM, JOINTS
 from starts import arm, as_csv, as_states, robot
 
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.config import parse_config
-from idtool.exceptions import ConfigError, LogError
 from idtool.robot import read_robot
 from idtool.starting.recorded import Recorded, recorded
 

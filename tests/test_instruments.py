@@ -13,8 +13,8 @@ from leg_runs import Controller, LegSensors, Motion
 from numpy.typing import NDArray
 
 from idtool.base import structural_base
+from idtool.common.exceptions import ModelError
 from idtool.config import parse_config
-from idtool.exceptions import ModelError
 from idtool.experiment import Experiment, prepare
 from idtool.identified import choose_sets
 from idtool.identify import identify

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from commands import LEG, TRAIN, idtool
 
-from idtool.interrupt import as_python_has_it, at_once, held_back
-from idtool.outputs import write_all
+from idtool.common.interrupt import as_python_has_it, at_once, held_back
+from idtool.common.outputs import write_all
 
 IDTOOL = str(Path(sys.executable).with_name("idtool"))
 
@@ -60,7 +60,7 @@ def test_what_libraries_make_of_an_interrupt_while_they_are_loaded_does_not_matt
     """An import that swallows it does not keep the command going."""
     (tmp_path / "swallows.py").write_text(
         "import os, signal, time\n"
-        "from idtool.interrupt import at_once\n"
+        "from idtool.common.interrupt import at_once\n"
         "at_once()\n"
         "try:\n    os.kill(os.getpid(), signal.SIGINT); time.sleep(5)\nexcept BaseException: pass\n"
         "print('went on')\n"

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, synthetic
 
+from idtool.common.exceptions import ConfigError, SolverError
 from idtool.config import Regularization
-from idtool.exceptions import ConfigError, SolverError
 from idtool.inertia import SIZE
 from idtool.weights import free_noise
 

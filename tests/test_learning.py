@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from idtool import learning
+from idtool.common.exceptions import LogError, SolverError
 from idtool.config import read_config
-from idtool.exceptions import LogError, SolverError
 from idtool.experiment import Experiment, prepare
 from idtool.identify import solve
 from idtool.inertia import SIZE, from_mass_com_inertia

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from exciting import arm, body, joint, robot
 
+from idtool.common.exceptions import ConfigError
 from idtool.config import parse_config
-from idtool.exceptions import ConfigError
 from idtool.excitation.limits import Limits, limits_of
 from idtool.model import Model, build_model
 from idtool.robot import read_robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from idtool.linear_algebra import svd
+from idtool.common.linear_algebra import svd
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (5, 5)])

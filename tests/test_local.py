@@ -24,8 +24,8 @@ from robots import random_urdf, rotation
 from synthetic import bounds, synthetic
 
 from idtool.certificate import GAP, violation
+from idtool.common.exceptions import SolverError
 from idtool.config import WEAK, Regularization, read_config
-from idtool.exceptions import SolverError
 from idtool.experiment import prepare
 from idtool.identify import solve, solve_locally, stuck_note
 from idtool.inertia import (

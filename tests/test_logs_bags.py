@@ -11,7 +11,7 @@ from commands import refuse
 from recordings import Channel, bag, metadata, ros2, states, write_mcap
 from test_logs_mcap import check
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import is_bag, read_log
 
 ITEMS = states(300)

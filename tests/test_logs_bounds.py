@@ -13,7 +13,7 @@ from mcap.writer import CompressionType
 from recordings import UNINDEXED, Channel, Proto, bag, metadata, proto_channel, ros2, states, write_mcap
 from test_logs_mcap import check
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import read_log
 from idtool.logs.bag import files_of
 from idtool.logs.payloads.cdr import encode

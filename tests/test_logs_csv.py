@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import Log, read_log
 
 Written = Callable[[str | bytes, str], Path]

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from recordings import COMPRESSIONS, Channel, State, ros2, states, write_mcap
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import Log, read_log
 
 LAYOUTS: list[dict[str, Any]] = [

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from recordings import ros2, states, write_mcap
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import SIGNALS, Log, make_log, read_log, write_log
 
 Written = Callable[[str | bytes, str], Path]

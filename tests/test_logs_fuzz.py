@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from recordings import COMPRESSIONS, Proto, json_channel, proto_channel, ros2, states, write_mcap
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import Log, make_log, read_log, write_log
 
 KINDS = ("loose", "chunk", "lz4", "zstd", "json", "protobuf", "unpacked", "csv", "quoted")

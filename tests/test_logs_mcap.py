@@ -24,7 +24,7 @@ from recordings import (
     write_mcap,
 )
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import Log, read_log
 
 NAMES = ("abad", "hip", "knee")

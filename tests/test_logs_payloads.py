@@ -13,7 +13,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto
 from recordings import JSON, Channel, Proto, json_channel, proto_channel, ros2, states, write_mcap
 from test_logs_mcap import check
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import read_log
 from idtool.logs.payloads import wire
 from idtool.logs.payloads.template import Layout

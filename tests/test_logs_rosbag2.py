@@ -12,7 +12,7 @@ from commands import idtool
 from recordings import IMU, bag, metadata, ros2, states, write_mcap
 from test_logs_mcap import check
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import Log, make_log, read_log, write_log
 
 ITEMS = states(300)

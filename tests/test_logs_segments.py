@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import Log, make_log, read_log, write_log
 from idtool.logs import log as log_module
 

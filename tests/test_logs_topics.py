@@ -11,7 +11,7 @@ import pytest
 from recordings import Channel, Proto, State, bag, json_channel, proto_channel, ros2, states, write_mcap
 from test_logs_mcap import check
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs import read_log
 from idtool.logs.choices import state_topics
 

@@ -11,8 +11,8 @@ import pytest
 from robots import actuated, body, chain, joint, link, link_pi, random_urdf
 from scipy.spatial.transform import Rotation
 
+from idtool.common.exceptions import ConfigError, IdtoolError, ModelError
 from idtool.config import parse_config
-from idtool.exceptions import ConfigError, IdtoolError, ModelError
 from idtool.model import Model, build_model
 
 Build = Callable[..., Model]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
+from idtool.common.exceptions import SolverError
 from idtool.config import Regularization
-from idtool.exceptions import SolverError
 from idtool.identify import solve
 from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge, with_equal_bounds

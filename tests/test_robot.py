@@ -11,7 +11,7 @@ import pytest
 from robots import chain, inertial, joint, link
 from scipy.spatial.transform import Rotation
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.robot import Robot, read_robot
 
 Read = Callable[[str | bytes], Robot]

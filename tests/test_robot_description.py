@@ -15,8 +15,8 @@ from mcap.records import Schema
 from recordings import Channel, bag, ros2, states, write_mcap
 from robots import chain, link
 
+from idtool.common.exceptions import LogError, ModelError
 from idtool.description import robot_and_logs
-from idtool.exceptions import LogError, ModelError
 from idtool.geometry import link_geometry
 from idtool.logs import read_log
 from idtool.logs.payloads import text_decoder_for

@@ -10,7 +10,7 @@ import pytest
 from commands import LEG, refuse
 from descriptions import TEXT, same
 
-from idtool.exceptions import IdtoolError
+from idtool.common.exceptions import IdtoolError
 from idtool.inertia import from_mass_com_inertia
 from idtool.robot import Robot, read_robot
 from idtool.urdf import JointDynamics, rewrite

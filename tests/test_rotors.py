@@ -10,7 +10,7 @@ import pytest
 from robots import body, chain, link, link_pi
 from scipy.spatial.transform import Rotation
 
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 from idtool.inertia import from_mass_com_inertia, transformation
 from idtool.model import Frame, Model
 

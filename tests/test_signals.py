@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from swings import RATE, clock, everything, filtered, joined, signals_of, swing, swinging
 
 from idtool import signals as module
-from idtool.exceptions import ConfigError, LogError
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.logs.log import Log
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 from stick_slip import StickSlip
 
+from idtool.common.exceptions import ModelError
 from idtool.config import parse_config
-from idtool.exceptions import ModelError
 from idtool.logs.log import Log, make_log
 from idtool.mechanism import Mechanism
 from idtool.robot import Robot

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from idtool import study as module
 from idtool.certificate import GAP
+from idtool.common.exceptions import ConfigError
 from idtool.config import WEAK, parse_config, read_config
-from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import fit
 from idtool.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, shown
 from idtool.effects import known_effects
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.link_effect import LinkEffect
-from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import nearest, shown
 
 Assumed = tuple[str, str | None]
 

@@ -9,7 +9,7 @@ from typing import Any
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress
-from idtool.exceptions import ConfigError, LogError
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.experiment import Experiment, prepare
 from idtool.logs import Log as Record
 

@@ -14,11 +14,11 @@ from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
 from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.common.exceptions import ConfigError
+from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis_report import diagnosis_report
 from idtool.diagnosis_words import on
-from idtool.exceptions import ConfigError
-from idtool.outputs import as_json, as_yaml
 from idtool.report import model_config
 
 if TYPE_CHECKING:

@@ -12,13 +12,13 @@ from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Body, Friction, Rms, body_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
 from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.maps import residual_maps
 from idtool.experiment import Experiment
 from idtool.fitting import Fit
 from idtool.fitting import fit as identify
 from idtool.identified import Method
-from idtool.outputs import as_json, as_yaml
 from idtool.report import fit_report, model_config
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from idtool.api.records import Array
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import some
 from idtool.logs import SIGNALS, make_log, write_log
 from idtool.logs import Log as Record
 from idtool.logs import read_log as read_record
-from idtool.names import some
 
 
 class Log:

@@ -11,14 +11,14 @@ from typing import Any
 
 from idtool.api.log import Log
 from idtool.api.records import ReadOnly
+from idtool.common.exceptions import IdtoolError
+from idtool.common.names import some, stem
 from idtool.config import Config, parse_config, read_config
 from idtool.description import robot_and_logs
-from idtool.exceptions import IdtoolError
 from idtool.fitting import Fit
 from idtool.logs import read_log
 from idtool.model import Model as Tree
 from idtool.model import build_model
-from idtool.names import some, stem
 from idtool.report import joint_dynamics, model_config
 from idtool.robot import Robot, parse_robot
 from idtool.urdf import identified_urdf, moved

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from idtool.api.records import Array
+from idtool.common.outputs import write_all
 from idtool.envelope import Envelope, Trace
 from idtool.fitting import Fit
 from idtool.model import Model
-from idtool.outputs import write_all
 from idtool.rerun_recording import rerun_recording, take
 from idtool.validation import Evaluation
 

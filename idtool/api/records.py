@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.outputs import as_json, write_all
+from idtool.common.outputs import as_json, write_all
 
 if TYPE_CHECKING:
     from idtool.envelope import Trace

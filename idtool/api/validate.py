@@ -12,11 +12,11 @@ from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Array, Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest
+from idtool.common.outputs import as_json
 from idtool.experiment import Experiment, coefficients_of, sources_of
 from idtool.model import Model as RobotModel
-from idtool.names import nearest
-from idtool.outputs import as_json
 from idtool.replay import Replay, replay
 from idtool.report import validation_report
 from idtool.simulation_report import simulation_notes, simulation_report

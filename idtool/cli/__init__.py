@@ -20,8 +20,8 @@ from idtool.cli import (  # noqa: F401  # each adds its command
     validate,
 )
 from idtool.cli.app import app
-from idtool.exceptions import IdtoolError
-from idtool.interrupt import CODE, LINE
+from idtool.common.exceptions import IdtoolError
+from idtool.common.interrupt import CODE, LINE
 
 if TYPE_CHECKING:
     from typer.exceptions import TyperException

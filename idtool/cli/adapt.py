@@ -37,9 +37,9 @@ def adapt_command(
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
     from idtool.command_delay import with_delay
+    from idtool.common.outputs import as_json as dump
+    from idtool.common.outputs import write_all
     from idtool.identified import choose_sets
-    from idtool.outputs import as_json as dump
-    from idtool.outputs import write_all
     from idtool.pages import adapt_page
     from idtool.report import HEADER
     from idtool.terminal import Terminal

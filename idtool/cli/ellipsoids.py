@@ -9,7 +9,7 @@ import typer
 
 from idtool.cli.app import FIRST, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
     from idtool.config import Config
@@ -41,7 +41,7 @@ def ellipsoids_command(
 ) -> None:
     """Write bounding ellipsoids of the links' meshes and primitives, or check the links' inertias."""
     from idtool.api.model import Model
-    from idtool.outputs import check_file
+    from idtool.common.outputs import check_file
     from idtool.terminal import Terminal
 
     if repair is not None and not check:
@@ -63,7 +63,7 @@ def ellipsoids_command(
 def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) -> None:
     """Bounding ellipsoids as YAML."""
     from idtool.bounding import as_config, bounding_ellipsoids
-    from idtool.outputs import as_yaml, write_all
+    from idtool.common.outputs import as_yaml, write_all
     from idtool.report import HEADER
 
     found, reasons = bounding_ellipsoids(robot, margin)
@@ -83,7 +83,7 @@ def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) ->
 def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None) -> None:
     """Links whose inertia no body can have."""
     from idtool.check import check, check_report, nearest_bodies, repaired
-    from idtool.outputs import write_all
+    from idtool.common.outputs import write_all
     from idtool.report import HEADER
     from idtool.terminal.check import show_check
 

@@ -10,7 +10,7 @@ import typer
 
 from idtool.cli.app import FIRST, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, finish, folder_for
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -68,11 +68,11 @@ def excite_command(
 ) -> None:
     """Design a trajectory that makes the parameters visible, and print the standard errors to expect."""
     from idtool.api.model import Model
+    from idtool.common.outputs import check_log
+    from idtool.common.provenance import provenance
     from idtool.excitation.design import Wishes, design
     from idtool.excite_report import excite_report
     from idtool.experiment import sources_of
-    from idtool.outputs import check_log
-    from idtool.provenance import provenance
     from idtool.report import HEADER
     from idtool.terminal import Terminal
     from idtool.terminal.excite import show_excitation
@@ -124,7 +124,7 @@ def _check(
     highest: float | None,
 ) -> None:
     """Before anything is read: whether the options can be meant."""
-    from idtool.names import nearest
+    from idtool.common.names import nearest
 
     if criterion not in _CRITERIA:
         raise ConfigError("--criterion", f"{criterion} is none; {nearest(criterion, _CRITERIA)}")
@@ -193,9 +193,9 @@ def _task(
 
 
 def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
-    from idtool.interrupt import held_back
+    from idtool.common.interrupt import held_back
+    from idtool.common.outputs import write_all
     from idtool.logs import write_log
-    from idtool.outputs import write_all
     from idtool.pages.excite import excite_page
 
     page = excite_page(report, command())

@@ -9,7 +9,7 @@ import typer
 
 from idtool.cli.app import USE, app
 from idtool.cli.options import JsonOption, QuietOption, finish
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
     from idtool.export import Export, Part
@@ -36,9 +36,9 @@ def export_command(
     quiet: QuietOption = False,
 ) -> None:
     """Write the identified model for a simulator, and tell what the simulator cannot carry."""
+    from idtool.common.outputs import check_file, write_all
     from idtool.export import read_identified, to_drake, to_mujoco
     from idtool.export.identified import CONFIG, URDF
-    from idtool.outputs import check_file, write_all
     from idtool.report import HEADER
     from idtool.terminal import Terminal
 

@@ -34,11 +34,11 @@ def init_command(
     quiet: QuietOption = False,
 ) -> None:
     """Write a commented configuration with all that URDF and logs tell; what they do not is left to fill in."""
+    from idtool.common.names import stem
+    from idtool.common.outputs import write_all
+    from idtool.common.safe_yaml import read_yaml
     from idtool.description import robot_and_logs
-    from idtool.names import stem
-    from idtool.outputs import write_all
     from idtool.report import HEADER
-    from idtool.safe_yaml import read_yaml
     from idtool.starting import start
     from idtool.terminal import Terminal
     from idtool.terminal.init import show_start
@@ -61,7 +61,7 @@ def init_command(
 
 def _check(file: Path, inputs: Sequence[Path], force: bool) -> None:
     """Before anything is read: whether the file may and can be written."""
-    from idtool.outputs import OutputError
+    from idtool.common.outputs import OutputError
 
     if any(file.resolve() == path.resolve() for path in inputs):
         raise OutputError(file, "is a file that is read; give another --out")

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from idtool.exceptions import ConfigError, ModelError
-from idtool.names import stem
+from idtool.common.exceptions import ConfigError, ModelError
+from idtool.common.names import stem
 
 if TYPE_CHECKING:
     from idtool.experiment import Experiment
@@ -132,7 +132,7 @@ def folder_for(urdf: Path, given: Path | None) -> Path:
     OutputError
         If it cannot be written to; found out before the work is done.
     """
-    from idtool.outputs import check_folder
+    from idtool.common.outputs import check_folder
 
     folder = given or Path(f"{stem(urdf)}_idtool")
     check_folder(folder)
@@ -141,7 +141,7 @@ def folder_for(urdf: Path, given: Path | None) -> Path:
 
 def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
     """Bounds by joint or ``overall`` from the options."""
-    from idtool.names import nearest
+    from idtool.common.names import nearest
 
     bounds = {}
     for text in given:

@@ -76,7 +76,7 @@ def simulate_command(
     """Run a model forwards along a log, or along a trajectory under its controller, and write the motion as a log."""
     from idtool.api.model import Model
     from idtool.api.simulate import FILE, simulate
-    from idtool.outputs import check_log
+    from idtool.common.outputs import check_log
     from idtool.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)

@@ -37,8 +37,8 @@ def study_command(
     """Compare all constraint sets, priors and estimators on the same data, and error against sample count."""
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
-    from idtool.outputs import as_json as dump
-    from idtool.outputs import write_all
+    from idtool.common.outputs import as_json as dump
+    from idtool.common.outputs import write_all
     from idtool.pages import study_page
     from idtool.report import HEADER
     from idtool.study import study

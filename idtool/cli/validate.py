@@ -21,7 +21,7 @@ from idtool.cli.options import (
     folder_for,
     named,
 )
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
     from idtool.terminal import Terminal

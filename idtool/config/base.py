@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 
 _MOST = 1e12  # SI, of any number: powers of what is larger are not finite
 LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finite

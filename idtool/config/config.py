@@ -8,6 +8,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.provenance import Source, source_of
+from idtool.common.safe_yaml import parse_yaml, yaml_bytes
 from idtool.config.base import Finite, Record, Vector, checked
 from idtool.config.bounds import Bounding, BoundingShape
 from idtool.config.estimation import Constraints, Known, Mirror, Regularization, Solver
@@ -15,9 +18,6 @@ from idtool.config.limits import JointLimits
 from idtool.config.rotors import Rotor
 from idtool.config.signals import Controller, Filter, LogOptions, Simulation
 from idtool.config.terms import EffectEntry, Friction, friction_form
-from idtool.exceptions import ConfigError
-from idtool.provenance import Source, source_of
-from idtool.safe_yaml import parse_yaml, yaml_bytes
 
 
 def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:

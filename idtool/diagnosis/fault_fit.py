@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import SolverError
 from idtool.config import WEAK, Config, EffectEntry
 from idtool.effects import build_effects
-from idtool.exceptions import SolverError
 from idtool.experiment import Experiment
 from idtool.identify import identify
 from idtool.reduction import Factor

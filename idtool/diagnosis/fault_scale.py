@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from idtool.common.names import some
 from idtool.diagnosis.fault_fit import Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.inspection import Joint
-from idtool.names import some
 from idtool.reduction import Factor
 
 Array = NDArray[np.float64]

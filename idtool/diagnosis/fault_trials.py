@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.names import some
 from idtool.diagnosis.fault_fit import Change
 from idtool.diagnosis.fault_record import Fault
-from idtool.names import some
 from idtool.robot import Joint
 from idtool.signals import Motion
 

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from idtool.barrier import Barrier
 from idtool.blocks import Blocks, cut, together
+from idtool.common.exceptions import ConfigError
+from idtool.common.linear_algebra import svd
 from idtool.effects.torque_sensor import Sensor
-from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress, Rows, tracked
 from idtool.identified import choose_sets
 from idtool.identify import Estimate, identify
-from idtool.linear_algebra import svd
 from idtool.present import PresentModel
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from idtool.common.exceptions import ConfigError
 from idtool.config import EffectEntry
 from idtool.diagnosis.contest import WORTH, Choice, Contender, Place, candidate, is_answer, place_of, saved, worthwhile
 from idtool.diagnosis.ground import ground
@@ -22,7 +23,6 @@ from idtool.diagnosis.where import bursts
 from idtool.diagnosis.words import superseded
 from idtool.effects import known_effects
 from idtool.effects.time_delay import WITHIN, TimeDelay
-from idtool.exceptions import ConfigError
 from idtool.experiment import Experiment, Progress
 
 APART = 0.04  # s from reversals

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.contest import SURE, WORTH, Choice, Contender, Place, chosen, is_answer, place_of, recorded, saved
 from idtool.diagnosis.ground import Ground, held_out
 from idtool.diagnosis.records import Candidate
@@ -16,7 +17,6 @@ from idtool.diagnosis.trial import FAILURES, Trial, is_fixed, reason_of, tried, 
 from idtool.effects import known_effects
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Survey
-from idtool.exceptions import ConfigError
 from idtool.experiment import Progress
 
 _CONTENDERS = 7  # that are tried more finely

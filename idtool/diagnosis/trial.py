@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import IdtoolError
 from idtool.config import EffectEntry, Regularization
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
@@ -21,7 +22,6 @@ from idtool.effects import build_effects, known_effects
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present
-from idtool.exceptions import IdtoolError
 from idtool.experiment import Experiment, Progress
 from idtool.inertia import SIZE
 from idtool.knowledge import Fact, knowledge

@@ -7,15 +7,15 @@ import inspect
 import pkgutil
 from functools import cache
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, shown
 from idtool.config import Config, EffectEntry, Friction, Uncertain
 from idtool.effects.base import Coefficient, Effect
 from idtool.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.named import NamedEffect, place, plain
 from idtool.effects.rigid_body import RigidBodies
-from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import nearest, shown
 
 __all__ = [
     "Coefficient",

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.body import Frame
+from idtool.common.exceptions import ConfigError
 from idtool.config import EffectEntry
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import place, rows, vector
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.exceptions import ConfigError
 from idtool.kinematics import cross
 from idtool.mechanism import Mechanism
 from idtool.model import Model

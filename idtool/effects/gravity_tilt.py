@@ -9,12 +9,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ConfigError
 from idtool.config import EffectEntry
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, place, vector
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.exceptions import ConfigError
 from idtool.mechanism import Mechanism
 from idtool.model import Model
 from idtool.signals import Motion

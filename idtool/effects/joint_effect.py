@@ -11,13 +11,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import shown
 from idtool.config import EffectEntry
 from idtool.effects.named import NamedEffect, Value, check_names, joint_index, number, place
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Survey
-from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import shown
 
 Array = NDArray[np.float64]
 

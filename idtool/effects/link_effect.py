@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.body import Frame
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, shown
 from idtool.config import EffectEntry
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, place
-from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import nearest, shown
 
 Array = NDArray[np.float64]
 

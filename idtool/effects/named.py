@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, shown, some
 from idtool.config import EffectEntry, Uncertain
 from idtool.effects.base import Effect
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Survey
-from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import nearest, shown, some
 
 Array = NDArray[np.float64]
 Value = tuple[float, float | None]  # and its standard error; None: not known

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from idtool.body import Frame
+from idtool.common.exceptions import ConfigError
 from idtool.config import EffectEntry
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import number, place, vector
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.exceptions import ConfigError
 from idtool.inertia import (
     SIZE,
     from_mass_com_inertia,

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
+from idtool.common.linear_algebra import svd
+from idtool.common.names import nearest
 from idtool.knowledge import Knowledge
-from idtool.linear_algebra import svd
-from idtool.names import nearest
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
 

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest
 from idtool.config import Config
-from idtool.exceptions import ConfigError
 from idtool.excitation.criteria import CRITERIA, Errors, expected_errors
 from idtool.excitation.feasible import collisions, feasible, home_of, largest_use, nearest_links
 from idtool.excitation.objective import Objective
@@ -25,7 +26,6 @@ from idtool.excitation.patterns import PATTERNS, Part, Setting, Slow, Standstill
 from idtool.excitation.task import Task
 from idtool.experiment import Progress
 from idtool.logs import Log, make_log
-from idtool.names import nearest
 from idtool.reduction import Reduction, empty, reduce_blocks
 from idtool.signals import Signals, default_cutoff
 

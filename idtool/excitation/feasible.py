@@ -10,11 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import ConfigError, ModelError
+from idtool.common.exceptions import ConfigError, ModelError
+from idtool.common.names import nearest, some
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.patterns import Part, Samples, Trajectory
 from idtool.excitation.task import Task
-from idtool.names import nearest, some
 
 Array = NDArray[np.float64]
 

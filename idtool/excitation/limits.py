@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, some
 from idtool.config import Config
 from idtool.config.limits import JointLimits
-from idtool.exceptions import ConfigError
 from idtool.model import Model
-from idtool.names import nearest, some
 from idtool.robot import Joint
 
 Array = NDArray[np.float64]

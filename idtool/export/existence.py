@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.inertia import mass_com_inertia
 from idtool.robot import Robot
 

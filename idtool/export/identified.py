@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import ModelError
 from idtool.config import Config, read_config
 from idtool.effects import NamedEffect, RigidBodies, build_effects
-from idtool.exceptions import ModelError
 from idtool.export.base import Part
 from idtool.mechanism import Mechanism
 from idtool.model import Model, build_model

@@ -16,11 +16,11 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import nearest
+from idtool.common.provenance import source_file
 from idtool.logs.bag import ROS1, SQLITE, files_of, is_bag, not_mcap, of_ros1
 from idtool.logs.log import SIGNALS, Log, make_log
-from idtool.names import nearest
-from idtool.provenance import source_file
 
 __all__ = ["SIGNALS", "Log", "is_bag", "make_log", "read_log", "write_log"]
 

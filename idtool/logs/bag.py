@@ -14,8 +14,8 @@ from typing import Any
 
 import yaml
 
-from idtool.exceptions import LogError
-from idtool.names import shown, stem
+from idtool.common.exceptions import LogError
+from idtool.common.names import shown, stem
 
 METADATA = "metadata.yaml"
 MCAP, ZSTD, SQLITE, ROS1 = b"\x89MCAP", b"\x28\xb5\x2f\xfd", b"SQLite format 3\0", b"#ROSBAG V"  # files' beginnings

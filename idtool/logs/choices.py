@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs.bag import files_of
 from idtool.logs.files import records
 from idtool.logs.mcap import matches

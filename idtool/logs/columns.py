@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import nearest, shown, some
 from idtool.logs.log import SIGNALS
-from idtool.names import nearest, shown, some
 
 _TIMES = ("t", "time", "__time", "timestamp")
 _FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}

@@ -11,14 +11,14 @@ from typing import BinaryIO
 
 import numpy as np
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import some
 from idtool.logs.columns import find_columns
 from idtool.logs.interleaved import log_of
 from idtool.logs.log import SIGNALS, Log
 from idtool.logs.series import Samples, Series
 from idtool.logs.table import Table
 from idtool.logs.times import in_seconds
-from idtool.names import some
 
 SUFFIXES = (".csv",)
 

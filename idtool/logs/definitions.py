@@ -11,9 +11,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import shown
 from idtool.logs.records import RECORD, SCHEMA, Batch
-from idtool.names import shown
 
 _MOST_BYTES = 1 << 26  # of a file's schemas and channels, which are kept as long as it is read
 _MOST_SHOWN = 6  # topics

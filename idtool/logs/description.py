@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import shown
 from idtool.logs.bag import files_of, is_bag
 from idtool.logs.definitions import Definitions, kind_of, listed
 from idtool.logs.files import records
 from idtool.logs.payloads import text_decoder_for
 from idtool.logs.payloads.base import TextDecoder
 from idtool.logs.records import HEAD, MESSAGE_FIELDS, Batch, Records
-from idtool.names import shown
 
 _TOPIC = "/robot_description"
 _KIND = "std_msgs/msg/String"

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs.bag import MCAP, SQLITE, ZSTD, not_mcap
 from idtool.logs.records import MAGIC, Records
 

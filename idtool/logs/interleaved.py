@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from idtool.common.names import some
 from idtool.logs.log import Array, Log, make_log
-from idtool.names import some
 
 _BLOCK = 1 << 14  # samples looked at together
 

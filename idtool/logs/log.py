@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.provenance import Source
 from idtool.logs.times import doubtful_unit
-from idtool.provenance import Source
 
 Array = NDArray[np.float64]
 

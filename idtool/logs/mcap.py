@@ -11,7 +11,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import some
 from idtool.logs.bag import MCAP, ZSTD, files_of
 from idtool.logs.files import records
 from idtool.logs.interleaved import log_of
@@ -20,7 +21,6 @@ from idtool.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.logs.series import Series
 from idtool.logs.times import in_seconds
 from idtool.logs.topics import COMMANDS_OF, Topics
-from idtool.names import some
 
 SUFFIXES = (".mcap",)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
 from idtool.logs.log import Array
 
 _MOST_JOINTS = 512  # a joint takes room in every sample, so a file must not name them without end

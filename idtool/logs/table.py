@@ -14,9 +14,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import shown
 from idtool.logs.log import Array
-from idtool.names import shown
 
 _PIECE_BYTES = 1 << 22
 _LONGEST_LINE = 1 << 20  # bytes

@@ -9,13 +9,13 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from idtool.exceptions import LogError
+from idtool.common.exceptions import LogError
+from idtool.common.names import nearest, shown, some
 from idtool.logs.definitions import Definitions, kind_of, listed
 from idtool.logs.payloads import decoder_for
 from idtool.logs.payloads.base import Decoder, PayloadError
 from idtool.logs.records import HEAD, MESSAGE_FIELDS, Batch
 from idtool.logs.series import Samples, Series
-from idtool.names import nearest, shown, some
 
 COMMANDS_OF = "idtool.commands_of"  # in a channel's metadata: its messages are the commands to the states of this topic
 _FEWEST = 2  # samples with positions that make a log

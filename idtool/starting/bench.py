@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.exceptions import LogError, SolverError
 from idtool.config import Config
 from idtool.effects import build_effects
-from idtool.exceptions import LogError, SolverError
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.identified import choose_sets
 from idtool.identify import identify

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from idtool.names import some
+from idtool.common.names import some
 from idtool.robot import Joint, Robot
 from idtool.starting.seen import Seen
 

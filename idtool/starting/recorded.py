@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from idtool.common.exceptions import LogError
+from idtool.common.names import shown, some
 from idtool.config import Config
-from idtool.exceptions import LogError
 from idtool.experiment import Progress
 from idtool.inspection.findings import BAND
 from idtool.logs import Log
 from idtool.model import build_model
-from idtool.names import shown, some
 from idtool.robot import Joint, Robot
 from idtool.signals import default_cutoff
 from idtool.starting.doubts import doubts

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from idtool.common.names import some
 from idtool.config import Config
-from idtool.names import some
 from idtool.starting.draft import Draft
 from idtool.starting.records import Section, Trial
 from idtool.starting.seen import MOST

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from idtool.common.exceptions import IdtoolError
+from idtool.common.names import shown, some
 from idtool.config import parse_config
-from idtool.exceptions import IdtoolError
 from idtool.experiment import Progress
 from idtool.model import Model, build_model
-from idtool.names import shown, some
 from idtool.robot import Robot
 from idtool.starting import sections, terms
 from idtool.starting.bounds import find_bounds, search_paths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from idtool.names import some
+from idtool.common.names import some
 from idtool.starting.bounds import search_paths
 from idtool.starting.draft import Draft
 from idtool.starting.gears import rotor_template, solid_ellipsoid

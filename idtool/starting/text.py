@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from idtool.outputs import as_yaml
+from idtool.common.outputs import as_yaml
 from idtool.starting.records import Section
 
 _WIDTH = 116  # characters of a line, less those of a comment's sign

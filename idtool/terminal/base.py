@@ -13,7 +13,7 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.text import Text
 
-from idtool.interrupt import as_python_has_it
+from idtool.common.interrupt import as_python_has_it
 from idtool.terminal.advice import advice
 from idtool.terminal.progress import progress_bar
 from idtool.terminal.tables import Column, Table, printable

@@ -18,7 +18,7 @@ from scipy import stats
 
 from idtool.base import BaseParameters
 from idtool.blocks import Blocks, together
-from idtool.exceptions import ModelError
+from idtool.common.exceptions import ModelError
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Identified
 from idtool.instruments import Instruments, Kind, instrumented_rows, instruments

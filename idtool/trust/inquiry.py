@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.blocks import Blocks
+from idtool.common.names import some
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Identified
 from idtool.inertia import SIZE
-from idtool.names import some
 from idtool.trust.bias import BiasCheck, bias_check, estimates
 from idtool.trust.identifiability import Identifiability, identifiability
 from idtool.trust.prediction import Prediction, prediction

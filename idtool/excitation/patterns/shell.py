@@ -17,11 +17,11 @@ from scipy.interpolate import BSpline as Spline
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from idtool.exceptions import ConfigError, ModelError
+from idtool.common.exceptions import ConfigError, ModelError
+from idtool.common.names import nearest
 from idtool.excitation.patterns.base import Pattern, Samples, Setting, step
 from idtool.inertia import mass_com_inertia
 from idtool.model import Model
-from idtool.names import nearest
 
 Array = NDArray[np.float64]
 

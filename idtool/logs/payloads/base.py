@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.names import shown
 from idtool.logs.log import Array
 from idtool.logs.series import Samples
-from idtool.names import shown
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
 STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.names import shown
 from idtool.logs.payloads.base import (
     NANOSECONDS,
     SECONDS,
@@ -20,7 +21,6 @@ from idtool.logs.payloads.base import (
     samples_of,
 )
 from idtool.logs.series import Samples
-from idtool.names import shown
 
 if TYPE_CHECKING:
     from mcap.records import Schema

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from idtool.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError
 
 _MOST_BYTES = 1 << 20  # a configuration is written by hand or by idtool; more is not one
 _MOST_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up

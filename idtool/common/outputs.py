@@ -11,8 +11,8 @@ from typing import Any
 
 import yaml
 
-from idtool.exceptions import IdtoolError
-from idtool.interrupt import held_back
+from idtool.common.exceptions import IdtoolError
+from idtool.common.interrupt import held_back
 
 LOG_ENDINGS = (".mcap", ".csv")
 
