@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
 
 from bodies import Body, realizable
 
-from idtool.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
-from idtool.metric import pullback
+from idtool.robot.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.metric import pullback
 
 Array = NDArray[np.float64]
 

@@ -61,12 +61,12 @@ from leg_runs import (
 )
 
 from idtool.base import BaseParameters, structural_base
-from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import Fit, fit
 from idtool.identified import Method
 from idtool.logs import write_log
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ For centres of mass and forms of a body drawn at random, the largest body is sou
 thousand places in the hull, by a linear programme, and of all that a condition admits. Printed is by how much the
 latter is larger, as a length, over the bodies of each hull and of all:
 
-- ``hull``: the conditions of `idtool.shapes.Hull`.
+- ``hull``: the conditions of `idtool.robot.shapes.Hull`.
 - ``corners``: second moments within those of masses at the corners, Sigma_2 ⪯ Σ Lambda_i v_i v_iᵀ with Lambda_i ≥ 0.
 - ``ellipsoid``: the exact condition of the least ellipsoid around the hull.
 """
@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from solids import Largest, largest_on_grid, on_ball
 
-from idtool.shapes import Hull
+from idtool.robot.shapes import Hull
 
 Array = NDArray[np.float64]
 

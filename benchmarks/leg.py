@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
 URDF, CONFIG, LOG = SAMPLES / "leg.urdf", SAMPLES / "leg.yaml", SAMPLES / "leg_train.mcap"

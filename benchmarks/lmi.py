@@ -17,15 +17,15 @@ import leg
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import WEAK, parse_config
 from idtool.effects import build_effects
 from idtool.identify import solve
-from idtool.model import build_model
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Factor
 from idtool.regressor import LinearModel
-from idtool.robot import read_robot
-from idtool.sets import choose_set
+from idtool.robot.config import WEAK, parse_config
+from idtool.robot.model import build_model
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import read_robot
 from idtool.signals import Motion
 from idtool.weights import free_noise
 

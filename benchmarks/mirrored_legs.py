@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import Config, Mirror, read_config
 from idtool.experiment import Experiment, prepare
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.learning import held_out, rms
-from idtool.robot import Robot, read_robot
+from idtool.robot.config import Config, Mirror, read_config
+from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from idtool.config import Controller, read_config
+from idtool.robot.config import Controller, read_config
 
 try:
     import mujoco

@@ -60,15 +60,15 @@ import idtool
 from idtool.base import structural_base
 from idtool.blocks import Blocks, together
 from idtool.common.exceptions import ConfigError, SolverError
-from idtool.config import Regularization, parse_config
 from idtool.experiment import Experiment, Rows, Run, prepare
 from idtool.fitting import fit
 from idtool.identified import identified
-from idtool.inertia import NAMES, SIZE
 from idtool.learning import held_out, rms
 from idtool.logs import Log, read_log
 from idtool.reduction import Reduction
-from idtool.robot import Robot, parse_robot
+from idtool.robot.config import Regularization, parse_config
+from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.urdf.reading import Robot, parse_robot
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]

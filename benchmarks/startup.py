@@ -32,12 +32,12 @@ def idtool(*arguments: str | Path) -> str:
 def print_steps(urdf: Path, log: Path) -> None:
     """Fit in this process, from the imports to the page, and print the time of each step [s]."""
     clock = [time.perf_counter()]
-    from idtool.config import read_config
     from idtool.experiment import prepare
     from idtool.fitting import fit
     from idtool.pages import fit_page
     from idtool.report import fit_report
-    from idtool.robot import read_robot
+    from idtool.robot.config import read_config
+    from idtool.robot.urdf.reading import read_robot
 
     clock.append(time.perf_counter())
     experiment = prepare(read_robot(urdf), read_config(urdf.with_suffix(".yaml")), [log])

@@ -24,10 +24,10 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.linear_algebra import svd
 from idtool.common.provenance import provenance
 from idtool.experiment import Experiment, Progress, Run, tracked
-from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.problem import Problem
 from idtool.recursive import RecursiveFit
-from idtool.sets import ConstraintSet
+from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.robot.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 

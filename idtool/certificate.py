@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from idtool.inequality import least
-from idtool.inertia import BASIS, SIZE
 from idtool.problem import Problem
+from idtool.robot.inequality import least
+from idtool.robot.inertia import BASIS, SIZE
 
 Array = NDArray[np.float64]
 

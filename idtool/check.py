@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body, Frame
-from idtool.bounding import bounding_shape
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
-from idtool.config import Config
-from idtool.inertia import mass_com_inertia, six
 from idtool.projection import project
-from idtool.robot import Robot
-from idtool.sets import choose_set
-from idtool.urdf import rewrite
+from idtool.robot.body import Body, Frame
+from idtool.robot.bounding import bounding_shape
+from idtool.robot.config import Config
+from idtool.robot.inertia import mass_com_inertia, six
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
+from idtool.robot.urdf.writing import rewrite
 from idtool.verdict import judge
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from idtool.channels import Channels
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
-from idtool.config import Controller
 from idtool.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
 from idtool.logs.log import Log
+from idtool.robot.config import Controller
 
 Array = NDArray[np.float64]
 

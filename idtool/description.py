@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from idtool.logs import is_bag
-from idtool.robot import Robot, parse_robot, read_robot
+from idtool.robot.urdf.reading import Robot, parse_robot, read_robot
 
 
 def robot_and_logs(urdf: Path, logs: Sequence[Path]) -> tuple[Robot, list[Path]]:

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.common.names import some
 from idtool.experiment import Experiment
 from idtool.identified import Identified
 from idtool.identify import stuck_note, unfinished_note
-from idtool.inertia import SIZE, pseudo_inertia
 from idtool.prior import moved_priors
+from idtool.robot.body import Body
+from idtool.robot.inertia import SIZE, pseudo_inertia
 from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]

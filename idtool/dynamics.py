@@ -13,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.common.exceptions import ModelError
 from idtool.mechanism import Mechanism
+from idtool.robot.body import Body
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from idtool.common.names import some
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task
-from idtool.inertia import SIZE
+from idtool.robot.inertia import SIZE
 from idtool.trust_report import combination_name, quantity, terms_report
 
 Array = NDArray[np.float64]

@@ -14,14 +14,14 @@ from idtool.command import commanded
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import shown, some
 from idtool.common.provenance import Source
-from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.logs import Log, read_log
-from idtool.model import Model, build_model
 from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
+from idtool.robot.config import Config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Batch, Signals, default_cutoff
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.command_delay import CommandDelay, command_delay, with_delay
-from idtool.config import Regularization
 from idtool.doubts import doubts
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Method, identified
 from idtool.identify import Estimate
-from idtool.inertia import SIZE
 from idtool.regularization_path import RegularizationPath
 from idtool.replay import Replay, replay
-from idtool.sets import ConstraintSet
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import ConstraintSet
 from idtool.simulation_report import simulation_notes
 from idtool.trust import Trust, trust
 from idtool.uncertainty import Uncertainty

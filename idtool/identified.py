@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from idtool.backends import check_backend
 from idtool.blocks import Blocks, together
-from idtool.body import Body
 from idtool.common.exceptions import SolverError
-from idtool.config import Regularization
 from idtool.experiment import Experiment, Progress
 from idtool.identify import Estimate, identify
 from idtool.local import LOCAL
 from idtool.prior_bodies import prior_bodies
 from idtool.reduction import Reduction
 from idtool.regularization_path import RegularizationPath, assumed_weight, regularization_path
-from idtool.sets import ConstraintSet, choose_set
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.sets import ConstraintSet, choose_set
 from idtool.two_stage import TwoStage, two_stage
 from idtool.weights import free_noise
 

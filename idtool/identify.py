@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from idtool.backends import solve_by_cvxpy
 from idtool.barrier import Barrier
-from idtool.body import Body
 from idtool.certificate import GAP, Certificate, cost_of_margin, lower_bound, violation
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
-from idtool.config import Regularization
 from idtool.conic import APART, Solution, infeasible, solve_conic
 from idtool.knowledge import Knowledge
 from idtool.local import LOCAL
@@ -25,7 +23,9 @@ from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.refinement import refine
 from idtool.regressor import LinearModel
-from idtool.sets import ConstraintSet
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.sets import ConstraintSet
 from idtool.weights import free_noise, freedom, residual_noise, weighted_rows
 
 Array = NDArray[np.float64]

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
-from idtool.config import Config, Measured, Mirror
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import SIZE, mirrored
-from idtool.model import Model
 from idtool.regressor import LinearModel
+from idtool.robot.config import Config, Measured, Mirror
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import SIZE, mirrored
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 

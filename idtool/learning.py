@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from idtool.common.exceptions import SolverError
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.identify import solve
-from idtool.inertia import SIZE, pseudo_inertia
 from idtool.problem import Problem
 from idtool.reduction import Factor, Reduction, empty, merge
+from idtool.robot.inertia import SIZE, pseudo_inertia
 
 Array = NDArray[np.float64]
 

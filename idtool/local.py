@@ -26,11 +26,11 @@ from scipy.optimize import least_squares
 
 from idtool.common.exceptions import SolverError
 from idtool.conic import svec
-from idtool.inequality import DENSITY
-from idtool.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
 from idtool.parts import INTERIOR
 from idtool.prior import LogDet
 from idtool.problem import Problem
+from idtool.robot.inequality import DENSITY
+from idtool.robot.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.inertia import SIZE
-from idtool.model import Model
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

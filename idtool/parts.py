@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.effects.rigid_body import length
-from idtool.inequality import Piece
-from idtool.inertia import POWERS, SIZE
-from idtool.sets import ConstraintSet
+from idtool.robot.body import Body
+from idtool.robot.inequality import Piece
+from idtool.robot.inertia import POWERS, SIZE
+from idtool.robot.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 

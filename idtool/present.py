@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.effects import Coefficient, Effect, NamedEffect, RigidBodies
-from idtool.inertia import SIZE, symmetric
+from idtool.robot.inertia import SIZE, symmetric
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

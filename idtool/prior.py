@@ -19,12 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
-from idtool.config import Regularization
-from idtool.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
 from idtool.knowledge import Knowledge
-from idtool.metric import pullback
 from idtool.regressor import LinearModel
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.metric import pullback
 
 Array = NDArray[np.float64]
 

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from idtool.body import Body
 from idtool.common.names import some
-from idtool.config import Config
-from idtool.config.estimation import Measured
 from idtool.effects import build_effects
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import SIZE, from_pseudo_inertia, mass_com_inertia
-from idtool.model import Model
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
-from idtool.shapes import Shape
+from idtool.robot.body import Body
+from idtool.robot.config import Config
+from idtool.robot.config.estimation import Measured
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import SIZE, from_pseudo_inertia, mass_com_inertia
+from idtool.robot.model import Model
+from idtool.robot.shapes import Shape
 from idtool.weights import weighted_rows
 
 Array = NDArray[np.float64]

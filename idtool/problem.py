@@ -20,17 +20,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
-from idtool.config import Regularization
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
 from idtool.parts import INTERIOR, Matrix, Part, parts_of
 from idtool.prior import LogDet, log_dets, prior_rows
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
-from idtool.sets import ConstraintSet
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import ConstraintSet
 from idtool.weights import weighted_rows
 
 Array = NDArray[np.float64]

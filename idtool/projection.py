@@ -11,16 +11,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.common.exceptions import SolverError
 from idtool.effects.rigid_body import scales
 from idtool.identify import solve
-from idtool.inertia import SIZE
-from idtool.metric import FLOOR, nearest_realizable, pullback
 from idtool.parts import parts_of
 from idtool.prior import reference
 from idtool.problem import Problem
-from idtool.sets import ConstraintSet
+from idtool.robot.body import Body
+from idtool.robot.inertia import SIZE
+from idtool.robot.metric import FLOOR, nearest_realizable, pullback
+from idtool.robot.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from scipy.sparse.csgraph import connected_components
 
 from idtool.common.exceptions import SolverError
 from idtool.conic import extreme_conic
-from idtool.inertia import SIZE
 from idtool.parts import Part
 from idtool.problem import Problem
+from idtool.robot.inertia import SIZE
 
 Array = NDArray[np.float64]
 

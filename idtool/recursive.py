@@ -26,14 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.barrier import Barrier
-from idtool.config import Regularization
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
-from idtool.model import Model
 from idtool.problem import Problem, build_problem
 from idtool.reduction import empty
 from idtool.regressor import LinearModel
-from idtool.sets import ConstraintSet
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import Model
+from idtool.robot.sets import ConstraintSet
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from pydantic import Field
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.safe_yaml import read_yaml
-from idtool.config import Config, Positive, Record, checked, read_config
 from idtool.experiment import Progress, prepare
 from idtool.fitting import fit
-from idtool.robot import read_robot
+from idtool.robot.config import Config, Positive, Record, checked, read_config
+from idtool.robot.urdf.reading import read_robot
 
 
 class Case(Record):

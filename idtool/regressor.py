@@ -17,8 +17,8 @@ from scipy import ndimage
 from idtool.effects.base import Coefficient, Effect
 from idtool.effects.survey import Present
 from idtool.mechanism import Mechanism
-from idtool.model import Model
 from idtool.present import PresentModel
+from idtool.robot.model import Model
 from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]

@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 
 from idtool.barrier import Barrier
 from idtool.blocks import Blocks, together
-from idtool.body import Body
-from idtool.config import Regularization
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
-from idtool.sets import ConstraintSet
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import ConstraintSet
 from idtool.weights import weighted_rows
 
 Array = NDArray[np.float64]

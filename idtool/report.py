@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool import __version__
-from idtool.body import Body
 from idtool.common.provenance import Source, provenance
-from idtool.config import Config, EffectEntry
 from idtool.effects import NamedEffect, named_effect, plain
 from idtool.fitting import Fit
-from idtool.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
 from idtool.knowledge import Fact
 from idtool.regularization_path import PathPoint
+from idtool.robot.body import Body
+from idtool.robot.config import Config, EffectEntry
+from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
+from idtool.robot.urdf.writing import JointDynamics
+from idtool.robot.witness import deviation_ellipsoid
 from idtool.simulation_report import simulation_report
 from idtool.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
-from idtool.urdf import JointDynamics
 from idtool.validation import Evaluation
 from idtool.verdict import Verdict, judge
-from idtool.witness import deviation_ellipsoid
 
 Array = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError
-from idtool.ellipsoid import Ellipsoid
 from idtool.envelope import Trace
-from idtool.robot import Robot
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

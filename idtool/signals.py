@@ -19,10 +19,10 @@ from idtool.channels import Channels
 from idtool.command import Command
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import some
-from idtool.config import Config
 from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above
 from idtool.logs.log import Log
 from idtool.logs.times import doubtful_unit
+from idtool.robot.config import Config
 
 Array = NDArray[np.float64]
 

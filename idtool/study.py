@@ -18,15 +18,15 @@ from idtool.adapt import adapt, convergence, time_to
 from idtool.certificate import Certificate
 from idtool.command_delay import with_delay
 from idtool.common.exceptions import ConfigError, SolverError
-from idtool.config import WEAK
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve, solve_locally
-from idtool.inertia import SIZE, pseudo_inertia
 from idtool.learning import Curve, gather, held_out, learn
 from idtool.local import LOCAL
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
-from idtool.sets import ConstraintSet, choose_set, constraint_sets
+from idtool.robot.config import WEAK
+from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
 from idtool.validation import Evaluation, evaluate
 from idtool.weights import free_noise, weighted_rows
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from idtool.common.provenance import provenance
 from idtool.identify import stuck_note
-from idtool.inequality import Inequality
-from idtool.inertia import SIZE
 from idtool.learning import Curve
+from idtool.robot.inequality import Inequality
+from idtool.robot.inertia import SIZE
 from idtool.study import Outcome, Study
 
 

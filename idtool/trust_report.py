@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from idtool.base import BaseParameters
 from idtool.effects.base import Coefficient
 from idtool.fitting import Fit
-from idtool.inertia import NAMES, SIZE
+from idtool.robot.inertia import NAMES, SIZE
 from idtool.trust.bias import BiasCheck
 from idtool.trust.identifiability import Basis, Identifiability, combination
 from idtool.trust.repeatability import Repeatability

@@ -30,7 +30,7 @@ from idtool.instruments import Instruments, Kind, instrumented_rows, instruments
 from idtool.problem import build_problem
 from idtool.reduction import Factor, Reduction, reduce_blocks
 from idtool.regressor import LinearModel
-from idtool.sets import ConstraintSet
+from idtool.robot.sets import ConstraintSet
 from idtool.weights import residual_noise
 
 Array = NDArray[np.float64]

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.conic import solve_conic
 from idtool.effects.rigid_body import length
-from idtool.inequality import Piece
-from idtool.inertia import POWERS, SIZE
 from idtool.projection import nearest_problem
-from idtool.sets import ConstraintSet, choose_set
-from idtool.witness import explain, violations, witness
+from idtool.robot.body import Body
+from idtool.robot.inequality import Piece
+from idtool.robot.inertia import POWERS, SIZE
+from idtool.robot.sets import ConstraintSet, choose_set
+from idtool.robot.witness import explain, violations, witness
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from arms import JOINTS
 from numpy.typing import NDArray
 from robots import chain, joint
 
-from idtool.config import parse_config
 from idtool.effects import Effect, build_effects
-from idtool.model import Model
 from idtool.regressor import LinearModel
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, synthetic
 
-from idtool.config import Regularization
-from idtool.inequality import DENSITY, Piece
-from idtool.inertia import (
-    SIZE,
-)
 from idtool.local import Chart, LogCholesky, Manifold
 from idtool.parts import Part
 from idtool.problem import Problem, build_problem
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inequality import DENSITY, Piece
+from idtool.robot.inertia import (
+    SIZE,
+)
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

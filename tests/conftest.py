@@ -11,9 +11,9 @@ from hypothesis import settings
 from robots import leg_urdf
 
 from idtool.common.exceptions import ConfigError
-from idtool.config import Config, parse_config, read_config
-from idtool.model import Model, build_model
-from idtool.robot import Robot, read_robot
+from idtool.robot.config import Config, parse_config, read_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot, read_robot
 
 settings.register_profile("idtool", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("idtool")

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap_ros2.writer import Writer as Ros2Writer
 from recordings import Channel, ros2, states, write_mcap
 
-from idtool.robot import Robot
+from idtool.robot.urdf.reading import Robot
 
 TEXT = LEG.read_text()
 OTHER = TEXT.replace('<mass value="1.5"/>', '<mass value="1.6"/>')

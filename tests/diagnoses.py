@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from commands import LEG, csv_text, sample_table
 
-from idtool.config import Config, EffectEntry, read_config
 from idtool.diagnosis.faults import Fault
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step, Where
 from idtool.experiment import prepare
 from idtool.fitting import Fit, fit
-from idtool.robot import read_robot
+from idtool.robot.config import Config, EffectEntry, read_config
+from idtool.robot.urdf.reading import read_robot
 
 STRIBECK = EffectEntry(effect="stribeck_friction", joint="hip", parameters={"stribeck": 0.0, "velocity": 0.15})
 DELAY = EffectEntry(effect="time_delay", parameters={"delay": 0.005})

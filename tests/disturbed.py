@@ -12,9 +12,9 @@ import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from reference import Reference
 
-from idtool.config import parse_config
 from idtool.experiment import Experiment, prepare
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 Hidden = Callable[[Array, Array, Array, Array], Array]  # t, q, v, tau to torque; (2, N) but for t

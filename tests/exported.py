@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import inertial, joint
 
-from idtool.config import parse_config
 from idtool.export import Export, Identified, Part, identified
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from commands import SAMPLES
 from numpy.typing import NDArray
 from robots import actuated
 
-from idtool.config import parse_config
 from idtool.effects import build_effects
 from idtool.integrate import Rollouts
 from idtool.mechanism import Mechanism
-from idtool.model import build_model
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 Drive = Callable[[Array, Array, Array, NDArray[np.intp]], Array]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from robots import body, inertial, joint
 from synthetic import Synthetic, point_parameters, points_in, random_bound, random_states, synthetic
 
-from idtool.config import Regularization
 from idtool.identify import Estimate, identify
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge, with_equal_bounds
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.envelope import Trace
-from idtool.inertia import from_mass_com_inertia
+from idtool.robot.inertia import from_mass_com_inertia
 from idtool.validation import Errors, Evaluation
 
 Array = NDArray[np.float64]

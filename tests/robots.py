@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from idtool.body import Body
-from idtool.model import Model
-from idtool.robot import Robot
+from idtool.robot.body import Body
+from idtool.robot.model import Model
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

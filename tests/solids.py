@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from idtool.ellipsoid import smallest_around
-from idtool.inequality import Piece
-from idtool.inertia import BASIS, from_pseudo_inertia
-from idtool.shapes import Hull, Shape
-from idtool.shapes.box import Box
-from idtool.shapes.capsule import Capsule
-from idtool.shapes.cylinder import Cylinder
+from idtool.robot.ellipsoid import smallest_around
+from idtool.robot.inequality import Piece
+from idtool.robot.inertia import BASIS, from_pseudo_inertia
+from idtool.robot.shapes import Hull, Shape
+from idtool.robot.shapes.box import Box
+from idtool.robot.shapes.capsule import Capsule
+from idtool.robot.shapes.cylinder import Cylinder
 
 Array = NDArray[np.float64]
 

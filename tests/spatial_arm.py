@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from idtool.config import parse_config
 from idtool.experiment import Experiment, prepare
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.simulation import simulate
 from idtool.validation import evaluate
 from idtool.windows import windows_of

@@ -14,7 +14,7 @@ from imposed import Log, imposed, with_noise
 from recordings import State
 from spatial_arm import ARM, JOINTS
 
-from idtool.config import Config, parse_config, read_config
+from idtool.robot.config import Config, parse_config, read_config
 
 SECONDS, NOISE = 12.0, 0.02  # s; N·m
 TEMPLATES = ("log", "friction", "rotors", "effects", "bounding_ellipsoids", "controller", "known")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import parse_config
 from idtool.logs.log import Log, make_log
+from idtool.robot.config import parse_config
 from idtool.signals import Motion, Signals
 
 Array = NDArray[np.float64]

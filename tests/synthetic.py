@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, rotation
 
-from idtool.body import Body, Frame
-from idtool.config import Config, parse_config
 from idtool.effects import build_effects
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge, knowledge
-from idtool.model import Model, build_model
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
-from idtool.shapes import Shape
+from idtool.robot.body import Body, Frame
+from idtool.robot.config import Config, parse_config
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import Model, build_model
+from idtool.robot.shapes import Shape
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

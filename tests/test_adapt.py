@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from idtool import adapt as module
 from idtool.adapt import Adaptation, adapt, adapt_report, convergence, time_to
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.config import WEAK, read_config
 from idtool.experiment import Experiment, prepare
 from idtool.identify import identify
-from idtool.robot import read_robot
-from idtool.sets import choose_set
+from idtool.robot.config import WEAK, read_config
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import read_robot
 from idtool.weights import weighted_rows
 
 Array = NDArray[np.float64]

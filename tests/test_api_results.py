@@ -31,8 +31,8 @@ from test_robot_description import described
 import idtool
 from idtool.api.model import Model
 from idtool.api.records import frozen
-from idtool.config import read_config
 from idtool.diagnosis.records import Diagnosis
+from idtool.robot.config import read_config
 
 CONTROLLER = {"kp": dict.fromkeys(JOINTS, 50.0), "kd": dict.fromkeys(JOINTS, 2.0)}
 

@@ -17,12 +17,12 @@ from synthetic import Synthetic, bounds, synthetic
 
 from idtool.certificate import GAP
 from idtool.common.exceptions import SolverError
-from idtool.config import Regularization
 from idtool.conic import solve_conic
 from idtool.identify import ENOUGH, Estimate, identify, solve, solve_with_backend
 from idtool.problem import Problem, build_problem
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 
 Robots = Callable[[str], Robot]
 

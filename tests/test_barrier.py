@@ -14,13 +14,13 @@ from synthetic import bounds, synthetic
 
 from idtool.barrier import Barrier
 from idtool.common.exceptions import SolverError
-from idtool.config import Regularization
 from idtool.identify import solve
-from idtool.inequality import least
 from idtool.problem import Problem, build_problem
 from idtool.reduction import empty
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inequality import least
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 Stated = Callable[..., Problem]

@@ -14,13 +14,13 @@ from robots import actuated, random_rotors, random_urdf
 from tables import GANTRY, PANDA, PUMA, RX90, SCARA, STANFORD, UR5, Row, rooted, table_urdf
 
 from idtool.base import BaseParameters, base_parameters, structural_base
-from idtool.config import parse_config
 from idtool.effects import build_effects
-from idtool.inertia import NAMES, SIZE
 from idtool.knowledge import knowledge
-from idtool.model import Model, build_model
 from idtool.regressor import LinearModel
-from idtool.robot import Robot, read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

@@ -11,9 +11,9 @@ import pytest
 import trimesh
 from robots import random_urdf
 
-from idtool.bounding import as_config, bounding_ellipsoids
-from idtool.config import parse_config
-from idtool.robot import Robot
+from idtool.robot.bounding import as_config, bounding_ellipsoids
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import Robot
 
 Read = Callable[[str | bytes], Robot]
 

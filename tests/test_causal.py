@@ -15,13 +15,13 @@ from swings import JOINTS, clock, everything, signals_of, swing, swinging
 
 from idtool import causal as module
 from idtool.causal import CausalLowPass, causal_batches
-from idtool.config import parse_config
 from idtool.effects import build_effects
 from idtool.filters import LowPass
 from idtool.logs.log import Log
-from idtool.model import Model, build_model
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Batch, Motion, Signals
 
 Array = NDArray[np.float64]

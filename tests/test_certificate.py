@@ -16,17 +16,17 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 from units import in_units
 
-from idtool.body import Body
 from idtool.certificate import GAP
 from idtool.common.exceptions import SolverError
-from idtool.config import Regularization
 from idtool.conic import Solution, solve_conic
 from idtool.identify import identify, solve
-from idtool.inertia import SIZE, from_mass_com_inertia
 from idtool.problem import Problem, build_problem
 from idtool.refinement import Refined
-from idtool.robot import Robot, read_robot
-from idtool.sets import constraint_sets
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.sets import constraint_sets
+from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
 

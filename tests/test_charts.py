@@ -23,7 +23,9 @@ from charts import (
 from robots import rotation
 from scipy.spatial.transform import Rotation
 
-from idtool.inertia import (
+from idtool.local import Chart, LogCholesky, Manifold, Residuals, spectral
+from idtool.prior import LogDet
+from idtool.robot.inertia import (
     SIZE,
     from_mass_com_inertia,
     from_pseudo_inertia,
@@ -31,9 +33,7 @@ from idtool.inertia import (
     transformation,
     triangle_margin,
 )
-from idtool.local import Chart, LogCholesky, Manifold, Residuals, spectral
-from idtool.prior import LogDet
-from idtool.robot import Robot
+from idtool.robot.urdf.reading import Robot
 
 
 @pytest.fixture

@@ -18,9 +18,9 @@ from synthetic import point_parameters
 from idtool.check import check, nearest_bodies, repaired
 from idtool.common.exceptions import ConfigError
 from idtool.common.provenance import Source
-from idtool.config import Config, parse_config
-from idtool.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
-from idtool.robot import Robot, read_robot
+from idtool.robot.config import Config, parse_config
+from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
+from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
 Read = Callable[[str | bytes], Robot]

@@ -12,9 +12,9 @@ from commands import JOINTS, LEG, SAMPLES, TRAIN, config_with, files, fitted, id
 from test_check import DATA, LINKS, WRONG, compiles, without_inertial
 from test_check import urdf as links_urdf
 
-from idtool.config import read_config
-from idtool.geometry import link_geometry
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.geometry import link_geometry
+from idtool.robot.urdf.reading import read_robot
 
 LEG_LINKS = ("abad_link", "thigh_link", "shank_link")
 

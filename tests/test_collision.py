@@ -13,12 +13,11 @@ from reference import Reference
 from robots import actuated, joint, origin, random_urdf
 from touching import BOX, LOWER, SPHERE, UPPER, Build, arm, beside, checked, place, solid
 
-from idtool import collision
-from idtool.collision import SelfCollision
 from idtool.common.exceptions import ModelError
-from idtool.config import parse_config
-from idtool.model import build_model
-from idtool.robot import read_robot
+from idtool.robot.collision import SelfCollision
+from idtool.robot.config import parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import collision, read_robot
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from idtool.config import Config, parse_config
+from idtool.robot.config import Config, parse_config
 
 Read = Callable[[str | bytes], Config]
 Refusal = Callable[[str | bytes], str]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from idtool.common.exceptions import ConfigError
-from idtool.config import Config, read_config
+from idtool.robot.config import Config, read_config
 
 Read = Callable[[str | bytes], Config]
 Refusal = Callable[[str | bytes], str]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from idtool.config import Config
+from idtool.robot.config import Config
 
 Read = Callable[[str | bytes], Config]
 Refusal = Callable[[str | bytes], str]

@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.body import Body
 from idtool.certificate import GAP, lower_bound
 from idtool.common.exceptions import InfeasibleError, SolverError
-from idtool.config import Regularization
 from idtool.conic import APART, Solution, smat, solve_conic, svec
-from idtool.ellipsoid import Ellipsoid
 from idtool.identify import solve
-from idtool.inertia import SIZE, pseudo_inertia
 from idtool.prior import moved_priors
 from idtool.problem import Problem, build_problem
-from idtool.robot import Robot
-from idtool.sets import choose_set, constraint_sets
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.sets import choose_set, constraint_sets
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

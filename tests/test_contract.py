@@ -25,9 +25,9 @@ from commands import (
 )
 
 from idtool import __version__
-from idtool.config import read_config
-from idtool.inertia import DIGITS
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.inertia import DIGITS
+from idtool.robot.urdf.reading import read_robot
 
 BODIES = {"abad_link", "thigh_link", "shank_link", "abad_rotor", "hip_rotor", "knee_rotor"}
 LEG_YAML = LEG.with_suffix(".yaml")

@@ -16,10 +16,10 @@ from robots import rotation
 from scipy.spatial import ConvexHull
 from solids import on_ball
 
-from idtool.bounding import bounding_ellipsoids
-from idtool.convex import corners_of, enclosing, enclosing_planes
-from idtool.ellipsoid import smallest_around
-from idtool.robot import Robot
+from idtool.robot.bounding import bounding_ellipsoids
+from idtool.robot.convex import corners_of, enclosing, enclosing_planes
+from idtool.robot.ellipsoid import smallest_around
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

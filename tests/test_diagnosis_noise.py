@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from commands import SAMPLES
 
-from idtool.config import read_config
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.experiment import prepare
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
 
 
 @pytest.mark.parametrize("robot", ["leg", "belt_arm"])

@@ -25,12 +25,12 @@ from disturbed import (
 )
 from numpy.typing import NDArray
 
-from idtool.config import EffectEntry
 from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.regions import Scene, in_words
 from idtool.diagnosis.trial import with_effects
 from idtool.diagnosis.where import located, residual_maps, unexplained, windows_of
+from idtool.robot.config import EffectEntry
 
 FLOOR = {"j1": NOISE, "j2": NOISE}
 

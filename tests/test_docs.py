@@ -18,7 +18,7 @@ from commands import idtool, strict_json
 from doc_pages import DATA, DOCS, PAGES, README, ROOT, Reader, blocks, pages
 
 from idtool.cli import app
-from idtool.config import parse_config
+from idtool.robot.config import parse_config
 
 ALL = [README, *pages()]
 NAMES = [str(page.relative_to(ROOT if page == README else PAGES)) for page in ALL]

@@ -20,12 +20,12 @@ from pydantic.fields import FieldInfo
 import idtool as idtool_library
 from idtool.cli import app
 from idtool.common.exceptions import ConfigError
-from idtool.config import Config, EffectEntry
 from idtool.effects import known_effects
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.link_effect import LinkEffect
-from idtool.model import build_model
-from idtool.robot import read_robot
+from idtool.robot.config import Config, EffectEntry
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import read_robot
 
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 COMPLETION = {"--install-completion", "--show-completion", "--help"}

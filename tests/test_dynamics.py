@@ -21,7 +21,7 @@ from idtool.dynamics import Dynamics
 from idtool.effects import RigidBodies
 from idtool.mechanism import Mechanism
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

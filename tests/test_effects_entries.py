@@ -16,14 +16,14 @@ from robots import chain, joint
 
 import idtool.effects
 from idtool.common.exceptions import ConfigError
-from idtool.config import EffectEntry, parse_config
 from idtool.effects import build_effects, known_effects, named_effect
 from idtool.effects.joint_effect import JointEffect
 from idtool.experiment import coefficients_of, prepare
 from idtool.fitting import fit
-from idtool.inertia import SIZE
 from idtool.report import model_config
-from idtool.robot import read_robot
+from idtool.robot.config import EffectEntry, parse_config
+from idtool.robot.inertia import SIZE
+from idtool.robot.urdf.reading import read_robot
 
 # The contract's parameters of the effects that are functions of the joints' state, section 6.
 PARAMETERS = {

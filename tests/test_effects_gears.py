@@ -31,8 +31,8 @@ from spatial_arm import (
 
 from idtool.effects import known_effects
 from idtool.mechanism import Gear
-from idtool.model import Model
 from idtool.regressor import LinearModel
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

@@ -31,13 +31,13 @@ from spatial_arm import (
     written,
 )
 
-from idtool.config import EffectEntry, parse_config
 from idtool.effects import named_effect
 from idtool.effects.contact import ExternalContact
 from idtool.fitting import fit
-from idtool.model import build_model
 from idtool.report import model_config
-from idtool.robot import Robot
+from idtool.robot.config import EffectEntry, parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

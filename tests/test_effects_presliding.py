@@ -15,8 +15,8 @@ from spatial_arm import NOISE, RATE, STEPS, Act, Log, experiment, recorded, resi
 
 from idtool.effects.presliding import PreslidingHysteresis
 from idtool.fitting import fit
-from idtool.model import Model
 from idtool.report import model_config
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

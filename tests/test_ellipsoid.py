@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from robots import rotation
 from scipy.spatial.transform import Rotation
 
-from idtool.ellipsoid import Ellipsoid, smallest_around
-from idtool.inertia import from_mass_com_inertia, pseudo_inertia
+from idtool.robot.ellipsoid import Ellipsoid, smallest_around
+from idtool.robot.inertia import from_mass_com_inertia, pseudo_inertia
 
 Array = NDArray[np.float64]
 

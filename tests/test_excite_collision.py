@@ -10,11 +10,11 @@ import pytest
 from commands import LEG, idtool
 from exciting import Array, body, derivatives, excited, joint, robot
 
-from idtool.config import parse_config
 from idtool.excitation.patterns.shell import tip_and_jacobian
 from idtool.logs import Log
-from idtool.model import build_model
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import read_robot
 
 PANDA = Path(__file__).parents[2] / "shared" / "data" / "panda" / "panda.urdf"
 REACH, BALL = 0.3, 0.1  # m: of each of two links, and the radius of balls at the base and at the tip

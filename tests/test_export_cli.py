@@ -13,10 +13,10 @@ from commands import LEG, TRAIN, config_with, files, fitted, idtool
 from exported import EXACT, InMujoco
 from robots import chain, link
 
-from idtool.config import read_config
 from idtool.dynamics import Dynamics
 from idtool.export import identified, to_drake, to_mujoco
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 CONFIGS = Path(__file__).parents[1] / "configs"

@@ -17,7 +17,7 @@ from reference import Reference
 from robots import actuated, random_urdf
 
 from idtool.export import Export, to_drake, to_mujoco
-from idtool.robot import read_robot
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from reference import Reference
 
 from idtool.effects import JointTerm, known_effects
 from idtool.export import Export, to_drake, to_mujoco
-from idtool.inertia import from_mass_com_inertia
 from idtool.mechanism import Gear, Mechanism, TorqueSensor
+from idtool.robot.inertia import from_mass_com_inertia
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from robots import chain, link
 
 from idtool.common.exceptions import ModelError
 from idtool.export import to_drake, to_mujoco
-from idtool.robot import read_robot
+from idtool.robot.urdf.reading import read_robot
 
 
 @pytest.fixture

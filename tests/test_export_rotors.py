@@ -15,7 +15,7 @@ from robots import actuated, random_rotor, random_urdf
 
 from idtool.common.exceptions import ModelError
 from idtool.export import to_drake, to_mujoco
-from idtool.robot import read_robot
+from idtool.robot.urdf.reading import read_robot
 
 
 @pytest.fixture

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from robots import chain, joint
 from swings import JOINTS, clock, joined, signals_of, swing, swinging
 
-from idtool.config import parse_config
 from idtool.effects import build_effects, known_effects
-from idtool.model import Model
 from idtool.regressor import LinearModel
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ModelError
-from idtool.geometry import link_geometry, link_vertices
-from idtool.robot import Robot, read_robot
+from idtool.robot.geometry import link_geometry, link_vertices
+from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
 Read = Callable[[str | bytes], Robot]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from reference import Reference
 from spatial_arm import ARM, JOINTS, NOISE, experiment, in_band, written
 
-from idtool.config import parse_config
 from idtool.diagnosis.ground import Ground, ground, held_out
 from idtool.experiment import Experiment, prepare
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -168,10 +168,10 @@ def test_a_seed_says_it_all(tmp_path: Path) -> None:
 
 
 def test_idtool_fits_a_clean_log_down_to_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from idtool.config import read_config
     from idtool.experiment import prepare
     from idtool.fitting import fit
-    from idtool.robot import read_robot
+    from idtool.robot.config import read_config
+    from idtool.robot.urdf.reading import read_robot
 
     def slippery(robot: Robot, seed: int, exact: bool = False) -> Truth:
         return replace(draw_truth(robot, seed, exact), coulomb=np.zeros(len(robot.joints)))

@@ -15,13 +15,13 @@ from robots import chain, joint, random_urdf
 from synthetic import Synthetic, bounds, random_states, synthetic
 
 from idtool.base import BaseParameters
-from idtool.config import Regularization
 from idtool.effects.base import Coefficient
 from idtool.identify import Estimate, identify
-from idtool.inertia import NAMES, SIZE
 from idtool.knowledge import with_equal_bounds
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 from idtool.trust.identifiability import Basis, Identifiability, combination, identifiability
 from idtool.trust_report import basis_text, combination_name
 from idtool.uncertainty import Uncertainty, uncertainty

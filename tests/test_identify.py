@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.config import Regularization
 from idtool.identify import Estimate, identify
-from idtool.inertia import SIZE, pseudo_inertia
-from idtool.robot import Robot
-from idtool.sets import constraint_sets
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.sets import constraint_sets
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 Data = Callable[..., Synthetic]

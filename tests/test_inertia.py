@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from robots import rotation
 
-from idtool import inertia
+from idtool.robot.urdf.reading import inertia
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from recordings import State, ros2, write_mcap
 from spatial_arm import ARM, JOINTS
 from starts import arm, as_csv, as_states, filled, init, robot
 
-from idtool.config import read_config
+from idtool.robot.config import read_config
 
 ARMATURE, OFFSET, LATE = 0.05, 0.4, 0.008  # kg·m², N·m, s
 

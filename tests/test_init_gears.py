@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from spatial_arm import ARM
 from starts import arm, as_csv, filled, init, robot
 
-from idtool.config import Config
-from idtool.inertia import from_mass_com_inertia
-from idtool.model import build_model
-from idtool.robot import Robot
+from idtool.robot.config import Config
+from idtool.robot.inertia import from_mass_com_inertia
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.starting.bounds import find_bounds
 from idtool.starting.gears import gear_ratios, rotor_links, rotor_template, solid_ellipsoid
 
@@ -145,6 +145,6 @@ def test_semi_axes_are_never_rounded_down(robot_of: Read) -> None:
 
 
 def _ball(own: Robot) -> tuple[float, float, float]:
-    from idtool.bounding import bounding_ellipsoids
+    from idtool.robot.bounding import bounding_ellipsoids
 
     return bounding_ellipsoids(own)[0]["turret"].semi_axes

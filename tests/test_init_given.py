@@ -15,7 +15,7 @@ from recordings import ros2, write_mcap
 from spatial_arm import ARM, JOINTS
 from starts import arm, as_csv, as_states, filled, init, robot
 
-from idtool.config import Config
+from idtool.robot.config import Config
 
 SIGNALS = ("position", "velocity", "effort")
 GAINS = {"kp": dict.fromkeys(JOINTS, 50.0), "kd": dict.fromkeys(JOINTS, 1.0)}

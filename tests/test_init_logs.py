@@ -16,8 +16,8 @@ from spatial_arm import ARM, JOINTS
 from starts import arm, as_csv, as_states, robot
 
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.config import parse_config
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.starting.recorded import Recorded, recorded
 
 MIMIC = (

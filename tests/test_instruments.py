@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from idtool.base import structural_base
 from idtool.common.exceptions import ModelError
-from idtool.config import parse_config
 from idtool.experiment import Experiment, prepare
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.instruments import Instruments, instruments, smoothing
 from idtool.logs import Log, make_log
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.two_stage import TwoStage, project, stack, two_stage, unprojected
 
 Array = NDArray[np.float64]

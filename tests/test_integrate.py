@@ -31,7 +31,7 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 from stick_slip import StickSlip
 
 from idtool.integrate import Rollouts
-from idtool.robot import Robot
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

@@ -13,8 +13,8 @@ from robots import random_urdf
 from synthetic import Synthetic, synthetic
 
 from idtool.common.exceptions import ConfigError, SolverError
-from idtool.config import Regularization
-from idtool.inertia import SIZE
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

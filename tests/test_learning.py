@@ -16,15 +16,15 @@ from scipy.stats import chi2
 
 from idtool import learning
 from idtool.common.exceptions import LogError, SolverError
-from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
 from idtool.identify import solve
-from idtool.inertia import SIZE, from_mass_com_inertia
 from idtool.learning import Pool, counts, gather, held_out, learn, rms, violation
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Factor, Reduction, empty, merge
-from idtool.robot import read_robot
-from idtool.sets import choose_set
+from idtool.robot.config import read_config
+from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import read_robot
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

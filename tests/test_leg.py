@@ -22,12 +22,12 @@ from commands import SAMPLES, fitted
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
-from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import Fit, fit
-from idtool.inertia import NAMES, from_mass_com_inertia, symmetric
 from idtool.replay import HORIZONS, replay
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.inertia import NAMES, from_mass_com_inertia, symmetric
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from leg_truth import PAPER
 from numpy.typing import NDArray
 from test_sample_logs import EDGE, low_pass, rigid_torque
 
-from idtool.config import read_config
 from idtool.experiment import Experiment, prepare
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import pytest
 from exciting import arm, body, joint, robot
 
 from idtool.common.exceptions import ConfigError
-from idtool.config import parse_config
 from idtool.excitation.limits import Limits, limits_of
-from idtool.model import Model, build_model
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import read_robot
 
 
 def model_of(text: str, tmp_path, *joints: str) -> Model:  # type: ignore[no-untyped-def]

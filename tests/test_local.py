@@ -25,10 +25,14 @@ from synthetic import bounds, synthetic
 
 from idtool.certificate import GAP, violation
 from idtool.common.exceptions import SolverError
-from idtool.config import WEAK, Regularization, read_config
 from idtool.experiment import prepare
 from idtool.identify import solve, solve_locally, stuck_note
-from idtool.inertia import (
+from idtool.local import LOCAL, LogCholesky, Manifold, Residuals, manifold
+from idtool.parts import INTERIOR
+from idtool.prior import LogDet
+from idtool.problem import build_problem
+from idtool.robot.config import WEAK, Regularization, read_config
+from idtool.robot.inertia import (
     POWERS,
     SIZE,
     from_mass_com_inertia,
@@ -36,12 +40,8 @@ from idtool.inertia import (
     pseudo_inertia,
     transformation,
 )
-from idtool.local import LOCAL, LogCholesky, Manifold, Residuals, manifold
-from idtool.parts import INTERIOR
-from idtool.prior import LogDet
-from idtool.problem import build_problem
-from idtool.robot import Robot, read_robot
-from idtool.sets import choose_set
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot, read_robot
 from idtool.weights import free_noise
 
 

@@ -14,12 +14,12 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 from idtool.certificate import GAP, lower_bound
-from idtool.config import Regularization
 from idtool.identify import solve
-from idtool.inequality import least
 from idtool.problem import Problem, build_problem
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inequality import least
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ import trimesh
 from commands import LEG, TRAIN
 
 import idtool
-from idtool.geometry import link_surface
-from idtool.meshes import Mesh, simplified, together
-from idtool.robot import Robot
+from idtool.robot.geometry import link_surface
+from idtool.robot.meshes import Mesh, simplified, together
+from idtool.robot.urdf.reading import Robot
 
 
 def of(solid: trimesh.Trimesh) -> Mesh:

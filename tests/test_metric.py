@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from robots import rotation
 from synthetic import point_parameters, points_in
 
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import BASIS, POWERS, from_pseudo_inertia, pseudo_inertia, transformation
-from idtool.metric import FLOOR, entropic, entropic_gradient, euclidean, nearest_realizable, pullback
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import BASIS, POWERS, from_pseudo_inertia, pseudo_inertia, transformation
+from idtool.robot.metric import FLOOR, entropic, entropic_gradient, euclidean, nearest_realizable, pullback
 
 Array = NDArray[np.float64]
 

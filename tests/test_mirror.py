@@ -12,8 +12,8 @@ from reference import Reference
 from robots import body
 from synthetic import points_in
 
-from idtool.inertia import SIZE
 from idtool.knowledge import with_equal_bounds
+from idtool.robot.inertia import SIZE
 
 Array = NDArray[np.float64]
 

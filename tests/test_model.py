@@ -12,8 +12,8 @@ from robots import actuated, body, chain, joint, link, link_pi, random_urdf
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError, IdtoolError, ModelError
-from idtool.config import parse_config
-from idtool.model import Model, build_model
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model, build_model
 
 Build = Callable[..., Model]
 LEG_JOINTS = ("abad", "hip", "knee")

@@ -13,10 +13,10 @@ import pytest
 from pages import BODY, SCRIPT, Page, body_of
 
 import idtool
-from idtool.inertia import from_mass_com_inertia
 from idtool.pages.base import render
 from idtool.pages.bodies import body_views
-from idtool.shapes import known_shapes
+from idtool.robot.inertia import from_mass_com_inertia
+from idtool.robot.shapes import known_shapes
 
 SHAPES: dict[str, dict[str, Any]] = {
     "box": {"kind": "box", "center": [0, 0, 0], "size": [0.1, 0.2, 0.3], "rpy": [0, 0, 0]},

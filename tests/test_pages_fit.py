@@ -12,13 +12,13 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, complete, with_shapes
 from robots import inertial, link
 
-from idtool.config import parse_config
 from idtool.experiment import prepare
 from idtool.fitting import Fit, fit
 from idtool.logs import make_log, write_log
 from idtool.pages import fit_page, number, with_error
 from idtool.report import fit_report
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,8 @@
 
 Its other facts are tested with the code they are about: Fig. 2, the kinetic energy by both inertia matrices, (21), the
 triangle inequalities and parallel axes (12) in test_inertia.py; Fig. 3's traces, and Thm 4 by four points built without
-`idtool.witness`, in test_ellipsoid.py; every set's definition in test_sets.py; unions (Cor. 2) in test_sets_union.py.
+`idtool.robot.witness`, in test_ellipsoid.py; every set's definition in test_sets.py; unions (Cor. 2) in
+test_sets_union.py.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from numpy.typing import NDArray
 from robots import rotation
 from synthetic import point_parameters, points_in
 
-from idtool.ellipsoid import Ellipsoid
-from idtool.inequality import DENSITY, within
-from idtool.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, spatial_inertia
-from idtool.witness import deviation_ellipsoid, explain, reach, witness
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inequality import DENSITY, within
+from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, spatial_inertia
+from idtool.robot.witness import deviation_ellipsoid, explain, reach, witness
 
 Array = NDArray[np.float64]
 

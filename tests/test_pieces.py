@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from touching import BOX, LOWER, SPHERE, UPPER, Build, arm, checked, solid
 
-from idtool.collision import SelfCollision, unread_geometry
+from idtool.robot.collision import SelfCollision, unread_geometry
 
 Array = NDArray[np.float64]
 Written = Callable[[str, str], Path]

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, random_urdf
 
-from idtool.config import parse_config
 from idtool.effects import build_effects
-from idtool.model import build_model
 from idtool.present import PresentModel
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

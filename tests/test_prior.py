@@ -14,13 +14,13 @@ from robots import random_urdf
 from scipy.optimize import minimize
 from synthetic import Synthetic, bounds, point_parameters, synthetic
 
-from idtool.config import Regularization
 from idtool.identify import identify
-from idtool.inertia import BASIS, SIZE, pseudo_inertia
 from idtool.knowledge import Knowledge
 from idtool.prior import LogDet, log_dets, moved_priors, prior_rows, reference
-from idtool.robot import Robot
-from idtool.sets import constraint_sets
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import BASIS, SIZE, pseudo_inertia
+from idtool.robot.sets import constraint_sets
+from idtool.robot.urdf.reading import Robot
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

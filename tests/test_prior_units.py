@@ -12,12 +12,12 @@ from robots import axis, joint, origin, rotation
 from synthetic import Synthetic, random_states, synthetic
 from units import Frame, bounds_in_frames, bounds_in_units, in_frames, in_units
 
-from idtool.config import Regularization
 from idtool.identify import identify
-from idtool.inertia import POWERS, SIZE, transformation
 from idtool.prior import moved_priors
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import POWERS, SIZE, transformation
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 Robots = Callable[[str], Robot]

@@ -12,15 +12,15 @@ from robots import rotation
 from scipy.optimize import nnls
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
-from idtool.body import Body
 from idtool.effects.rigid_body import length, scales
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import POWERS, from_mass_com_inertia, transformation
-from idtool.metric import nearest_realizable, pullback
 from idtool.prior import reference
 from idtool.projection import Metric, Projection, project
-from idtool.sets import constraint_sets
-from idtool.shapes.box import Box
+from idtool.robot.body import Body
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import POWERS, from_mass_com_inertia, transformation
+from idtool.robot.metric import nearest_realizable, pullback
+from idtool.robot.sets import constraint_sets
+from idtool.robot.shapes.box import Box
 
 Array = NDArray[np.float64]
 

@@ -16,14 +16,14 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 from idtool.common.exceptions import SolverError
-from idtool.config import Regularization
 from idtool.identify import solve
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge, with_equal_bounds
 from idtool.problem import Problem, build_problem
 from idtool.ranges import free_spread, ranges
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 Robots = Callable[[str], Robot]

@@ -12,12 +12,12 @@ import yaml
 from commands import config_with, fitted, validated
 
 from idtool.command_delay import with_delay
-from idtool.config import read_config
 from idtool.experiment import prepare
-from idtool.geometry import link_geometry
-from idtool.inertia import symmetric
 from idtool.problem import weighted_rows
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.geometry import link_geometry
+from idtool.robot.inertia import symmetric
+from idtool.robot.urdf.reading import read_robot
 from idtool.validation import evaluate
 
 ROOT = Path(__file__).parents[1]

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, point_parameters, synthetic
 
-from idtool.ellipsoid import Ellipsoid
 from idtool.identify import identify, solve
-from idtool.inertia import POWERS
 from idtool.recursive import RecursiveFit, units
-from idtool.robot import Robot
-from idtool.sets import choose_set
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import POWERS
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 Made = Callable[..., Synthetic]

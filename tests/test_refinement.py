@@ -14,16 +14,16 @@ from optima import agreed_optimum
 from robots import random_urdf
 from synthetic import bounds, synthetic
 
-from idtool.config import Regularization, read_config
 from idtool.conic import Solution, solve_conic
 from idtool.experiment import Experiment, prepare
 from idtool.identify import ENOUGH, solve, solve_with_backend, unfinished_note
-from idtool.inertia import SIZE
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.refinement import refine
-from idtool.robot import Robot, read_robot
-from idtool.sets import choose_set
+from idtool.robot.config import Regularization, read_config
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import Robot, read_robot
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, leg_urdf, random_rotors, random_urdf
 
-from idtool.config import parse_config
 from idtool.effects import Coefficient, Effect, RigidBodies, build_effects
 from idtool.mechanism import Mechanism
-from idtool.model import Model, build_model
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Batch, LowPass, Motion
 
 Array = NDArray[np.float64]

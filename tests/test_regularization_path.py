@@ -17,18 +17,18 @@ from synthetic import Synthetic, bounds, synthetic
 
 import idtool
 from idtool.blocks import Blocks
-from idtool.config import WEAK, Config, Regularization, parse_config
 from idtool.effects import build_effects
 from idtool.identified import choose_sets
 from idtool.identify import identify
-from idtool.inertia import SIZE
-from idtool.model import build_model
 from idtool.prior_bodies import placeholder_reasons, polyhedron_moments
 from idtool.regressor import LinearModel
 from idtool.regularization_path import WEIGHTS, RegularizationPath, _largest_accepted, regularization_path
-from idtool.robot import Robot, parse_robot
-from idtool.shapes.box import Box
-from idtool.shapes.cylinder import Cylinder
+from idtool.robot.config import WEAK, Config, Regularization, parse_config
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import build_model
+from idtool.robot.shapes.box import Box
+from idtool.robot.shapes.cylinder import Cylinder
+from idtool.robot.urdf.reading import Robot, parse_robot
 from idtool.weights import free_noise
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -14,9 +14,9 @@ from synthetic import Synthetic, point_parameters, synthetic
 
 from idtool.base import BaseParameters, structural_base
 from idtool.blocks import Blocks, together
-from idtool.inertia import SIZE
 from idtool.reduction import Factor, Reduction
-from idtool.robot import Robot
+from idtool.robot.inertia import SIZE
+from idtool.robot.urdf.reading import Robot
 from idtool.trust.repeatability import Repeatability, repeatability
 
 Array = NDArray[np.float64]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from robots import chain, link
 
 from idtool import replay as module
-from idtool.config import parse_config
 from idtool.experiment import Experiment, prepare
 from idtool.logs import make_log, write_log
 from idtool.replay import HORIZONS, Departure, Replay, replay
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.signals import Signals
 from idtool.simulation import Simulated
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from synthetic import point_parameters
 
-from idtool.config import read_config
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, symmetric
-from idtool.shapes import known_shapes
+from idtool.robot.config import read_config
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, symmetric
+from idtool.robot.shapes import known_shapes
 
 Array = NDArray[np.float64]
 

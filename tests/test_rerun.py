@@ -11,10 +11,10 @@ import pytest
 from commands import LEG, VALIDATE_CSV, idtool
 from numpy.typing import NDArray
 
-from idtool.ellipsoid import Ellipsoid
 from idtool.envelope import Trace
 from idtool.rerun_recording import Take, rerun_recording, take
-from idtool.robot import read_robot
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.urdf.reading import read_robot
 
 pytest.importorskip("rerun", reason="rerun is an extra: `make test-rerun` installs it")
 

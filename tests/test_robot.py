@@ -12,7 +12,7 @@ from robots import chain, inertial, joint, link
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ModelError
-from idtool.robot import Robot, read_robot
+from idtool.robot.urdf.reading import Robot, read_robot
 
 Read = Callable[[str | bytes], Robot]
 

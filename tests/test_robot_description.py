@@ -17,10 +17,10 @@ from robots import chain, link
 
 from idtool.common.exceptions import LogError, ModelError
 from idtool.description import robot_and_logs
-from idtool.geometry import link_geometry
 from idtool.logs import read_log
 from idtool.logs.payloads import text_decoder_for
-from idtool.robot import read_robot
+from idtool.robot.geometry import link_geometry
+from idtool.robot.urdf.reading import read_robot
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "json", "bare json", "protobuf"])
@@ -144,7 +144,7 @@ def test_two_bags_of_different_robots(tmp_path: Path) -> None:
 
 
 def test_a_description_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.robot._MOST_BYTES", 1 << 10)
+    monkeypatch.setattr("idtool.robot.urdf.reading._MOST_BYTES", 1 << 10)
     with pytest.raises(ModelError, match="is larger than"):
         robot_and_logs(recorded(tmp_path, described(TEXT)), [])
 

@@ -11,9 +11,9 @@ from commands import LEG, refuse
 from descriptions import TEXT, same
 
 from idtool.common.exceptions import IdtoolError
-from idtool.inertia import from_mass_com_inertia
-from idtool.robot import Robot, read_robot
-from idtool.urdf import JointDynamics, rewrite
+from idtool.robot.inertia import from_mass_com_inertia
+from idtool.robot.urdf.reading import Robot, read_robot
+from idtool.robot.urdf.writing import JointDynamics, rewrite
 
 XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 BANNER = """\

@@ -11,8 +11,8 @@ from robots import body, chain, link, link_pi
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError
-from idtool.inertia import from_mass_com_inertia, transformation
-from idtool.model import Frame, Model
+from idtool.robot.inertia import from_mass_com_inertia, transformation
+from idtool.robot.model import Frame, Model
 
 Build = Callable[..., Model]
 LEG_JOINTS = ("abad", "hip", "knee")

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool.config import parse_config
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Candidate, Diagnosis
 from idtool.diagnosis.words import superseded
 from idtool.experiment import prepare
-from idtool.robot import read_robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,6 @@ from imposed import Stacked, imposed, silent, stacked, with_noise, with_torque
 from numpy.typing import NDArray
 from spatial_arm import experiment, written
 
-from idtool.config import EffectEntry, parse_config
 from idtool.diagnosis import screen
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import Found, screened
@@ -23,7 +22,8 @@ from idtool.effects.probe import Columns, Probe
 from idtool.effects.survey import Present
 from idtool.experiment import prepare
 from idtool.present import PresentModel
-from idtool.robot import read_robot
+from idtool.robot.config import EffectEntry, parse_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

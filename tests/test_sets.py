@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from robots import rotation
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
-from idtool.body import Body
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import POWERS, from_mass_com_inertia, mass_com_inertia
-from idtool.sets import choose_set, constraint_sets
-from idtool.shapes.box import Box
+from idtool.robot.body import Body
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import POWERS, from_mass_com_inertia, mass_com_inertia
+from idtool.robot.sets import choose_set, constraint_sets
+from idtool.robot.shapes.box import Box
 
 Array = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ from robots import random_urdf
 from scipy.optimize import nnls
 from synthetic import Synthetic, bounded_body, bounds, point_parameters, random_ellipsoid, synthetic
 
-from idtool.body import Body
-from idtool.config import Regularization
-from idtool.ellipsoid import Ellipsoid
 from idtool.identify import identify
-from idtool.inequality import Piece
-from idtool.inertia import SIZE, from_mass_com_inertia
-from idtool.robot import Robot
-from idtool.sets import constraint_sets
-from idtool.shapes import Shape
-from idtool.shapes.box import Box
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inequality import Piece
+from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.sets import constraint_sets
+from idtool.robot.shapes import Shape
+from idtool.robot.shapes.box import Box
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from robots import rotation
 from synthetic import bounded_body, point_parameters, points_in
 
-from idtool.ellipsoid import Ellipsoid
-from idtool.inequality import Piece
-from idtool.sets import constraint_sets
-from idtool.shapes import Shape
-from idtool.shapes.box import Box
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inequality import Piece
+from idtool.robot.sets import constraint_sets
+from idtool.robot.shapes import Shape
+from idtool.robot.shapes.box import Box
 
 Array = NDArray[np.float64]
 

@@ -27,12 +27,12 @@ from solids import (
     seeds,
 )
 
-from idtool.ellipsoid import Ellipsoid, smallest_around
-from idtool.inertia import BASIS, POWERS, from_mass_com_inertia, from_pseudo_inertia, transformation
-from idtool.shapes import Hull, Shape, known_shapes
-from idtool.shapes.box import Box
-from idtool.shapes.capsule import Capsule
-from idtool.shapes.cylinder import Cylinder
+from idtool.robot.ellipsoid import Ellipsoid, smallest_around
+from idtool.robot.inertia import BASIS, POWERS, from_mass_com_inertia, from_pseudo_inertia, transformation
+from idtool.robot.shapes import Hull, Shape, known_shapes
+from idtool.robot.shapes.box import Box
+from idtool.robot.shapes.capsule import Capsule
+from idtool.robot.shapes.cylinder import Cylinder
 
 # --- what a density inside has ---
 

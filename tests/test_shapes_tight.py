@@ -17,11 +17,11 @@ from solids import (
     on_ball,
 )
 
-from idtool.inertia import from_mass_com_inertia
-from idtool.shapes import Hull, Shape
-from idtool.shapes.box import Box
-from idtool.shapes.capsule import Capsule
-from idtool.shapes.cylinder import Cylinder
+from idtool.robot.inertia import from_mass_com_inertia
+from idtool.robot.shapes import Hull, Shape
+from idtool.robot.shapes.box import Box
+from idtool.robot.shapes.capsule import Capsule
+from idtool.robot.shapes.cylinder import Cylinder
 
 
 def form(W: Array, x: Array) -> Array:

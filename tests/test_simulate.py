@@ -19,10 +19,10 @@ from scipy.signal import lsim
 from stick_slip import StickSlip
 
 from idtool.common.exceptions import ModelError
-from idtool.config import parse_config
 from idtool.logs.log import Log, make_log
 from idtool.mechanism import Mechanism
-from idtool.robot import Robot
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Signals
 from idtool.simulation import Simulated, simulate
 from idtool.windows import measured_states, windows_of

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from idtool.mechanism import Mechanism
-from idtool.robot import Robot
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

@@ -20,7 +20,7 @@ from stick_slip import StickSlip
 from idtool.effects.stribeck import StribeckFriction
 from idtool.integrate import Rollouts
 from idtool.mechanism import Mechanism
-from idtool.robot import Robot
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

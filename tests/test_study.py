@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from idtool import study as module
 from idtool.certificate import GAP
 from idtool.common.exceptions import ConfigError
-from idtool.config import WEAK, parse_config, read_config
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import fit
-from idtool.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
-from idtool.robot import read_robot
+from idtool.robot.config import WEAK, parse_config, read_config
+from idtool.robot.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
+from idtool.robot.urdf.reading import read_robot
 from idtool.study import Study, study
 from idtool.study_report import study_report
 

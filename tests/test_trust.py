@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from idtool.blocks import together
-from idtool.config import WEAK, read_config
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import Fit, fit
 from idtool.identified import identified
 from idtool.logs import Log, make_log, read_log, write_log
 from idtool.reduction import Factor
-from idtool.robot import read_robot
+from idtool.robot.config import WEAK, read_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.trust import Trust, trust
 from idtool.trust.scatter import Scatter, scatter
 from idtool.uncertainty import Uncertainty, uncertainty

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool.config import read_config
 from idtool.experiment import prepare
 from idtool.fitting import fit
 from idtool.report import fit_report
-from idtool.robot import read_robot
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
 from idtool.trust import Trust, scatter
 from idtool.uncertainty import Directions, Uncertainty
 

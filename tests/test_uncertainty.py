@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from robots import chain, joint, random_urdf
 from synthetic import synthetic
 
-from idtool.config import Regularization, parse_config
 from idtool.effects import build_effects
 from idtool.filters import LowPass
 from idtool.identify import identify
-from idtool.inertia import NAMES
-from idtool.model import Model
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
-from idtool.robot import Robot
-from idtool.sets import constraint_sets
+from idtool.robot.config import Regularization, parse_config
+from idtool.robot.inertia import NAMES
+from idtool.robot.model import Model
+from idtool.robot.sets import constraint_sets
+from idtool.robot.urdf.reading import Robot
 from idtool.signals import Batch, Motion
 from idtool.uncertainty import uncertainty
 

@@ -10,12 +10,12 @@ import pytest
 from robots import actuated, body, link_pi, random_urdf
 from synthetic import true_body
 
-from idtool.body import Body
-from idtool.config import Config
-from idtool.inertia import DIGITS, from_mass_com_inertia, pseudo_inertia
-from idtool.model import Model, build_model
-from idtool.robot import Robot
-from idtool.urdf import JointDynamics, identified_urdf, link_parameters, rewrite
+from idtool.robot.body import Body
+from idtool.robot.config import Config
+from idtool.robot.inertia import DIGITS, from_mass_com_inertia, pseudo_inertia
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
+from idtool.robot.urdf.writing import JointDynamics, identified_urdf, link_parameters, rewrite
 
 Build = Callable[..., Model]
 

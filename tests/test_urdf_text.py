@@ -11,9 +11,9 @@ import pytest
 from lxml import etree
 from numpy.typing import NDArray
 
-from idtool.inertia import from_mass_com_inertia
-from idtool.robot import Robot
-from idtool.urdf import JointDynamics, moved, rewrite
+from idtool.robot.inertia import from_mass_com_inertia
+from idtool.robot.urdf.reading import Robot
+from idtool.robot.urdf.writing import JointDynamics, moved, rewrite
 
 Array = NDArray[np.float64]
 

@@ -14,15 +14,15 @@ from scipy.spatial.transform import Rotation
 from solids import inside, random_shape
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
-from idtool.body import Body
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import POWERS, from_mass_com_inertia, pseudo_inertia
 from idtool.projection import Metric, project
-from idtool.sets import choose_set
-from idtool.shapes import Hull
-from idtool.shapes.box import Box
-from idtool.shapes.capsule import Capsule
-from idtool.shapes.cylinder import Cylinder
+from idtool.robot.body import Body
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import POWERS, from_mass_com_inertia, pseudo_inertia
+from idtool.robot.sets import choose_set
+from idtool.robot.shapes import Hull
+from idtool.robot.shapes.box import Box
+from idtool.robot.shapes.capsule import Capsule
+from idtool.robot.shapes.cylinder import Cylinder
 from idtool.verdict import Verdict, judge
 
 Array = NDArray[np.float64]

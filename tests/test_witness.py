@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from robots import rotation
 from synthetic import point_parameters, points_in
 
-from idtool.ellipsoid import Ellipsoid
-from idtool.inequality import DENSITY, within
-from idtool.inertia import POWERS, from_mass_com_inertia, from_pseudo_inertia, pseudo_inertia, transformation
-from idtool.witness import deviation_ellipsoid, explain, reach, violations, witness
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inequality import DENSITY, within
+from idtool.robot.inertia import POWERS, from_mass_com_inertia, from_pseudo_inertia, pseudo_inertia, transformation
+from idtool.robot.witness import deviation_ellipsoid, explain, reach, violations, witness
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from commands import LEG, TRAIN, config_with, fitted
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idtool.config import read_config
 from idtool.effects.rigid_body import length
-from idtool.inertia import (
+from idtool.robot.config import read_config
+from idtool.robot.inertia import (
     DIGITS,
     POWERS,
     from_mass_com_inertia,
@@ -24,9 +24,9 @@ from idtool.inertia import (
     rounded,
     rounded_inertial,
 )
-from idtool.model import build_model
-from idtool.robot import read_robot
-from idtool.sets import choose_set
+from idtool.robot.model import build_model
+from idtool.robot.sets import choose_set
+from idtool.robot.urdf.reading import read_robot
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from robots import joint
 
-from idtool.collision import SelfCollision
-from idtool.model import Model
+from idtool.robot.collision import SelfCollision
+from idtool.robot.model import Model
 
 Build = Callable[..., Model]
 

@@ -10,7 +10,7 @@ from lxml import etree
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.ellipsoid import Ellipsoid
+from idtool.robot.ellipsoid import Ellipsoid
 
 Array = NDArray[np.float64]
 Frame = tuple[Array, Array]  # rotation (3, 3) and place (3,): where it sits in another

@@ -9,7 +9,7 @@ from idtool.common.names import nearest, shown
 from idtool.effects import known_effects
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.link_effect import LinkEffect
-from idtool.model import Model
+from idtool.robot.model import Model
 
 Assumed = tuple[str, str | None]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from idtool.api.records import Array, ReadOnly, frozen, vector
-from idtool.inertia import symmetric
+from idtool.robot.inertia import symmetric
 
 Errors = ReadOnly[float]
 

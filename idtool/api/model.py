@@ -13,15 +13,15 @@ from idtool.api.log import Log
 from idtool.api.records import ReadOnly
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import some, stem
-from idtool.config import Config, parse_config, read_config
 from idtool.description import robot_and_logs
 from idtool.fitting import Fit
 from idtool.logs import read_log
-from idtool.model import Model as Tree
-from idtool.model import build_model
 from idtool.report import joint_dynamics, model_config
-from idtool.robot import Robot, parse_robot
-from idtool.urdf import identified_urdf, moved
+from idtool.robot.config import Config, parse_config, read_config
+from idtool.robot.model import Model as Tree
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import Robot, parse_robot
+from idtool.robot.urdf.writing import identified_urdf, moved
 
 Source = str | os.PathLike[str]
 IDENTIFIED, SETTINGS = "identified.urdf", "model.yaml"  # what fit and diagnose write

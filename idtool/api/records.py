@@ -16,7 +16,7 @@ from idtool.common.outputs import as_json, write_all
 
 if TYPE_CHECKING:
     from idtool.envelope import Trace
-    from idtool.model import Model as RobotModel
+    from idtool.robot.model import Model as RobotModel
 
     Recorded = tuple[
         RobotModel, Sequence[Sequence[Trace]], str

@@ -17,11 +17,11 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import LOG_ENDINGS, OutputError, as_json, check_log
-from idtool.config import Config
 from idtool.experiment import Experiment
 from idtool.logs import write_log
-from idtool.model import Model as RobotModel
 from idtool.report import HEADER
+from idtool.robot.config import Config
+from idtool.robot.model import Model as RobotModel
 from idtool.simulated_log import SimulatedLog, as_command, as_logged, simulated_log, under_controller
 from idtool.simulation_report import POSITION_UNITS
 

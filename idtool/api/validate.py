@@ -16,9 +16,9 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json
 from idtool.experiment import Experiment, coefficients_of, sources_of
-from idtool.model import Model as RobotModel
 from idtool.replay import Replay, replay
 from idtool.report import validation_report
+from idtool.robot.model import Model as RobotModel
 from idtool.simulation_report import simulation_notes, simulation_report
 from idtool.validation import Evaluation, evaluate
 

@@ -12,8 +12,8 @@ from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgume
 from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
-    from idtool.config import Config
-    from idtool.robot import Robot
+    from idtool.robot.config import Config
+    from idtool.robot.urdf.reading import Robot
     from idtool.terminal import Terminal
 
 
@@ -62,9 +62,9 @@ def ellipsoids_command(
 
 def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) -> None:
     """Bounding ellipsoids as YAML."""
-    from idtool.bounding import as_config, bounding_ellipsoids
     from idtool.common.outputs import as_yaml, write_all
     from idtool.report import HEADER
+    from idtool.robot.bounding import as_config, bounding_ellipsoids
 
     found, reasons = bounding_ellipsoids(robot, margin)
     notes = [f"link {link}: no ellipsoid; {why}" for link, why in reasons.items()]

@@ -169,8 +169,8 @@ def _task(
     from idtool.excitation.task import make_task
     from idtool.experiment import prepare
     from idtool.knowledge import knowledge
-    from idtool.model import build_model
     from idtool.regressor import LinearModel
+    from idtool.robot.model import build_model
     from idtool.weights import free_noise
 
     robot, settings, measured = given.robot, given.settings, dict[str, float]()

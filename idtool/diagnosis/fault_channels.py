@@ -22,7 +22,7 @@ from idtool.diagnosis.fault_fit import EXPLAINED, Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_trials import Trial, torque_order, trials
 from idtool.experiment import Progress
-from idtool.robot import Joint
+from idtool.robot.urdf.reading import Joint
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

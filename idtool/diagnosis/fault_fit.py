@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import SolverError
-from idtool.config import WEAK, Config, EffectEntry
 from idtool.effects import build_effects
 from idtool.experiment import Experiment
 from idtool.identify import identify
 from idtool.reduction import Factor
 from idtool.regressor import LinearModel
-from idtool.sets import choose_set
+from idtool.robot.config import WEAK, Config, EffectEntry
+from idtool.robot.sets import choose_set
 from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]

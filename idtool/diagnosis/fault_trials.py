@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from idtool.common.names import some
 from idtool.diagnosis.fault_fit import Change
 from idtool.diagnosis.fault_record import Fault
-from idtool.robot import Joint
+from idtool.robot.urdf.reading import Joint
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import EffectEntry
 from idtool.diagnosis.faults import Fault
 from idtool.fitting import Fit
+from idtool.robot.config import EffectEntry
 
 Array = NDArray[np.float64]
 

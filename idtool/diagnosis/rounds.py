@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.config import EffectEntry
 from idtool.diagnosis.contest import WORTH, Choice, Contender, Place, candidate, is_answer, place_of, saved, worthwhile
 from idtool.diagnosis.ground import ground
 from idtool.diagnosis.records import Candidate
@@ -24,6 +23,7 @@ from idtool.diagnosis.words import superseded
 from idtool.effects import known_effects
 from idtool.effects.time_delay import WITHIN, TimeDelay
 from idtool.experiment import Experiment, Progress
+from idtool.robot.config import EffectEntry
 
 APART = 0.04  # s from reversals
 _MORE = 4.0  # times the information, that a joint must show away from reversals: standard errors are halved

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import IdtoolError
-from idtool.config import EffectEntry, Regularization
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
@@ -23,10 +22,11 @@ from idtool.effects.joint_effect import JointEffect
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present
 from idtool.experiment import Experiment, Progress
-from idtool.inertia import SIZE
 from idtool.knowledge import Fact, knowledge
 from idtool.present import PresentModel
 from idtool.regressor import LinearModel
+from idtool.robot.config import EffectEntry, Regularization
+from idtool.robot.inertia import SIZE
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

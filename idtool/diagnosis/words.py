@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from idtool.config import EffectEntry
 from idtool.diagnosis.records import Candidate, Level, Step
 from idtool.effects import known_effects
 from idtool.effects.payload import Payload
-from idtool.model import Model
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import Model
 
 _SHOWN = 4  # parameters in a sentence
 

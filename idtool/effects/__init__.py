@@ -9,13 +9,13 @@ from functools import cache
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.config import Config, EffectEntry, Friction, Uncertain
 from idtool.effects.base import Coefficient, Effect
 from idtool.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.named import NamedEffect, place, plain
 from idtool.effects.rigid_body import RigidBodies
-from idtool.model import Model
+from idtool.robot.config import Config, EffectEntry, Friction, Uncertain
+from idtool.robot.model import Model
 
 __all__ = [
     "Coefficient",

@@ -16,7 +16,7 @@ from idtool.effects.joint_elasticity import MOTOR_FRICTION
 from idtool.effects.probe import spread
 from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Gear, Mechanism
-from idtool.model import Model
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

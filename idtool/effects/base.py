@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from idtool.effects.survey import Present
 from idtool.mechanism import Mechanism
-from idtool.model import Model
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.body import Frame
 from idtool.common.exceptions import ConfigError
-from idtool.config import EffectEntry
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import place, rows, vector
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.kinematics import cross
 from idtool.mechanism import Mechanism
-from idtool.model import Model
+from idtool.robot.body import Frame
+from idtool.robot.config import EffectEntry
+from idtool.robot.kinematics import cross
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from idtool.effects.joint_effect import Held
 from idtool.effects.loaded_term import LoadedTerm
 from idtool.effects.survey import Survey
-from idtool.model import Model
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.survey import Survey
 from idtool.mechanism import Mechanism
-from idtool.model import Model
-from idtool.robot import Joint
+from idtool.robot.model import Model
+from idtool.robot.urdf.reading import Joint
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -9,13 +9,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.config import EffectEntry
 from idtool.effects.base import Coefficient
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.named import NamedEffect, Value
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.model import Model
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

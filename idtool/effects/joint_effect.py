@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import shown
-from idtool.config import EffectEntry
 from idtool.effects.named import NamedEffect, Value, check_names, joint_index, number, place
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Survey
-from idtool.model import Model
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
 from idtool.effects.survey import Present, Survey
 from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate
-from idtool.inertia import symmetric
 from idtool.mechanism import Gear, Mechanism
-from idtool.model import Model
+from idtool.robot.inertia import symmetric
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -9,13 +9,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Frame
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.config import EffectEntry
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, place
-from idtool.model import Model
+from idtool.robot.body import Frame
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 

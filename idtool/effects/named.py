@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown, some
-from idtool.config import EffectEntry, Uncertain
 from idtool.effects.base import Effect
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Survey
-from idtool.model import Model
+from idtool.robot.config import EffectEntry, Uncertain
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 Value = tuple[float, float | None]  # and its standard error; None: not known

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from idtool.body import Frame
 from idtool.common.exceptions import ConfigError
-from idtool.config import EffectEntry
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import number, place, vector
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.inertia import (
+from idtool.mechanism import Mechanism
+from idtool.robot.body import Frame
+from idtool.robot.config import EffectEntry
+from idtool.robot.inertia import (
     SIZE,
     from_mass_com_inertia,
     from_pseudo_inertia,
@@ -27,9 +28,8 @@ from idtool.inertia import (
     symmetric,
     transformation,
 )
-from idtool.kinematics import body_motions, cross
-from idtool.mechanism import Mechanism
-from idtool.model import Model
+from idtool.robot.kinematics import body_motions, cross
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.effects.base import Coefficient, Effect
-from idtool.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
-from idtool.kinematics import BodyMotion, body_motions, cross
 from idtool.mechanism import Mechanism
-from idtool.model import Model
+from idtool.robot.body import Body
+from idtool.robot.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
+from idtool.robot.kinematics import BodyMotion, body_motions, cross
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

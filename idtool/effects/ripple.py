@@ -12,7 +12,7 @@ from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm, JointTerms
 from idtool.effects.named import Value
 from idtool.effects.survey import Survey
-from idtool.model import Model
+from idtool.robot.model import Model
 from idtool.signals import Motion
 
 Array = NDArray[np.float64]

@@ -18,7 +18,6 @@ from scipy.optimize import minimize
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
-from idtool.config import Config
 from idtool.excitation.criteria import CRITERIA, Errors, expected_errors
 from idtool.excitation.feasible import collisions, feasible, home_of, largest_use, nearest_links
 from idtool.excitation.objective import Objective
@@ -27,6 +26,7 @@ from idtool.excitation.task import Task
 from idtool.experiment import Progress
 from idtool.logs import Log, make_log
 from idtool.reduction import Reduction, empty, reduce_blocks
+from idtool.robot.config import Config
 from idtool.signals import Signals, default_cutoff
 
 Array = NDArray[np.float64]

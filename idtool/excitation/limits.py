@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
-from idtool.config import Config
-from idtool.config.limits import JointLimits
-from idtool.model import Model
-from idtool.robot import Joint
+from idtool.robot.config import Config
+from idtool.robot.config.limits import JointLimits
+from idtool.robot.model import Model
+from idtool.robot.urdf.reading import Joint
 
 Array = NDArray[np.float64]
 

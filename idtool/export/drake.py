@@ -20,9 +20,9 @@ from idtool.export.identified import NOTHING, Identified
 from idtool.export.rotors import Rotor, rotors_of
 from idtool.export.spans import Span, edited, quoted, root_span, value_place
 from idtool.export.transmissions import transmissions
-from idtool.inertia import SIZE
-from idtool.robot import Joint
-from idtool.urdf import JointDynamics, rewrite
+from idtool.robot.inertia import SIZE
+from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.writing import JointDynamics, rewrite
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ModelError
-from idtool.inertia import mass_com_inertia
-from idtool.robot import Robot
+from idtool.robot.inertia import mass_com_inertia
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

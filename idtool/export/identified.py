@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ModelError
-from idtool.config import Config, read_config
 from idtool.effects import NamedEffect, RigidBodies, build_effects
 from idtool.export.base import Part
 from idtool.mechanism import Mechanism
-from idtool.model import Model, build_model
 from idtool.regressor import LinearModel
-from idtool.robot import Joint, Robot, read_robot
+from idtool.robot.config import Config, read_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Joint, Robot, read_robot
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from idtool.export.base import Part
 from idtool.export.motors import add_motor
 from idtool.export.primitives import primitives
 from idtool.export.scene import Scene, quaternion, text
-from idtool.robot import Joint
+from idtool.robot.urdf.reading import Joint
 
 Array = NDArray[np.float64]
 

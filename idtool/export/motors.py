@@ -8,7 +8,7 @@ from lxml import etree
 
 from idtool.export.joints import JointForces
 from idtool.export.scene import Scene, text
-from idtool.robot import Joint
+from idtool.robot.urdf.reading import Joint
 
 _FAR = 1e10  # rad or m: beyond what a joint reaches
 

@@ -12,7 +12,7 @@ from idtool.export.primitives import GROUPS
 from idtool.export.rotors import rotors_of
 from idtool.export.scene import Scene, comment, text
 from idtool.export.spinning import add_body, lacking, reflect
-from idtool.robot import parse_xml
+from idtool.robot.urdf.reading import parse_xml
 
 FILE = "mujoco.xml"
 

@@ -10,7 +10,7 @@ from lxml import etree
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.robot import Robot, parse_xml
+from idtool.robot.urdf.reading import Robot, parse_xml
 
 Array = NDArray[np.float64]
 

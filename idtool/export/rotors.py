@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.body import Body
 from idtool.export.base import Part
 from idtool.export.existence import refused
 from idtool.export.identified import Identified
-from idtool.inertia import six, symmetric, transformation
-from idtool.kinematics import body_motions
+from idtool.robot.body import Body
+from idtool.robot.inertia import six, symmetric, transformation
+from idtool.robot.kinematics import body_motions
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from idtool.export.base import Part
 from idtool.export.existence import can_exist, refused, slack
 from idtool.export.identified import Identified
 from idtool.export.joints import Forces
-from idtool.inertia import SIZE, mass_com_inertia, six
+from idtool.robot.inertia import SIZE, mass_com_inertia, six
 
 Array = NDArray[np.float64]
 

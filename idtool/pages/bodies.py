@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.inertia import SIZE
-from idtool.model import Model
-from idtool.witness import deviation_ellipsoid, explain
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import Model
+from idtool.robot.witness import deviation_ellipsoid, explain
 
 Array = NDArray[np.float64]
 

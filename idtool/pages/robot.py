@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.body import Body, Frame
 from idtool.envelope import Trace
-from idtool.geometry import link_surface
-from idtool.kinematics import body_places
-from idtool.meshes import Mesh, simplified, together
-from idtool.model import Model
 from idtool.pages.base import Sections
-from idtool.robot import Robot
+from idtool.robot.body import Body, Frame
+from idtool.robot.geometry import link_surface
+from idtool.robot.kinematics import body_places
+from idtool.robot.meshes import Mesh, simplified, together
+from idtool.robot.model import Model
+from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
 

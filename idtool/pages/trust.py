@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from idtool.inertia import NAMES
 from idtool.pages.base import Sections
 from idtool.pages.figures import number, with_error
+from idtool.robot.inertia import NAMES
 from idtool.trust_report import PULLED
 
 RESTS = ("What each number rests on", "trust.html")

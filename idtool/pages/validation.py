@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.model import Model
 from idtool.pages.base import render
 from idtool.pages.bodies import bodies_of, body_views
 from idtool.pages.curves import curves
@@ -16,6 +15,7 @@ from idtool.pages.figures import by_unit
 from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.replay import Replay
+from idtool.robot.model import Model
 from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError, SolverError
-from idtool.config import Config
 from idtool.effects import build_effects
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.identified import choose_sets
@@ -24,6 +23,7 @@ from idtool.prior_bodies import prior_bodies
 from idtool.reduction import Factor, Reduction, empty, merge
 from idtool.regressor import LinearModel
 from idtool.regularization_path import assumed_weight
+from idtool.robot.config import Config
 
 Array = NDArray[np.float64]
 

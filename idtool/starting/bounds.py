@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from idtool.body import Body
-from idtool.bounding import as_config, bounding_ellipsoids
-from idtool.ellipsoid import Ellipsoid
-from idtool.inertia import mass_com_inertia
-from idtool.model import Model
-from idtool.robot import Robot
+from idtool.robot.body import Body
+from idtool.robot.bounding import as_config, bounding_ellipsoids
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import mass_com_inertia
+from idtool.robot.model import Model
+from idtool.robot.urdf.reading import Robot
 
 _DIGITS = 4  # of a length in m
 

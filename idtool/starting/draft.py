@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from idtool.config import Config
-from idtool.robot import Robot
+from idtool.robot.config import Config
+from idtool.robot.urdf.reading import Robot
 from idtool.starting.bounds import Bounds
 from idtool.starting.recorded import Recorded
 from idtool.starting.trials import Found

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.inertia import mass_com_inertia
-from idtool.robot import Joint, Robot, parse_xml
+from idtool.robot.inertia import mass_com_inertia
+from idtool.robot.urdf.reading import Joint, Robot, parse_xml
 
 _RATIOS = ("mechanicalReduction", "mechanical_reduction")  # of ROS 1, and of ros2_control
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import some
-from idtool.config import Config
+from idtool.robot.config import Config
 from idtool.starting.draft import Draft
 from idtool.starting.records import Section, Trial
 from idtool.starting.seen import MOST

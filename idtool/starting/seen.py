@@ -13,13 +13,13 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
-from idtool.config import Config
 from idtool.experiment import Progress
 from idtool.inspection import Inspection, inspect_log
 from idtool.inspection.records import Joint
 from idtool.logs import Log, read_log
 from idtool.logs.choices import state_topics
-from idtool.robot import Robot
+from idtool.robot.config import Config
+from idtool.robot.urdf.reading import Robot
 
 MOST = 200_000  # samples of a log that trials look at: more tell them nothing new
 

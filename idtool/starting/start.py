@@ -9,10 +9,10 @@ from typing import Any
 
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import shown, some
-from idtool.config import parse_config
 from idtool.experiment import Progress
-from idtool.model import Model, build_model
-from idtool.robot import Robot
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
 from idtool.starting import sections, terms
 from idtool.starting.bounds import find_bounds, search_paths
 from idtool.starting.draft import Draft

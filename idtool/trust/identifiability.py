@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from idtool.base import BaseParameters, structural_base
 from idtool.effects.base import Coefficient
 from idtool.identify import Estimate
-from idtool.inertia import SIZE
 from idtool.knowledge import Knowledge
-from idtool.model import Model
 from idtool.problem import Problem
 from idtool.ranges import free_spread, ranges
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import Model
 from idtool.uncertainty import Uncertainty, weighed
 
 Array = NDArray[np.float64]

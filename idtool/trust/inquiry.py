@@ -13,7 +13,7 @@ from idtool.blocks import Blocks
 from idtool.common.names import some
 from idtool.experiment import Experiment, Progress
 from idtool.identified import Identified
-from idtool.inertia import SIZE
+from idtool.robot.inertia import SIZE
 from idtool.trust.bias import BiasCheck, bias_check, estimates
 from idtool.trust.identifiability import Identifiability, identifiability
 from idtool.trust.prediction import Prediction, prediction

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.excitation.limits import Limits
-from idtool.model import Model
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest
 from idtool.excitation.patterns.base import Pattern, Samples, Setting, step
-from idtool.inertia import mass_com_inertia
-from idtool.model import Model
+from idtool.robot.inertia import mass_com_inertia
+from idtool.robot.model import Model
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,113 @@
+"""Bodies and their places: what a `Model` is made of.
+
+Letters: q joint coordinates (nv,) [rad or m], pi inertia parameters (10,), R (3, 3) and p (3,) [m] a frame's place in
+another, phi a body's own coordinate [rad or m].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import transformation
+from idtool.robot.shapes import Shape
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A place: rotation R (3, 3) and position p (3,) [m] in a body's frame; body −1 is the root link."""
+
+    body: int
+    R: Array
+    p: Array
+
+    def then(self, R: Array, p: Array) -> Frame:
+        """The frame that sits at R, p in this one."""
+        return Frame(self.body, self.R @ R, self.p + self.R @ p)
+
+    def of(self, ellipsoid: Ellipsoid) -> Ellipsoid:
+        """An ellipsoid that is given in this frame, in the body's."""
+        center = self.p + self.R @ ellipsoid.center
+        return Ellipsoid.along(center, ellipsoid.semi_axes, self.R @ ellipsoid.rotation)
+
+
+@dataclass(frozen=True)
+class Member:
+    """A URDF link that is part of a body: its own parameters (10,) and where it sits in the body's frame."""
+
+    link: str
+    pi: Array
+    frame: Frame
+
+    @property
+    def pi_in_body(self) -> Array:
+        """Its parameters in the body's frame, shape (10,)."""
+        return transformation(self.frame.R, self.frame.p) @ self.pi
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body and how it moves.
+
+    Attributes
+    ----------
+    name
+        The carrying link's name, or the rotor's.
+    kind
+        Link or rotor.
+    pi
+        Prior inertia parameters in the body's frame, all members together, shape (10,).
+    ellipsoids
+        Bounding ellipsoids in the body's frame; several are their union, none is no bound.
+    shapes
+        Other bounding shapes in the body's frame, part of the same union.
+    com
+        Centre of mass in the body's frame where it is known otherwise [m].
+    mount
+        The body's frame, at phi = 0, in its parent's.
+    axis
+        Unit vector of the motion in the body's frame, shape (3,).
+    prismatic
+        Whether it moves along the axis rather than about it.
+    ratios, offset
+        phi = ratios · q + offset; shape (nv,), [rad or m].
+    members
+        The URDF links it is made of, the one that gives the name first; none for a rotor that the URDF has not.
+    """
+
+    name: str
+    kind: Literal["link", "rotor"]
+    pi: Array
+    ellipsoids: tuple[Ellipsoid, ...]
+    mount: Frame
+    axis: Array
+    prismatic: bool
+    ratios: Array
+    offset: float = 0.0
+    members: tuple[Member, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+    com: tuple[float, float, float] | None = None
+
+    def bounded_as(self, other: Body, signs: Array) -> Body:
+        """The body with the mirror image of another's bounds, in which x, y and z have these signs, shape (3,)."""
+        return replace(
+            self,
+            ellipsoids=tuple(ellipsoid.mirrored(signs) for ellipsoid in other.ellipsoids),
+            shapes=tuple(shape.moved(np.diag(signs), np.zeros(3)) for shape in other.shapes),
+        )
+
+    @property
+    def bounds(self) -> tuple[Ellipsoid | Shape, ...]:
+        """All that bounds its mass; several are their union."""
+        return (*self.ellipsoids, *self.shapes)
+
+    @property
+    def lumped(self) -> tuple[str, ...]:
+        """Links with mass that are part of this body under another name."""
+        return tuple(member.link for member in self.members[1:] if member.pi.any())

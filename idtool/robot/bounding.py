@@ -1,0 +1,63 @@
+"""What bounds a link's mass: ellipsoids around the geometry that the URDF gives it, and the configuration's shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from idtool.robot.config import BoundingShape, HullBound
+from idtool.robot.ellipsoid import Ellipsoid, smallest_around
+from idtool.robot.geometry import link_geometry, link_vertices
+from idtool.robot.shapes import Hull, Shape, known_shapes
+from idtool.robot.urdf.reading import Robot
+
+
+def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, Ellipsoid], dict[str, str]]:
+    """The smallest ellipsoid around each link's geometry, its semi-axes longer by a margin.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    margin
+        Share by which the semi-axes grow.
+
+    Returns
+    -------
+    By link that has mass and whose geometry was read in full; and why the others with mass have none, by link.
+    """
+    ellipsoids: dict[str, Ellipsoid] = {}
+    reasons: dict[str, str] = {}
+    for link, pi in robot.links.items():
+        if pi is None or not pi[0] > 0:
+            continue
+        geometry = link_geometry(robot, link)
+        if geometry.read and not geometry.missing:
+            least = smallest_around(geometry.points)
+            x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
+            ellipsoids[link] = replace(least, semi_axes=(x, y, z))
+        elif not geometry.missing:
+            reasons[link] = "the URDF gives it no collision or visual"
+        else:
+            more = f" (and {len(geometry.missing) - 1} more)" if len(geometry.missing) > 1 else ""
+            reasons[link] = f"{geometry.missing[0]}{more}"
+    return ellipsoids, reasons
+
+
+def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
+    """Ellipsoids by link as the value of the configuration's ``bounding_ellipsoids``: plain data, lengths in m."""
+    return {link: [ellipsoid.to_dict()] for link, ellipsoid in ellipsoids.items()}
+
+
+def bounding_shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
+    """A shape of the configuration as geometry, in the link's frame.
+
+    Raises
+    ------
+    ModelError
+        If it is the hull of a mesh that cannot be read.
+    """
+    if isinstance(bound, HullBound):
+        return Hull.around(link_vertices(robot, link, bound.file))
+    return known_shapes()[bound.kind].from_dict(bound.model_dump())

@@ -1,0 +1,88 @@
+"""Bounding ellipsoids and shapes, in the link's frame."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator
+
+from idtool.robot.config.base import Length, Record, Vector
+from idtool.robot.ellipsoid import Ellipsoid
+
+
+class Bounding(Record):
+    """A bounding ellipsoid: centre [m], semi-axes [m], roll–pitch–yaw [rad]."""
+
+    center: Vector = (0.0, 0.0, 0.0)
+    semi_axes: tuple[Length, Length, Length]
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+    def ellipsoid(self) -> Ellipsoid:
+        """The same as geometry."""
+        return Ellipsoid(self.center, self.semi_axes, self.rpy)
+
+
+class Placed(Record):
+    """A bounding shape's place: centre [m], roll–pitch–yaw [rad]."""
+
+    center: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class BoxBound(Placed):
+    """A box with sides of lengths ``size`` [m]."""
+
+    kind: Literal["box"]
+    size: tuple[Length, Length, Length]
+
+
+class CylinderBound(Placed):
+    """A cylinder about its own z [m]."""
+
+    kind: Literal["cylinder"]
+    radius: Length
+    length: Length
+
+
+class CapsuleBound(Placed):
+    """A cylinder about its own z with half a ball on each end; ``length`` is the cylinder's [m]."""
+
+    kind: Literal["capsule"]
+    radius: Length
+    length: Length
+
+
+class HullBound(Record):
+    """The convex hull of a mesh: ``file``, from the URDF's folder, or else what the URDF gives the link."""
+
+    kind: Literal["hull"]
+    file: str | None = None
+
+
+_KINDS: dict[Any, type[Record]] = {
+    "box": BoxBound,
+    "cylinder": CylinderBound,
+    "capsule": CapsuleBound,
+    "hull": HullBound,
+}
+
+
+def _by_kind(data: Any) -> Any:
+    """The record of the kind named, so that errors speak of that one only."""
+    if isinstance(data, Record):
+        return data
+    if not isinstance(data, Mapping):
+        raise ValueError("input should be a mapping of keys to values")
+    for key in data if "kind" not in data else ():
+        if difflib.get_close_matches(str(key), ["kind"]):
+            raise ValueError(f"unknown key '{key}'; did you mean 'kind'?")
+    kind = str(data.get("kind"))
+    if kind not in _KINDS:
+        given = f", not {kind}" if "kind" in data else ""
+        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}{given}")
+    return _KINDS[kind].model_validate(data)
+
+
+BoundingShape = Annotated[BoxBound | CylinderBound | CapsuleBound | HullBound, BeforeValidator(_by_kind)]

@@ -1,0 +1,106 @@
+"""`Config`: everything a URDF does not say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag
+
+from idtool.common.exceptions import ConfigError
+from idtool.common.provenance import Source, source_of
+from idtool.common.safe_yaml import parse_yaml, yaml_bytes
+from idtool.robot.config.base import Finite, Record, Vector, checked
+from idtool.robot.config.bounds import Bounding, BoundingShape
+from idtool.robot.config.estimation import Constraints, Known, Mirror, Regularization, Solver
+from idtool.robot.config.limits import JointLimits
+from idtool.robot.config.rotors import Rotor
+from idtool.robot.config.signals import Controller, Filter, LogOptions, Simulation
+from idtool.robot.config.terms import EffectEntry, Friction, friction_form
+
+
+def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name} stands there twice; name each joint once")
+    return names
+
+
+class Config(Record):
+    """Everything a URDF does not say."""
+
+    joints: Annotated[tuple[str, ...], AfterValidator(_once_each)] | None = None
+    locked_joints: dict[str, Finite] = Field(default_factory=dict)
+    gravity: Vector = (0.0, 0.0, -9.81)
+    log: LogOptions = LogOptions()
+    velocity: Literal["measured", "differentiated", "auto"] = "auto"
+    bounding_ellipsoids: dict[str, tuple[Bounding, ...]] = Field(default_factory=dict)
+    bounding_shapes: dict[str, tuple[BoundingShape, ...]] = Field(default_factory=dict)
+    known_com: dict[str, Vector] = Field(default_factory=dict)
+    rotors: dict[str, Rotor] = Field(default_factory=dict)
+    friction: Annotated[
+        Annotated[dict[str, Friction], Tag("by joint")] | Annotated[Friction, Tag("alike")],
+        Discriminator(friction_form),
+    ] = Friction()
+    constraints: Constraints | None = None
+    regularization: Regularization = Regularization()
+    filter: Filter = Filter()
+    known: Known = Known()
+    mirror: tuple[Mirror, ...] = ()
+    effects: tuple[EffectEntry, ...] = ()
+    solver: Solver = Solver()
+    controller: Controller | None = None
+    simulation: Simulation = Simulation()
+    limits: dict[str, JointLimits] = Field(default_factory=dict)
+    seed: int = 0
+
+    _source: Source | None = PrivateAttr(default=None)
+
+    @property
+    def source(self) -> Source | None:
+        """The file it was read from, if it was."""
+        return self._source
+
+    def without_friction_values(self) -> Config:
+        """The same with the terms that friction has, but neither their values nor effects."""
+
+        def terms(friction: Friction) -> Friction:
+            return Friction(**{name: term is not False for name, term in friction})
+
+        friction = self.friction
+        plain = terms(friction) if isinstance(friction, Friction) else {j: terms(f) for j, f in friction.items()}
+        return self.model_copy(update={"friction": plain, "effects": ()})
+
+    def friction_of(self, joint: str) -> Friction:
+        """The friction terms of one joint; a joint that is not named has the default ones."""
+        return self.friction if isinstance(self.friction, Friction) else self.friction.get(joint, Friction())
+
+
+def parse_config(data: Any, where: str) -> Config:
+    """A configuration from plain data.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value does not fit; the message names the key.
+    """
+    if data is None:
+        return Config()
+    if not isinstance(data, Mapping):
+        raise ConfigError(where, "is not a configuration: expected keys such as joints, rotors, filter")
+    return checked(Config, data, where)
+
+
+def read_config(path: Path) -> Config:
+    """A configuration from a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        If the file or a key in it cannot be used.
+    """
+    data = yaml_bytes(path)
+    config = parse_config(parse_yaml(path, data), str(path))
+    config._source = source_of("configuration", path, data)
+    return config

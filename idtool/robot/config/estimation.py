@@ -1,0 +1,135 @@
+"""What is demanded of the bodies and known of them beside the logs: sets, prior, measured masses, copies, solver."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from idtool.robot.config.base import Finite, NonNegative, Positive, Record
+from idtool.robot.config.terms import Uncertain
+
+_MASS_PRECISION = 5.0  # with an automatic weight
+
+Constraints = Literal["none", "semi", "full", "known_com", "com_ellipsoid", "ellipsoid", "shape", "points"]
+
+
+def _weight_form(data: Any) -> str:
+    """Which form of a weight is given, for messages that name its key alone."""
+    return "[auto]" if data == "auto" else "[number]"
+
+
+Weight = Annotated[
+    Annotated[Literal["auto"], Tag("[auto]")] | Annotated[NonNegative, Tag("[number]")], Discriminator(_weight_form)
+]
+
+
+class Regularization(Record):
+    """The prior's kind and weight (27); the weight ``auto`` is chosen by cross-validation.
+
+    The prior's masses count as known ``mass_precision`` times better than its inertias: relative standard errors of 6 %
+    for 30 %, say. That is 5 with the weight ``auto``, and 1, the plain distance, with a number. The Euclidean distance
+    is taken in units of each body's own mass and size, or, as the paper has it, in SI units.
+    """
+
+    kind: Literal["none", "euclidean", "entropic", "pullback"] = "entropic"
+    weight: Weight = "auto"
+    mass_precision: Annotated[Finite, Field(ge=1)] | None = None
+    units: Literal["relative", "si"] = "relative"
+
+    @property
+    def is_automatic(self) -> bool:
+        """Whether the weight is to be chosen from the data."""
+        return self.weight == "auto" and self.kind != "none"
+
+    @property
+    def masses_known_better(self) -> float:
+        """How many times better masses are known than inertias."""
+        if self.units == "si":
+            return 1.0
+        if self.mass_precision is not None:
+            return self.mass_precision
+        return _MASS_PRECISION if self.is_automatic else 1.0
+
+    @property
+    def number(self) -> float:
+        """The weight as a number.
+
+        Raises
+        ------
+        ValueError
+            If it is still to be chosen from the data.
+        """
+        if self.is_automatic:
+            raise ValueError("the weight auto is chosen by regularization_path before a problem is stated")
+        return 0.0 if self.weight == "auto" else self.weight
+
+    def weighing(self, weight: float) -> Self:
+        """The same distance with a weight."""
+        return self.model_copy(update={"weight": weight, "mass_precision": self.masses_known_better})
+
+    def or_weak(self) -> Regularization:
+        """The same; in place of an automatic weight the paper's, which leaves to the data whatever they can tell."""
+        if self.weight != "auto":
+            return self
+        return WEAK if self.is_automatic else self.weighing(0.0)
+
+    @model_validator(mode="after")
+    def _units_of_the_euclidean(self) -> Self:
+        if self.units == "si" and self.kind in ("entropic", "pullback"):
+            raise ValueError(f"units: si is for kind euclidean; {self.kind} does not depend on units")
+        if self.units == "si" and self.weight == "auto":
+            raise ValueError("units: si needs a number for the weight; auto is for relative units")
+        return self
+
+
+WEAK = Regularization(kind="euclidean", weight=1e-6)
+
+
+class Measured(Uncertain):
+    """A positive number measured by other means; with a standard error it is soft, without exact."""
+
+    value: Positive
+    standard_error: Positive | None = None
+
+
+class Known(Record):
+    """Masses [kg] by body, and of all bodies of the model together."""
+
+    mass: dict[str, Measured] = Field(default_factory=dict)
+    total_mass: Measured | None = None
+
+
+class Mirror(Record):
+    """A body that is a copy of another, equal or mirrored in a plane of the link frames, or a joint with its friction.
+
+    Friction that depends on the direction, an offset, is left to each joint.
+    """
+
+    body: str | None = None
+    joint: str | None = None
+    of: str
+    plane: Literal["xy", "xz", "yz"] | None = None
+
+    @model_validator(mode="after")
+    def _one_thing(self) -> Self:
+        if (self.body is None) == (self.joint is None):
+            raise ValueError("give either body or joint, and of")
+        if self.joint is not None and self.plane is not None:
+            raise ValueError("plane is for bodies; friction has none")
+        if self.of in (self.body, self.joint):
+            raise ValueError(f"{self.of} is a copy of itself; name another")
+        return self
+
+
+class Solver(Record):
+    """The conic solver, one of those that cvxpy knows, or a local one on a manifold of realizable bodies."""
+
+    name: Literal["clarabel", "cvxpy", "log_cholesky", "manifold"] = "clarabel"
+    backend: str | None = None
+
+    @model_validator(mode="after")
+    def _backend_of_cvxpy(self) -> Self:
+        if self.backend is not None and self.name != "cvxpy":
+            raise ValueError(f"backend is for name: cvxpy; {self.name} has none")
+        return self

@@ -1,0 +1,24 @@
+"""What a joint may be asked to do when a trajectory is designed; it can only tighten the URDF's limits."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+from idtool.robot.config.base import Finite, Positive, Record
+
+
+def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] < limits[1]:
+        raise ValueError(f"give the lower limit first: {limits[1]:g} is not above {limits[0]:g}")
+    return limits
+
+
+class JointLimits(Record):
+    """Position [rad or m], velocity [rad/s or m/s], acceleration [rad/s² or m/s²], torque or force [N·m or N]."""
+
+    position: Annotated[tuple[Finite, Finite], AfterValidator(_ascending)] | None = None
+    velocity: Positive | None = None
+    acceleration: Positive | None = None
+    effort: Positive | None = None

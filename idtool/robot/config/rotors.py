@@ -1,0 +1,63 @@
+"""Rotors: bodies that spin with joints, which a URDF does not know."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from idtool.robot.config.base import LEAST, Finite, NonNegative, Record, Vector
+from idtool.robot.config.bounds import Bounding
+
+
+class Origin(Record):
+    """A frame's place: xyz [m], roll–pitch–yaw [rad]."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class Inertial(Record):
+    """Mass [kg], centre of mass [m] and [ixx, ixy, iyy, ixz, iyz, izz] about it [kg·m²]."""
+
+    mass: NonNegative
+    com: Vector = (0.0, 0.0, 0.0)
+    inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+
+
+class Rotor(Record):
+    """A body that spins with a joint, or with a combination of joint velocities.
+
+    A rotor that bears the name of a URDF link on a fixed joint is that link: what is left out here comes from there.
+    """
+
+    joint: str | None = None
+    gear_ratio: Finite | None = None
+    coupling: dict[str, Finite] = Field(default_factory=dict)
+    parent: str | None = None
+    origin: Origin | None = None
+    axis: Vector | None = None
+    inertial: Inertial | None = None
+    bounding_ellipsoid: Bounding | None = None
+
+    @model_validator(mode="after")
+    def _one_drive(self) -> Self:
+        if self.coupling and (self.joint or self.gear_ratio is not None):
+            raise ValueError("give either joint and gear_ratio, or coupling")
+        if not self.coupling and (self.joint is None or self.gear_ratio is None):
+            raise ValueError("needs joint and gear_ratio, or coupling: {joint: ratio, ...}")
+        if 0.0 in (self.gear_ratio, *self.coupling.values()):
+            raise ValueError("a gear ratio of 0 does not move the rotor")
+        if self.axis is not None and math.hypot(*self.axis) < LEAST:
+            raise ValueError("axis must not be zero")
+        return self
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Rotor angle per joint angle, by joint."""
+        if self.coupling:
+            return dict(self.coupling)
+        if self.joint is None or self.gear_ratio is None:
+            raise AssertionError  # ruled out by _one_drive
+        return {self.joint: self.gear_ratio}

@@ -1,0 +1,84 @@
+"""How logs are read and filtered, and what commanded the joints meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from idtool.robot.config.base import Finite, NonNegative, Positive, Record
+from idtool.robot.config.terms import Uncertain
+
+
+def _keeps_the_signal(factor: float) -> float:
+    if factor == 0:
+        raise ValueError("a signal times 0 is lost; to leave a joint out, leave it out of joints")
+    return factor
+
+
+Factors = dict[str, Annotated[Finite, AfterValidator(_keeps_the_signal)]]
+
+
+class Scale(Record):
+    """SI per logged unit, by joint."""
+
+    q: Factors = Field(default_factory=dict)
+    v: Factors = Field(default_factory=dict)
+    tau: Factors = Field(default_factory=dict)
+    qcmd: Factors = Field(default_factory=dict)
+    vcmd: Factors = Field(default_factory=dict)
+
+
+class LogOptions(Record):
+    """How to read the logs."""
+
+    topic: str | None = None
+    columns: dict[str, str] = Field(default_factory=dict)
+    scale: Scale = Scale()
+
+
+class Filter(Record):
+    """The zero-phase low-pass. No cut-off: 40 Hz, or a fifth of the sampling rate where that is lower."""
+
+    kind: Literal["butterworth"] = "butterworth"
+    cutoff_hz: Positive | None = None
+    order: Annotated[int, Field(ge=1, le=8)] = 4
+
+
+def _delay(data: Any) -> str | float | Uncertain:
+    if data == "auto":
+        return "auto"
+    if isinstance(data, str):
+        raise ValueError(f"{data} is no delay; give auto, or a number in s")
+    delay = data if isinstance(data, Uncertain) else Uncertain.model_validate(data)
+    if delay.value < 0:
+        raise ValueError(f"a delay of {delay.value:g} s is none; give 0 or more, or auto")
+    return delay if isinstance(data, Uncertain | Mapping) else delay.value
+
+
+Delay = Annotated[Literal["auto"] | float | Uncertain, BeforeValidator(_delay)]
+
+
+class Controller(Record):
+    """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s].
+
+    A delay of ``auto`` is fitted.
+    """
+
+    kp: dict[str, NonNegative]
+    kd: dict[str, NonNegative] = Field(default_factory=dict)
+    delay: Delay = "auto"
+
+    @property
+    def known_delay(self) -> Uncertain | None:
+        """The delay as given [s]; None: to be fitted."""
+        if self.delay == "auto":
+            return None
+        return Uncertain.model_validate(self.delay)
+
+
+class Simulation(Record):
+    """Rollouts restart from the measured state every window [s]; null: never."""
+
+    window: Positive | None = 1.0

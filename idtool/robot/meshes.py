@@ -1,0 +1,242 @@
+"""Meshes that a URDF names: where they are, what they hold, and the same with fewer faces.
+
+They are a stranger's files: read from the disk alone, never from the network, in formats that hold nothing but
+geometry, and bounded in size.
+"""
+
+from __future__ import annotations
+
+import gc
+import io
+import logging
+import os
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import trimesh
+from lxml import etree
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import ModelError
+from idtool.robot.urdf.reading import parse_xml
+
+Array = NDArray[np.float64]
+
+_MOST = 1e6  # m; what is larger is no robot
+_MOST_BYTES = 100 << 20
+_LARGE = 1 << 20  # bytes
+_MOST_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
+_FORMATS = ("stl", "obj", "ply", "off", "dae")
+_FINEST = 128  # cells along the longest side in which corners are put together
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its remarks on materials are not for the user
+
+
+class UnreadableError(Exception):
+    """Why one piece of geometry cannot be used, in words."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles.
+
+    Attributes
+    ----------
+    points
+        Their corners, shape (n, 3) [m].
+    faces
+        The corners of each, shape (m, 3).
+    """
+
+    points: Array
+    faces: NDArray[np.intp]
+
+    @property
+    def corners(self) -> Array:
+        """The points that are the corner of a face, shape (k, 3) [m]."""
+        used = np.zeros(len(self.points), dtype=bool)
+        used[self.faces] = True
+        return self.points if used.all() else self.points[used]
+
+
+def read_mesh(urdf: Path, name: str) -> Mesh:
+    """The mesh that a URDF names, as in the file.
+
+    Raises
+    ------
+    UnreadableError
+        If it is not found or cannot be read.
+    """
+    if name.partition("://")[0] in ("http", "https", "ftp"):
+        raise UnreadableError(f"mesh {name} is not on this machine, and nothing is fetched")
+    path = next((path for path in _places(urdf, name) if _is_file(path)), None)
+    if path is None:
+        raise UnreadableError(f"mesh {name} is not found")
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in _FORMATS:
+        raise UnreadableError(f"mesh {path} is of a format that is not read here; save it as {' or '.join(_FORMATS)}")
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise UnreadableError(f"mesh {path} cannot be read ({error.strerror})") from None
+    if len(data) > _MOST_BYTES:
+        raise UnreadableError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
+    mesh = _triangles(path, data, kind)
+    if len(data) > _LARGE:
+        gc.collect()  # trimesh's objects hold each other: several times what is kept
+    corners = mesh.corners
+    if not len(corners) or not (corners.min() > -_MOST and corners.max() < _MOST):
+        what = f"a vertex that is not within {_MOST:g} m" if len(corners) else "no faces"
+        raise UnreadableError(f"mesh {path} holds {what}")
+    return mesh
+
+
+def numbers(element: etree._Element, name: str, count: int, default: str = "") -> Array:
+    """An attribute of so many numbers; UnreadableError if it is none."""
+    text = element.get(name, default)
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError:
+        values = np.array([])
+    if len(values) != count or not (np.abs(values) < _MOST).all():
+        expected = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise UnreadableError(f"{element.tag} {name} '{text[:40]}' should be {expected}")
+    return values
+
+
+def together(meshes: Iterable[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    points, faces, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.intp)], 0
+    for mesh in meshes:
+        points.append(mesh.points)
+        faces.append(mesh.faces + count)
+        count += len(mesh.points)
+    return Mesh(np.concatenate(points), np.concatenate(faces))
+
+
+def simplified(mesh: Mesh, most: int) -> Mesh:
+    """A mesh like it of so many faces at the most.
+
+    The corners in each cell of a grid are put together at their mean, in the finest grid that leaves few enough.
+    Source: Rossignac & Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993
+    """
+    if len(mesh.faces) <= most:
+        return mesh
+    mesh = _clustered(mesh, _FINEST)
+    low, high = 0, _FINEST + 1  # cells: few enough faces, too many
+    if len(mesh.faces) <= most:
+        return mesh
+    while high - low > 1:
+        cells = (low + high) // 2
+        low, high = (cells, high) if len(_clustered(mesh, cells).faces) <= most else (low, cells)
+    return _clustered(mesh, low)
+
+
+def _clustered(mesh: Mesh, cells: int) -> Mesh:
+    """The mesh with the corners in each of so many cells along its longest side put together."""
+    if not cells or not len(mesh.faces):
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.intp))
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    points = mesh.points[used]
+    cell = np.ptp(points, axis=0).max() / cells or 1.0
+    index = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    _, inverse, counts = np.unique(index @ (cells + 1) ** np.arange(3), return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(inverse, weights=x) for x in points.T], axis=1) / counts[:, None]
+    found = inverse[faces.reshape(-1, 3)]
+    corners = np.sort(found, axis=1)
+    whole = (corners[:, 0] < corners[:, 1]) & (corners[:, 1] < corners[:, 2])
+    _, first = np.unique(corners[whole], axis=0, return_index=True)
+    return Mesh(means, found[whole][np.sort(first)])
+
+
+def _triangles(path: Path, data: bytes, kind: str) -> Mesh:
+    """All faces in a mesh file's contents [m]."""
+    options: dict[str, Any] = {"skip_materials": True} if kind in ("obj", "ply") else {}
+    try:
+        unit = _collada_unit(parse_xml(path, data)) if kind == "dae" else 1.0
+        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, allow_remote=False, process=False, **options)
+            parts = []
+            for node in scene.graph.nodes_geometry:
+                T, name = scene.graph[node]
+                part = scene.geometry[name]
+                if isinstance(part, trimesh.Trimesh):
+                    points = part.vertices @ (unit * T[:3, :3].T)
+                    points += unit * T[:3, 3]
+                    parts.append(Mesh(points, np.asarray(part.faces)))
+            return parts[0] if len(parts) == 1 else together(parts)
+    except (UnreadableError, ModelError) as error:
+        raise UnreadableError(f"mesh {path} {getattr(error, 'what', error)}") from None
+    except Exception as error:  # the parsers have no error of their own for contents that are not the format's
+        raise UnreadableError(f"mesh {path} is not well-formed {kind} ({type(error).__name__})") from None
+
+
+def _collada_unit(root: etree._Element) -> float:
+    """The unit of a COLLADA file's lengths [m]; its up axis is not heeded, as is the rule for URDFs.
+
+    Raises
+    ------
+    UnreadableError
+        If its scene repeats itself without end, or the unit is no number.
+    """
+    nodes = {f"#{node.get('id')}": node for node in root.iterfind(".//{*}node")}
+    sizes: dict[str, int] = {}
+
+    def size(node: etree._Element) -> int:
+        total = 1 + sum(size(child) for child in node.iterfind("{*}node"))
+        for instance in node.iterfind("{*}instance_node"):
+            url = instance.get("url", "")
+            if url in nodes and url not in sizes:
+                sizes[url] = _MOST_NODES  # a node that holds itself
+                sizes[url] = size(nodes[url])
+            total += sizes.get(url, 1)
+        return total
+
+    if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MOST_NODES:
+        raise UnreadableError("has a scene that repeats itself without end")
+    unit = root.find("{*}asset/{*}unit")
+    return 1.0 if unit is None else float(numbers(unit, "meter", 1, default="1")[0])
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
+def _places(urdf: Path, name: str) -> Iterator[Path]:
+    """Where a mesh of a URDF may be, the likeliest first.
+
+    A package is looked for in ROS's search paths and in the folders above the URDF; then any end of the mesh's path
+    in those folders.
+    """
+    scheme, found, path = name.partition("://")
+    path = unquote(path) if found else name
+    folders = urdf.absolute().parents
+    parts = [part for part in Path(path).parts if part not in ("/", "..")]
+    if scheme in ("package", "model") and found:
+        package, within = parts[:1], Path(*parts[1:])
+        for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
+            yield Path(entry, *package, within)
+            if [Path(entry).name] == package:
+                yield Path(entry, within)
+        for entry in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+            yield Path(entry, "share", *package, within)
+        for folder in folders:
+            yield Path(folder, *package, within)
+            if [folder.name] == package:
+                yield folder / within
+    else:
+        yield Path(folders[0], path)
+    for first in range(len(parts) - 1):
+        for folder in folders:
+            yield Path(folder, *parts[first:])
+    if parts:
+        yield folders[0] / parts[-1]

@@ -1,0 +1,200 @@
+"""Distances between bodies, and the nearest body that can exist.
+
+A metric is a matrix M, shape (10, 10), with ‖delta‖² = deltaᵀ M delta for a deviation delta = pi − pî of parameters.
+
+Letters: pî, Ĵ the reference's parameters and pseudo-inertia, F Fᵀ = Ĵ; X = F⁻¹ J F⁻ᵀ a pseudo-inertia as the reference
+sees it, itself the identity; Q the homogeneous matrix of a shape that bounds the mass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from idtool.robot.inertia import BASIS, POWERS, SIZE, from_pseudo_inertia, pseudo_inertia
+
+Array = NDArray[np.float64]
+
+FLOOR = 1e-6  # how far inside the set a projection ends, in units of the reference: survives rounding
+_ROUNDING = 1e-12  # of the multiplier's equation
+_SINGULAR = 1e-13  # of a pivot: what is left of it may be rounding
+_ITERATIONS = 200  # that bisection alone would need at the most
+
+
+def euclidean(mass: float, length: float) -> Array:
+    """The metric of relative deviations, ‖(pi − pî) / (mass · length^POWERS)‖², shape (10, 10).
+
+    Parameters
+    ----------
+    mass
+        A mass typical of the body [kg].
+    length
+        A length typical of it [m].
+    """
+    return np.asarray(np.diag((mass * length**POWERS) ** -2.0))
+
+
+def pullback(reference: ArrayLike) -> Array:
+    """The metric ½ Tr(Ĵ⁻¹ dJ Ĵ⁻¹ dJ) of positive definite matrices at a reference, the same in all units and frames.
+
+    M_kl = ½ Tr(Ĵ⁻¹ B_k Ĵ⁻¹ B_l) with J = Σ pi_k B_k (Lee, Wensing & Park, "Geometric robot dynamic identification: a
+    convex programming approach", IEEE T-RO 2020). Half the Hessian of `entropic` there.
+
+    Parameters
+    ----------
+    reference
+        Parameters of a body with a positive definite pseudo-inertia, or of several, shape (..., 10).
+
+    Returns
+    -------
+    Shape (..., 10, 10).
+
+    Raises
+    ------
+    ValueError
+        If a reference's pseudo-inertia is not positive definite.
+    """
+    inverse = np.linalg.inv(_factor(np.asarray(reference, dtype=float)))[..., None, :, :]
+    seen = (inverse @ BASIS @ inverse.swapaxes(-1, -2)).reshape(*inverse.shape[:-3], SIZE, 16)
+    return np.asarray(0.5 * seen @ seen.swapaxes(-1, -2))
+
+
+def entropic(pi: ArrayLike, reference: ArrayLike) -> float:
+    """The log-det divergence d(J‖Ĵ) = −log det J + log det Ĵ + Tr(Ĵ⁻¹ J) − 4, the same in all units and frames.
+
+    Twice the Kullback-Leibler divergence between the normal distributions of covariance Ĵ and J (Lee, Wensing & Park
+    2020). Not negative, 0 at the reference alone, infinite where J is not positive definite.
+
+    Parameters
+    ----------
+    pi, reference
+        Parameters of one body each, shape (10,).
+
+    Raises
+    ------
+    ValueError
+        If the reference's pseudo-inertia is not positive definite.
+    """
+    inverse = np.linalg.inv(_factor(np.asarray(reference, dtype=float)))
+    beyond = np.linalg.eigvalsh(inverse @ pseudo_inertia(pi) @ inverse.T) - 1
+    if beyond[0] <= -1:
+        return float(np.inf)
+    return float(np.sum(beyond - np.log1p(beyond)))
+
+
+def entropic_gradient(pi: ArrayLike, reference: ArrayLike) -> Array:
+    """The gradient of `entropic` by pi, Tr((Ĵ⁻¹ − J⁻¹) B_k), shape (10,).
+
+    Raises
+    ------
+    ValueError
+        If one of the two pseudo-inertias is not positive definite.
+    """
+    at, there = (np.linalg.inv(_factor(np.asarray(body, dtype=float))) for body in (pi, reference))
+    return np.asarray(np.einsum("ij,kji->k", there.T @ there - at.T @ at, BASIS))
+
+
+def nearest_realizable(pi: ArrayLike, reference: ArrayLike, Q: ArrayLike | None = None, floor: float = FLOOR) -> Array:
+    """The projection onto P* or P*_S in the reference's pull-back metric: the nearest body that can exist.
+
+    With X = F⁻¹ J F⁻ᵀ and B = Fᵀ Q F, the metric is ½ ‖X − X₀‖² (Frobenius) and Tr(J Q) = Tr(X B), so that
+
+        min ½ ‖X − X₀‖²  subject to  X ⪰ f 1,  Tr(X B) ≥ b.
+
+    With multipliers Z ⪰ 0 and mu ≥ 0, stationarity is X = X₀ + mu B + Z, and Z (X − f 1) = 0: X − f 1 and −Z are the
+    positive and the negative part of X₀ + mu B − f 1. So X(mu) is X₀ + mu B with its eigenvalues clipped at f, and mu
+    is 0 if Tr(X(0) B) ≥ b, else a root of Tr(X(mu) B) = b. Its left side does not fall, being the derivative of the
+    convex ½ ‖(X₀ + mu B − f 1)₊‖² + mu f Tr(B), and grows without bound as Q has a positive eigenvalue.
+
+    Parameters
+    ----------
+    pi
+        Parameters of one body or of several, shape (..., 10); any finite numbers.
+    reference
+        Parameters of bodies with a positive definite pseudo-inertia, that broadcast with pi.
+    Q
+        Homogeneous matrices of shapes, [x; 1]ᵀ Q [x; 1] ≥ 0 inside, that broadcast with pi as shape (..., 4, 4). A
+        body without one among others that have one is given diag(0, 0, 0, 1), which demands a positive mass.
+    floor
+        f; J ⪰ f Ĵ and Tr(JQ) ≥ b = f m̂ are kept, in all units and frames alike. The default is above rounding as long
+        as pi deviates from the reference by less than a million times the reference.
+
+    Returns
+    -------
+    Parameters of the nearest bodies, shape (..., 10); pi itself where it fulfils the inequalities.
+
+    Raises
+    ------
+    ValueError
+        If pi is not finite, or if a reference's pseudo-inertia is not positive definite.
+    """
+    pi, reference = np.asarray(pi, dtype=float), np.asarray(reference, dtype=float)
+    if not np.isfinite(pi).all():
+        raise ValueError("parameters that are not finite have no nearest body")
+    F = _factor(reference)
+    inverse = np.linalg.inv(F)
+    X = inverse @ pseudo_inertia(pi) @ inverse.swapaxes(-1, -2)
+    shift = np.zeros_like(X)
+    if Q is not None:
+        B = F.swapaxes(-1, -2) @ np.asarray(Q, dtype=float) @ F
+        norm = np.linalg.norm(B, axis=(-2, -1), keepdims=True)
+        shift = _multiplier(X, B / norm, floor * reference[..., 0] / norm[..., 0, 0], floor)[..., None, None] * B / norm
+    values, axes = np.linalg.eigh(X + shift)
+    clipped = (axes * np.maximum(values, floor)[..., None, :]) @ axes.swapaxes(-1, -2)
+    nearest = from_pseudo_inertia(F @ clipped @ F.swapaxes(-1, -2))
+    unchanged = (values[..., 0] >= floor) & ~shift.any(axis=(-2, -1))
+    return np.where(unchanged[..., None], pi, nearest)
+
+
+def _factor(reference: Array) -> Array:
+    """F with F Fᵀ = Ĵ, shape (..., 4, 4)."""
+    J = pseudo_inertia(reference)
+    try:
+        F = np.asarray(np.linalg.cholesky(J))
+    except np.linalg.LinAlgError:
+        F = np.zeros_like(J)
+    left = np.square(np.diagonal(F, axis1=-2, axis2=-1))  # of the diagonal, after each elimination
+    if not (left > _SINGULAR * np.diagonal(J, axis1=-2, axis2=-1)).all():
+        raise ValueError("a pseudo-inertia that is not positive definite measures nothing")
+    return F
+
+
+def _multiplier(X: Array, B: Array, least: Array, floor: float) -> Array:
+    """The least mu ≥ 0 with Tr(X(mu) B) ≥ least, shape (...): Newton's method within a bracket, on all bodies at once.
+
+    The equation is aimed at from just above, so that what rounding leaves is on the right side.
+    """
+    shape = np.broadcast_shapes(X.shape, B.shape)
+    X, B = np.broadcast_to(X, shape), np.broadcast_to(B, shape)
+    size = np.maximum(1.0, np.linalg.norm(X, axis=(-2, -1)))
+    error = _ROUNDING * size
+    mu, low, high = np.zeros(shape[:-2]), np.zeros(shape[:-2]), np.full(shape[:-2], np.inf)
+    for _ in range(_ITERATIONS):
+        value, slope = _trace(X + mu[..., None, None] * B, B, floor)
+        value -= least + error
+        low, high = np.where(value < 0, mu, low), np.where(value < 0, high, mu)
+        done = (np.abs(value) <= error) | (high * (1 - _ROUNDING) <= low)  # or both 0: nothing is demanded
+        if done.all():
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):  # where the slope is zero, or a body is done
+            step = mu - value / slope
+            middle = np.where(np.isinf(high), 2 * low + size, 0.5 * (low + high))
+        inside = (step > low) & (step < high) & np.isfinite(step)
+        mu = np.where(done, mu, np.where(inside, step, middle))
+    return mu
+
+
+def _trace(X: Array, B: Array, floor: float) -> tuple[Array, Array]:
+    """Tr(clip(X) B), shape (...), and its derivative when X moves along B, by the clip's divided differences."""
+    values, axes = np.linalg.eigh(X)
+    clipped = np.maximum(values, floor)
+    turned = axes.swapaxes(-1, -2) @ B @ axes
+    rise = values[..., :, None] - values[..., None, :]
+    apart = np.abs(rise) > 1e-14
+    share = np.where(
+        apart,
+        (clipped[..., :, None] - clipped[..., None, :]) / np.where(apart, rise, 1.0),
+        (values > floor)[..., None, :],
+    )
+    trace = np.einsum("...ii,...i->...", turned, clipped)
+    return trace, np.asarray((share * turned * turned).sum(axis=(-2, -1)))

@@ -1,0 +1,325 @@
+"""`Model`: URDF and configuration → a tree of bodies that move with the joint coordinates.
+
+Every body, link or rotor, hangs on its parent by one axis, along or about which it moves by
+
+    phi = ratios · q + offset,
+
+one entry of `ratios` for a plain joint, a multiple for a mimic joint, the gear ratio for a rotor, several for a belt or
+differential. Links on fixed or locked joints are lumped into the body that carries them. Letters as in `body`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idtool.common.exceptions import ConfigError, ModelError
+from idtool.common.names import nearest, some
+from idtool.robot.body import Body, Frame, Member
+from idtool.robot.bounding import bounding_shape
+from idtool.robot.config import Bounding, Config
+from idtool.robot.config import Rotor as RotorConfig
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inertia import SIZE, from_mass_com_inertia, symmetric
+from idtool.robot.shapes import Shape
+from idtool.robot.urdf.reading import Joint, Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot as identification sees it.
+
+    Attributes
+    ----------
+    robot
+        The URDF it came from.
+    joints
+        The moving joints, in the order of q; nv of them.
+    bodies
+        Links in the URDF's order, then rotors; parents before children.
+    gravity
+        In the root link's frame, shape (3,) [m/s²].
+    warnings
+        What a user should know of how the model was put together, a plain sentence each.
+    """
+
+    robot: Robot
+    joints: tuple[Joint, ...]
+    bodies: tuple[Body, ...]
+    gravity: Array
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The moving joints' names."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each joint's torque or force."""
+        return {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in self.joints}
+
+    def support(self) -> NDArray[np.bool_]:
+        """Which coordinates move which body, shape (bodies, nv)."""
+        support = np.zeros((len(self.bodies), len(self.joints)), dtype=bool)
+        for i, body in enumerate(self.bodies):
+            support[i] = body.ratios != 0
+            if body.mount.body >= 0:
+                support[i] |= support[body.mount.body]
+        return support
+
+
+def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> Model:
+    """The model of a robot of which some joints were logged.
+
+    Parameters
+    ----------
+    robot
+        From the URDF.
+    config
+        Joints, locked joints, bounding ellipsoids, rotors, gravity.
+    logged
+        Names of the joints that every log holds.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration names a joint or link that is not there, or a rotor lacks something.
+    ModelError
+        If no joint of the URDF was logged.
+    """
+    return _Builder(robot, config, tuple(logged)).build()
+
+
+@dataclass
+class _Builder:
+    robot: Robot
+    config: Config
+    logged: tuple[str, ...]
+    bodies: list[Body] = field(default_factory=list)
+    frames: dict[str, Frame] = field(default_factory=dict)  # of every URDF link
+    members: dict[int, list[Member]] = field(default_factory=dict)
+    ellipsoids: dict[int, list[Ellipsoid]] = field(default_factory=dict)
+    shapes: dict[int, list[Shape]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def build(self) -> Model:
+        self.joints = self._moving_joints()
+        self.index = {joint.name: i for i, joint in enumerate(self.joints)}
+        self._check_names()
+        self._place(self.robot.root, Frame(-1, np.eye(3), np.zeros(3)))
+        for joint in self.robot.joints.values():
+            self._attach(joint)
+        links = len(self.bodies)
+        for name, rotor in self.config.rotors.items():
+            self._add_rotor(name, rotor)
+        bodies = self._with_centres(tuple(self._finished(i, body) for i, body in enumerate(self.bodies)))
+        for body in bodies[:links]:
+            if not body.pi[0] > 0:
+                self.warnings.append(f"link {body.name} has no mass in the URDF; its prior is empty")
+        gravity = np.asarray(self.config.gravity)
+        return Model(self.robot, self.joints, bodies, gravity, tuple(self.warnings))
+
+    def _moving_joints(self) -> tuple[Joint, ...]:
+        actuated = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None}
+        if self.config.joints is not None:
+            for name in self.config.joints:
+                if name not in actuated:
+                    raise ConfigError(f"joints: {name}", f"is no actuated joint of the URDF; {nearest(name, actuated)}")
+                if name not in self.logged:
+                    raise ConfigError(f"joints: {name}", f"is not in every log; they have {some(self.logged)}")
+            chosen = list(dict.fromkeys(self.config.joints))
+        else:
+            chosen = [name for name in actuated if name in self.logged]
+        if not chosen:
+            own, logged = ", ".join(list(actuated)[:8]) or "none", ", ".join(self.logged[:8])
+            raise ModelError(
+                self.robot.path, f"no actuated joint of it is in the logs; it has {own}, the logs have {logged}"
+            )
+        strangers = [name for name in self.logged if name not in self.robot.joints]
+        if strangers:
+            self.warnings.append(f"joints in the log that the URDF has not, ignored: {some(strangers)}")
+        locked = [name for name in actuated if name not in chosen]
+        if locked:
+            values = ", ".join(f"{name} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
+            self.warnings.append(f"joints held still: {values}")
+        return tuple(actuated[name] for name in chosen)
+
+    def _check_names(self) -> None:
+        actuated = [j.name for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
+        friction = self.config.friction if isinstance(self.config.friction, dict) else {}
+        controller = self.config.controller
+        for key, names, known, kind in (
+            ("locked_joints", self.config.locked_joints, actuated, "actuated joint"),
+            ("bounding_ellipsoids", self.config.bounding_ellipsoids, self.robot.links, "link"),
+            ("bounding_shapes", self.config.bounding_shapes, self.robot.links, "link"),
+            ("friction", friction, actuated, "actuated joint"),
+            ("controller.kp", controller.kp if controller else {}, actuated, "actuated joint"),
+            ("controller.kd", controller.kd if controller else {}, actuated, "actuated joint"),
+        ):
+            for name in names:
+                if name not in known:
+                    raise ConfigError(f"{key}: {name}", f"is no {kind} of the URDF; {nearest(name, known)}")
+        for name in self.config.locked_joints:
+            if name in self.index:
+                raise ConfigError(f"locked_joints: {name}", "is also a moving joint; take it out of one of the two")
+
+    def _motion(self, joint: Joint) -> tuple[Array, float]:
+        """Ratios (nv,) and offset of a joint's position; no ratios where it is locked."""
+        ratios = np.zeros(len(self.joints))
+        scale, offset, seen = 1.0, 0.0, {joint.name}
+        while joint.mimic is not None:
+            scale, offset = scale * joint.mimic.multiplier, offset + scale * joint.mimic.offset
+            source = self.robot.joints.get(joint.mimic.joint)
+            if source is None or source.name in seen:
+                raise ModelError(
+                    f"{self.robot.path}: joint {joint.name}", f"mimics {joint.mimic.joint}, which leads nowhere"
+                )
+            seen.add(source.name)
+            joint = source
+        if joint.name in self.index:
+            ratios[self.index[joint.name]] = scale
+            return ratios, offset
+        return ratios, offset + scale * self.config.locked_joints.get(joint.name, 0.0)
+
+    def _attach(self, joint: Joint) -> None:
+        mount = self.frames[joint.parent].then(joint.R, joint.p)
+        prismatic = joint.kind == "prismatic"
+        if joint.kind != "fixed":
+            ratios, offset = self._motion(joint)
+            if ratios.any():
+                self.bodies.append(
+                    Body(joint.child, "link", np.zeros(SIZE), (), mount, joint.axis, prismatic, ratios, offset)
+                )
+                mount = Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3))
+            elif prismatic:
+                mount = mount.then(np.eye(3), joint.axis * offset)
+            else:
+                mount = mount.then(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
+        self._place(joint.child, mount)
+
+    def _place(self, link: str, frame: Frame) -> None:
+        self.frames[link] = frame
+        if link not in self.config.rotors:  # a rotor is no part of the body that carries it
+            self._lump(link, self.robot.links[link], frame, self.config.bounding_ellipsoids.get(link, ()))
+
+    def _lump(self, link: str, pi: Array | None, frame: Frame, bounds: tuple[Bounding, ...]) -> None:
+        if pi is not None:
+            self.members.setdefault(frame.body, []).append(Member(link, pi, frame))
+        for bounding in bounds:
+            self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
+        for shape in self.config.bounding_shapes.get(link, ()):
+            solid = bounding_shape(shape, self.robot, link).moved(frame.R, frame.p)
+            self.shapes.setdefault(frame.body, []).append(solid)
+
+    def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
+        """Ratios (nv,) and offset of a rotor's angle; no ratios where all that drives it is locked."""
+        ratios, offset = np.zeros(len(self.joints)), 0.0
+        turning = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed"}
+        for joint, gear_ratio in rotor.ratios.items():
+            if joint not in turning:
+                raise ConfigError(f"rotors.{name}", f"{joint} is no moving joint; {nearest(joint, turning)}")
+            share, rest = self._motion(turning[joint])
+            ratios += gear_ratio * share
+            offset += gear_ratio * rest
+        return ratios, offset
+
+    def _add_rotor(self, name: str, rotor: RotorConfig) -> None:
+        if not name.isprintable():
+            raise ConfigError(f"rotors.{name}", "is a name in characters that cannot be printed; give it another")
+        ratios, offset = self._drive(name, rotor)
+        mount, pi = self._rotor_mount(name, rotor), self._rotor_prior(name, rotor)
+        axis = np.asarray(rotor.axis) if rotor.axis is not None else self._axis_of(rotor, mount)
+        axis = axis / np.linalg.norm(axis)
+        bounds = self.config.bounding_ellipsoids.get(name, ())
+        if rotor.bounding_ellipsoid is not None:
+            bounds = (rotor.bounding_ellipsoid,)
+        if not ratios.any():  # dead weight
+            turned = mount.then(Rotation.from_rotvec(axis * offset).as_matrix(), np.zeros(3))
+            self._lump(name, pi, turned, bounds)
+            return
+        own = Member(name, pi, Frame(len(self.bodies), np.eye(3), np.zeros(3)))
+        self.bodies.append(
+            Body(
+                name,
+                "rotor",
+                pi,
+                tuple(bounding.ellipsoid() for bounding in bounds),
+                mount,
+                axis,
+                False,
+                ratios,
+                offset,
+                members=(own,) if name in self.robot.links else (),
+                shapes=tuple(bounding_shape(s, self.robot, name) for s in self.config.bounding_shapes.get(name, ())),
+            )
+        )
+
+    def _rotor_mount(self, name: str, rotor: RotorConfig) -> Frame:
+        """Where the rotor's frame is: at its URDF link, as configured, or at the joint it drives."""
+        key, links = f"rotors.{name}", self.robot.links
+        if name in links:
+            if name in {body.name for body in self.bodies}:
+                raise ConfigError(key, "bears the name of a moving link; give the rotor a name of its own")
+            if name in {joint.parent for joint in self.robot.joints.values()}:
+                raise ConfigError(key, "is a URDF link that carries other links; a rotor carries none")
+            if rotor.parent is not None or rotor.origin is not None:
+                raise ConfigError(
+                    key, "bears the name of a URDF link, which has its place; leave parent and origin out"
+                )
+            return self.frames[name]
+        if rotor.parent is not None and rotor.parent not in links:
+            raise ConfigError(f"{key}.parent", f"{rotor.parent} is no link; {nearest(rotor.parent, links)}")
+        driven = self._driven(rotor)
+        stator = self.frames[rotor.parent or driven.parent]
+        if rotor.origin is not None:
+            return stator.then(Rotation.from_euler("xyz", rotor.origin.rpy).as_matrix(), np.asarray(rotor.origin.xyz))
+        if rotor.parent in (None, driven.parent):
+            return stator.then(driven.R, driven.p)
+        raise ConfigError(f"{key}.origin", "is missing; say where the rotor sits in its parent")
+
+    def _rotor_prior(self, name: str, rotor: RotorConfig) -> Array:
+        if rotor.inertial is not None:
+            return from_mass_com_inertia(rotor.inertial.mass, rotor.inertial.com, symmetric(rotor.inertial.inertia))
+        pi = self.robot.links.get(name)
+        if pi is None:
+            hint = "is missing; give a rough mass and inertia, or name the rotor after its URDF link"
+            raise ConfigError(f"rotors.{name}.inertial", hint)
+        return pi
+
+    def _driven(self, rotor: RotorConfig) -> Joint:
+        return self.robot.joints[next(iter(rotor.ratios))]
+
+    def _axis_of(self, rotor: RotorConfig, mount: Frame) -> Array:
+        """The driven joint's axis in the rotor's frame, all joints at zero."""
+        joint = self._driven(rotor)
+        return self._rotation(mount).T @ self._rotation(self.frames[joint.parent]) @ joint.R @ joint.axis
+
+    def _rotation(self, frame: Frame) -> Array:
+        """Orientation in the root link, moving joints at zero."""
+        return frame.R if frame.body < 0 else self._rotation(self.bodies[frame.body].mount) @ frame.R
+
+    def _with_centres(self, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+        names = [body.name for body in bodies]
+        for name in self.config.known_com:
+            if name not in names:
+                hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
+                raise ConfigError(f"known_com: {name}", hint)
+        return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
+
+    def _finished(self, index: int, body: Body) -> Body:
+        if body.kind == "rotor":
+            return body
+        members = tuple(self.members.get(index, ()))
+        if not members or members[0].link != body.name:
+            own = Member(body.name, np.zeros(SIZE), Frame(index, np.eye(3), np.zeros(3)))
+            members = (own, *members)
+        pi = np.sum([member.pi_in_body for member in members], axis=0)
+        ellipsoids, shapes = tuple(self.ellipsoids.get(index, ())), tuple(self.shapes.get(index, ()))
+        return replace(body, pi=pi, members=members, ellipsoids=ellipsoids, shapes=shapes)

@@ -1,0 +1,34 @@
+"""`ConstraintSet`: the inertia parameters that a body may have. A new set is one new file in this folder."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import Piece
+
+
+class ConstraintSet(ABC):
+    """A convex cone of inertia parameters.
+
+    Attributes
+    ----------
+    name
+        As in the configuration.
+    tightness
+        Order among the sets: a tighter set lies within a looser one, where both apply.
+    chosen
+        Whether a body gets it without being asked for; not where it leaves out bodies that could exist.
+    """
+
+    name: str
+    tightness: int
+    chosen: bool = True
+
+    def applies(self, body: Body) -> bool:
+        """Whether the body has what the set needs, such as a bounding ellipsoid."""
+        return True
+
+    @abstractmethod
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """The pieces that the body's parameters are the sum of, each with what it must fulfil."""

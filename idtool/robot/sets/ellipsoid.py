@@ -1,0 +1,22 @@
+"""P*_S: some mass density that is zero outside an ellipsoid, or a union of them, has these moments (Thm 4, Cor. 2)."""
+
+from __future__ import annotations
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import DENSITY, Piece, within
+from idtool.robot.sets.base import ConstraintSet
+
+
+class DensityOnEllipsoid(ConstraintSet):
+    """J(pi) ⪰ 0 and Tr(J(pi) Q) ≥ 0 (25)."""
+
+    name = "ellipsoid"
+    tightness = 5
+
+    def applies(self, body: Body) -> bool:
+        """See `ConstraintSet.applies`."""
+        return bool(body.ellipsoids)
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return tuple(Piece((DENSITY, within(e.Q, "mass within its bounding ellipsoid"))) for e in body.ellipsoids)

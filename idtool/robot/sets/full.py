@@ -1,0 +1,18 @@
+"""P*, full consistency: some mass density ρ ≥ 0 has these moments (Def. 4, Thm 3)."""
+
+from __future__ import annotations
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import DENSITY, Piece
+from idtool.robot.sets.base import ConstraintSet
+
+
+class FullyConsistent(ConstraintSet):
+    """J(pi) ⪰ 0, 4×4."""
+
+    name = "full"
+    tightness = 2
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return (Piece((DENSITY,)),)

@@ -1,0 +1,35 @@
+"""P* where the centre of mass is known (Cor. 1, (17))."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import Inequality, Piece
+from idtool.robot.inertia import BASIS, SIZE
+from idtool.robot.sets.base import ConstraintSet
+
+
+class KnownCentre(ConstraintSet):
+    """Sigma_C = Sigma − m c cᵀ ⪰ 0, 3×3, and m ≥ 0; that h = m c is an equality of the problem (`knowledge`)."""
+
+    name = "known_com"
+    tightness = 3
+
+    def applies(self, body: Body) -> bool:
+        """See `ConstraintSet.applies`."""
+        return body.com is not None
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        covariance = BASIS[:, :3, :3].copy()
+        covariance[0] -= np.outer(body.com, body.com)  # type: ignore[arg-type]  # where the set applies
+        mass = np.eye(SIZE)[:, :1]
+        return (
+            Piece(
+                (
+                    Inequality("positive definite covariance (triangle inequalities)", covariance, np.ones(3)),
+                    Inequality("positive mass", mass, np.zeros(1)),
+                )
+            ),
+        )

@@ -1,0 +1,18 @@
+"""No constraint at all: plain least squares."""
+
+from __future__ import annotations
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import Piece
+from idtool.robot.sets.base import ConstraintSet
+
+
+class Unconstrained(ConstraintSet):
+    """All of R^10."""
+
+    name = "none"
+    tightness = 0
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return (Piece(()),)

@@ -1,0 +1,31 @@
+"""Non-negative point masses on a grid: a polyhedron within the realizable parameters (Ayusawa et al. 2011)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import Piece, masses
+from idtool.robot.sets.base import ConstraintSet
+
+_PLACES = 120  # in all of a body's bounding shapes together
+
+
+class PointMasses(ConstraintSet):
+    """pi = Σ_k m_k pi(x_k), m_k ≥ 0, at places x_k in the bounding ellipsoids and shapes.
+
+    Bodies that need mass between the places are left out, so it is used only where it is asked for.
+    """
+
+    name = "points"
+    tightness = 7
+    chosen = False
+
+    def applies(self, body: Body) -> bool:
+        """See `ConstraintSet.applies`."""
+        return bool(body.bounds)
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        each = _PLACES // len(body.bounds)
+        return (masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)

@@ -1,0 +1,27 @@
+"""A mass density on boxes, cylinders, capsules, hulls of meshes and ellipsoids, or on a union of them.
+
+What a box or a hull demands is necessary, not sufficient (a moment relaxation, Heins & Schoellig, arXiv 2411.07079);
+what ellipsoids, cylinders and capsules demand is both.
+"""
+
+from __future__ import annotations
+
+from idtool.robot.body import Body
+from idtool.robot.inequality import Piece
+from idtool.robot.sets.base import ConstraintSet
+from idtool.robot.sets.ellipsoid import DensityOnEllipsoid
+
+
+class DensityOnShape(ConstraintSet):
+    """The union of all bounding shapes and ellipsoids."""
+
+    name = "shape"
+    tightness = 6
+
+    def applies(self, body: Body) -> bool:
+        """See `ConstraintSet.applies`."""
+        return bool(body.shapes)
+
+    def pieces(self, body: Body) -> tuple[Piece, ...]:
+        """See `ConstraintSet.pieces`."""
+        return (*DensityOnEllipsoid().pieces(body), *(piece for shape in body.shapes for piece in shape.pieces()))

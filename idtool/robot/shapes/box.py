@@ -1,0 +1,69 @@
+"""A box, by the moment relaxation of Heins & Schoellig (arXiv 2411.07079)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from idtool.robot.inequality import DENSITY, Piece, within
+from idtool.robot.shapes.base import Array, Placed, Vector, finest, product
+
+
+@dataclass(frozen=True)
+class Box(Placed):
+    """A box.
+
+    With u its coordinates in units of half its sides, a density on it has moments with J ⪰ 0 and E[f] ≥ 0 for every
+    product f of two facets' functions 1 ± u_i, and for the four f = 1 ± u₁u₂ ± u₁u₃ ± u₂u₃ whose signs multiply to +1:
+    at a corner such an f is 0 or 4, and it is linear in each u_i. These conditions are necessary, not sufficient.
+
+    Attributes
+    ----------
+    center
+        Its middle [m].
+    sides
+        Lengths of its sides along its own axes [m], positive; ``size`` in the configuration, as in URDF.
+    rpy
+        Roll, pitch and yaw of those axes, as in URDF [rad].
+    """
+
+    center: Vector
+    sides: Vector
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+    kind: ClassVar[str] = "box"
+    exact: ClassVar[bool] = False
+    renamed: ClassVar[dict[str, str]] = {"sides": "size"}
+
+    @property
+    def volume(self) -> float:
+        """See `Shape.volume`."""
+        return float(np.prod(self.sides))
+
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """See `Shape.contains`."""
+        beyond = np.abs(self.local(points)) - 0.5 * np.asarray(self.sides)
+        return np.asarray(beyond.max(axis=-1) <= tolerance * self.size)
+
+    def grid(self, count: int) -> Array:
+        """See `Shape.grid`; at least the eight corners."""
+
+        def points(spacing: float) -> Array:
+            axes = [np.linspace(-0.5 * side, 0.5 * side, 1 + max(1, round(side / spacing))) for side in self.sides]
+            return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+        return self.placed(finest(points, 2 * max(self.sides), count))
+
+    def pieces(self) -> tuple[Piece, ...]:
+        """See `Shape.pieces`."""
+        *u, one = self.coordinates(0.5 * np.asarray(self.sides))
+        signs = [(s, t) for s in (1, -1) for t in (1, -1)]
+        Q = [product(one - x, one + x) for x in u]
+        Q += [product(one + s * x, one + t * y) for x, y in combinations(u, 2) for s, t in signs]
+        xy, xz, yz = (product(x, y) for x, y in combinations(u, 2))
+        Q += [product(one, one) + s * xy + t * xz + s * t * yz for s, t in signs]
+        return (Piece((DENSITY, within(np.array(Q), "mass within its bounding box"))),)

@@ -1,0 +1,69 @@
+"""A capsule: the union of a cylinder and the balls at its ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from idtool.robot.ellipsoid import Ellipsoid
+from idtool.robot.inequality import DENSITY, Piece, within
+from idtool.robot.shapes.base import Array, Placed, Vector, discs, finest
+from idtool.robot.shapes.cylinder import Cylinder
+
+
+@dataclass(frozen=True)
+class Capsule(Placed):
+    """All points within ``radius`` of a line segment along its own z axis.
+
+    Attributes
+    ----------
+    center
+        Its middle [m].
+    radius, length
+        Radius, and length of the segment, without the round ends [m], positive.
+    rpy
+        Roll, pitch and yaw of its own axes, as in URDF [rad].
+    """
+
+    center: Vector
+    radius: float
+    length: float
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+    kind: ClassVar[str] = "capsule"
+    exact: ClassVar[bool] = Cylinder.exact
+
+    @property
+    def volume(self) -> float:
+        """See `Shape.volume`."""
+        return math.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
+
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """See `Shape.contains`."""
+        local = self.local(points)
+        local[..., 2] -= np.clip(local[..., 2], -0.5 * self.length, 0.5 * self.length)
+        return np.asarray(np.linalg.norm(local, axis=-1) - self.radius <= tolerance * self.size)
+
+    def grid(self, count: int) -> Array:
+        """See `Shape.grid`; at least the middle and both tips."""
+        half, radius = 0.5 * self.length, self.radius
+
+        def points(spacing: float) -> Array:
+            middle = half * np.linspace(-1, 1, 1 + max(1, round(self.length / spacing)))
+            height = np.linspace(0, radius, 1 + max(1, round(radius / spacing)))[1:]
+            width = np.sqrt(np.maximum(radius**2 - height**2, 0))
+            levels = np.concatenate([-half - height, middle, half + height])
+            return discs(levels, np.concatenate([width, np.full(len(middle), radius), width]), spacing)
+
+        return self.placed(finest(points, 2 * (self.length + 2 * radius), count))
+
+    def pieces(self) -> tuple[Piece, ...]:
+        """See `Shape.pieces`: the cylinder's, and one for each ball (Cor. 2)."""
+        ends = self.placed(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
+        balls = [Ellipsoid((x, y, z), (self.radius,) * 3) for x, y, z in ends.tolist()]
+        round_ends = [Piece((DENSITY, within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
+        return (*Cylinder(self.center, self.radius, self.length, self.rpy).pieces(), *round_ends)

@@ -1,0 +1,78 @@
+"""A cylinder, by the moment relaxation of Heins & Schoellig (arXiv 2411.07079) with second-order cones' products."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from idtool.robot.inequality import DENSITY, Inequality, Piece, within
+from idtool.robot.shapes.base import Array, Placed, Vector, discs, finest, product
+
+_LABEL = "mass within its bounding cylinder"
+
+
+@dataclass(frozen=True)
+class Cylinder(Placed):
+    """A cylinder around its own z axis.
+
+    With (u, v, w) its coordinates in units of radius, radius and half length, a density on it has moments with J ⪰ 0,
+    E[1 − u² − v²] ≥ 0, E[1 − w²] ≥ 0 and ‖E[(1 ± w)(u, v)]‖ ≤ E[1 ± w]: the product of each end's 1 ± w ≥ 0 with
+    ‖(u, v)‖ ≤ 1. They also suffice, as for the part of an ellipsoid between two parallel planes (Ye & Zhang 2003;
+    Burer & Anstreicher 2013), of which the cylinder is the limit where the ellipsoid's third axis grows.
+
+    Attributes
+    ----------
+    center
+        Its middle [m].
+    radius, length
+        Radius and length along its own z axis, as in URDF [m], positive.
+    rpy
+        Roll, pitch and yaw of its own axes, as in URDF [rad].
+    """
+
+    center: Vector
+    radius: float
+    length: float
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+    kind: ClassVar[str] = "cylinder"
+    exact: ClassVar[bool] = True
+
+    @property
+    def volume(self) -> float:
+        """See `Shape.volume`."""
+        return math.pi * self.radius**2 * self.length
+
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """See `Shape.contains`."""
+        local = self.local(points)
+        beyond = np.hypot(local[..., 0], local[..., 1]) - self.radius, np.abs(local[..., 2]) - 0.5 * self.length
+        return np.asarray(np.maximum(*beyond) <= tolerance * self.size)
+
+    def grid(self, count: int) -> Array:
+        """See `Shape.grid`; at least ten places."""
+
+        def points(spacing: float) -> Array:
+            levels = self.length * np.linspace(-0.5, 0.5, 1 + max(1, round(self.length / spacing)))
+            return discs(levels, np.full(len(levels), self.radius), spacing)
+
+        return self.placed(finest(points, 2 * max(2 * self.radius, self.length), count))
+
+    def pieces(self) -> tuple[Piece, ...]:
+        """See `Shape.pieces`."""
+        u, v, w, one = self.coordinates((self.radius, self.radius, 0.5 * self.length))
+        Q = np.array([product(one, one) - product(u, u) - product(v, v), product(one - w, one + w)])
+        ends = (_arrow(u, v, one + w), _arrow(u, v, one - w))
+        return (Piece((DENSITY, within(Q, _LABEL), *ends)),)
+
+
+def _arrow(u: Array, v: Array, end: Array) -> Inequality:
+    """‖E[end (u, v)]‖ ≤ E[end] as the matrix [[e, a, b], [a, e, 0], [b, 0, e]] ⪰ 0."""
+    e, a, b = within(np.array([product(end, f) for f in (np.array([0.0, 0, 0, 1]), u, v)]), _LABEL).G.T  # (10,) each
+    zero = np.zeros_like(e)
+    G = np.array([[e, a, b], [a, e, zero], [b, zero, e]])
+    return Inequality(_LABEL, np.moveaxis(G, -1, 0), np.zeros(3))

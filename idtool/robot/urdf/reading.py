@@ -1,0 +1,324 @@
+"""`Robot`: what a URDF says of links and joints, checked. Its text is written back by `urdf`.
+
+Read with yourdfpy from a tree that lxml has parsed strictly: no document type, no entities, no network.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yourdfpy
+from lxml import etree
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import ModelError
+from idtool.common.provenance import Source, source_of
+from idtool.robot.inertia import SIZE, from_mass_com_inertia
+
+Array = NDArray[np.float64]
+
+_MOST_BYTES = 64 << 20
+_MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
+_KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
+_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_LOGS = (".csv", ".mcap")  # by their endings
+_XACRO = "xacro"  # in the namespaces that xacro has had
+_MOMENTS = ("ixx", "iyy", "izz")  # the parser takes 1 kg·m² for one that is missing
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: position = multiplier × that joint's + offset [rad or m]."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A URDF joint.
+
+    Attributes
+    ----------
+    name, kind, parent, child
+        As in the URDF; ``kind`` is revolute, continuous, prismatic or fixed.
+    R, p
+        The child's frame in the parent's at position zero: rotation (3, 3), position (3,) [m].
+    axis
+        Unit vector in the joint's frame, shape (3,).
+    damping, friction
+        Viscous [N·m·s/rad or N·s/m] and Coulomb [N·m or N] friction, 0 where the URDF has none.
+    lower, upper, velocity, effort
+        Limits [rad or m, rad/s or m/s, N·m or N], infinite where the URDF has none.
+    mimic
+        The joint it follows, if any.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    R: Array
+    p: Array
+    axis: Array
+    damping: float
+    friction: float
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    mimic: Mimic | None
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A tree of links and joints.
+
+    Attributes
+    ----------
+    path
+        The URDF.
+    text
+        Its bytes.
+    root
+        The link that has no parent.
+    links
+        Link name to inertia parameters in the link's frame, shape (10,); None where the URDF gives no inertial.
+    joints
+        Joint name to joint, parents before children.
+    source
+        Where the text comes from.
+    """
+
+    path: Path
+    text: bytes
+    root: str
+    links: dict[str, Array | None]
+    joints: dict[str, Joint]
+    source: Source
+
+    def path_to(self, joint: str) -> list[str]:
+        """Joints from one to the root, itself first."""
+        carrying = {one.child: one for one in self.joints.values()}
+        found, here = [], self.joints.get(joint)
+        while here is not None:
+            found.append(here.name)
+            here = carrying.get(here.parent)
+        return found
+
+    def on_one_branch(self, joint: str, other: str) -> bool:
+        """Whether one of two joints carries the other."""
+        return joint in self.path_to(other) or other in self.path_to(joint)
+
+
+def read_robot(path: Path) -> Robot:
+    """The robot in a URDF.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read, is not a URDF, or its links and joints make no tree.
+    """
+    if path.suffix == ".xacro" and path.is_file():  # also where it has no macros: by its name it will have
+        raise ModelError(path, _expand(path))
+    if os.path.isdir(path):
+        identified = path / "identified.urdf"
+        raise ModelError(path, f"is a folder; give {identified if identified.is_file() else 'a URDF'}")
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise ModelError(path, f"cannot be read ({error.strerror})") from None
+    if path.suffix.lower() in _LOGS or data.startswith(b"\x89MCAP"):
+        raise ModelError(path, "is a log; the URDF comes first, the logs after it")
+    return parse_robot(path, data)
+
+
+def parse_robot(path: Path, data: bytes) -> Robot:
+    """The robot in a URDF's text.
+
+    Parameters
+    ----------
+    path
+        Where the text comes from; errors name it.
+    data
+        The text.
+
+    Raises
+    ------
+    ModelError
+        If it is not a URDF, or its links and joints make no tree.
+    """
+    if len(data) > _MOST_BYTES:
+        raise ModelError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no URDF is")
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise ModelError(path, "is in UTF-16; save it as UTF-8")
+    try:
+        with np.errstate(all="ignore"):  # numbers that are not finite are found below
+            text = io.BytesIO(_reduced(path, data))
+            urdf = yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot
+            joints = [_joint(path, joint) for joint in urdf.joints]
+            links = {link.name: _parameters(path, link) for link in urdf.links}
+    except ModelError:
+        raise
+    except Exception as error:  # the parser has no error of its own for a missing tag or a word in place of a number
+        raise ModelError(path, f"is not a well-formed URDF ({type(error).__name__}: {error})") from None
+    if len(links) != len(urdf.links) or len({joint.name for joint in joints}) != len(joints):
+        raise ModelError(path, "two links or two joints have the same name; rename one")
+    root, ordered = _tree(path, links, joints)
+    return Robot(path, data, root, links, ordered, source_of("URDF", path, data))
+
+
+def parse_xml(path: Path, data: bytes) -> etree._Element:
+    """The root element of a stranger's XML.
+
+    Raises
+    ------
+    ModelError
+        If it is not well-formed, or declares a document type or entities.
+    """
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        raise ModelError(path, f"is not XML: {error.msg}") from None
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise ModelError(path, "declares a document type, which it does not need; remove it")
+    return root
+
+
+def _reduced(path: Path, data: bytes) -> bytes:
+    """The URDF with only what is read here, so that a strange visual or plugin tag cannot stop the parser."""
+    try:
+        root = parse_xml(path, data)
+    except ModelError:
+        if b"<xacro:" in data:  # a prefix that it does not declare
+            raise ModelError(path, _expand(path)) from None
+        raise
+    if any(_XACRO in str(etree.QName(element).namespace) for element in root.iter(etree.Element)):
+        raise ModelError(path, _expand(path))
+    if root.tag != "robot":
+        raise ModelError(path, f"is not a URDF: its root element is <{root.tag}>, not <robot>")
+    reduced = etree.Element("robot", name=root.get("name", "robot"))
+    for element in root:
+        kept = _KEPT.get(element.tag) if isinstance(element.tag, str) else None
+        if kept is None:
+            continue
+        _check_parts(path, element)
+        copy = etree.SubElement(reduced, element.tag, {str(name): str(value) for name, value in element.attrib.items()})
+        copy.extend([child for child in element if child.tag in kept])
+    if any(sign in value for element in reduced.iter() for value in element.attrib.values() for sign in ("${", "$(")):
+        raise ModelError(path, _expand(path))
+    return bytes(etree.tostring(reduced))
+
+
+def _expand(path: Path) -> str:
+    """What to do with xacro macros."""
+    plain = path.name.removesuffix(".xacro").removesuffix(".urdf")
+    urdf = shlex.quote(f"{plain}.urdf" if path.suffix == ".xacro" else f"{plain}_expanded.urdf")
+    return f"holds xacro macros; run xacro on it and give the result: xacro {shlex.quote(path.name)} > {urdf}"
+
+
+def _check_parts(path: Path, element: etree._Element) -> None:
+    """What a link or joint cannot be without."""
+    where = f"{path}: line {element.sourceline}: {element.tag} {element.get('name', '')}".rstrip()
+    if not element.get("name"):
+        raise ModelError(where, "has no name; give it one")
+    if not element.get("name", "").isprintable():
+        raise ModelError(where, "has a name in characters that cannot be printed; give it another")
+    for tag in ("parent", "child") if element.tag == "joint" else ():
+        part = element.find(tag)
+        if part is None or not part.get("link"):
+            raise ModelError(where, f"has no {tag} link; add <{tag} link=.../>")
+    for inertia in element.iterfind("inertial/inertia"):
+        missing = [name for name in _MOMENTS if name not in inertia.attrib]
+        if missing:
+            raise ModelError(where, f"its inertia lacks {', '.join(missing)}")
+
+
+def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
+    if link.inertial is None:
+        return None
+    inertial = link.inertial
+    mass = inertial.mass if inertial.mass is not None else 0.0
+    inertia = inertial.inertia if inertial.inertia is not None else np.zeros((3, 3))
+    placement = inertial.origin if inertial.origin is not None else np.eye(4)
+    R = placement[:3, :3]
+    pi = from_mass_com_inertia(mass, placement[:3, 3], R @ inertia @ R.T)
+    if pi.shape != (SIZE,) or not (np.abs(pi) < _MOST).all():
+        raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
+    return pi
+
+
+def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
+    where = f"{path}: joint {joint.name}"
+    if joint.type not in _TYPES:
+        raise ModelError(where, f"type {joint.type} is not supported; use one of {', '.join(_TYPES)}")
+    placement = joint.origin if joint.origin is not None else np.eye(4)
+    axis = np.asarray(joint.axis, dtype=float)
+    if axis.shape != (3,) or not (np.abs(placement) < _MOST).all() or not (np.abs(axis) < _MOST).all():
+        raise ModelError(where, "its origin or axis is not made of three finite numbers")
+    if joint.type != "fixed":
+        if not np.linalg.norm(axis) > 0:
+            raise ModelError(where, "its axis is zero; give the direction it moves in")
+        axis = axis / np.linalg.norm(axis)
+    dynamics, limit, mimic = joint.dynamics, joint.limit, joint.mimic
+
+    def bound(value: float | None, default: float) -> float:
+        return default if limit is None or value is None or not math.isfinite(value) else float(value)
+
+    turns = joint.type == "continuous"
+    friction = [float(x or 0.0) for x in ((dynamics.damping, dynamics.friction) if dynamics else (0.0, 0.0))]
+    follows = [float(x) for x in ((mimic.multiplier, mimic.offset) if mimic else ())]
+    if not (np.abs([*friction, *follows]) < _MOST).all():
+        raise ModelError(where, "its dynamics or mimic holds a value that is not a finite number")
+    return Joint(
+        name=joint.name,
+        kind=joint.type,
+        parent=joint.parent,
+        child=joint.child,
+        R=placement[:3, :3],
+        p=placement[:3, 3],
+        axis=axis,
+        damping=friction[0],
+        friction=friction[1],
+        lower=-math.inf if turns else bound(limit and limit.lower, -math.inf),
+        upper=math.inf if turns else bound(limit and limit.upper, math.inf),
+        velocity=bound(limit and limit.velocity, math.inf),
+        effort=bound(limit and limit.effort, math.inf),
+        mimic=Mimic(mimic.joint, *follows) if mimic else None,
+    )
+
+
+def _tree(path: Path, links: dict[str, Array | None], joints: list[Joint]) -> tuple[str, dict[str, Joint]]:
+    """The root link, and the joints with parents before children."""
+    parent_joint: dict[str, Joint] = {}
+    children: dict[str, list[Joint]] = {}
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise ModelError(f"{path}: joint {joint.name}", f"names link {link}, which the URDF does not define")
+        if joint.child in parent_joint:
+            raise ModelError(path, f"link {joint.child} is the child of two joints; a URDF must be a tree")
+        parent_joint[joint.child] = joint
+        children.setdefault(joint.parent, []).append(joint)
+    roots = [link for link in links if link not in parent_joint]
+    if len(roots) != 1:
+        found = f"{len(roots)} root links ({', '.join(roots[:4])})" if roots else "no root link"
+        raise ModelError(path, f"has {found}; a URDF must be one tree")
+    order: list[Joint] = []
+    stack = list(reversed(children.get(roots[0], [])))
+    while stack:  # depth first: leg by leg, as a reader of the URDF expects them
+        joint = stack.pop()
+        order.append(joint)
+        stack += reversed(children.get(joint.child, []))
+    if len(order) != len(joints):
+        raise ModelError(path, "some links are joined in a loop; a URDF must be a tree")
+    return roots[0], {joint.name: joint for joint in order}
