@@ -61,10 +61,10 @@ from leg_runs import (
 )
 
 from idtool.base import BaseParameters, structural_base
+from idtool.data.logs import write_log
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import Fit, fit
 from idtool.identified import Method
-from idtool.logs import write_log
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

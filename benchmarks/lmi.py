@@ -17,6 +17,7 @@ import leg
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects import build_effects
 from idtool.identify import solve
 from idtool.problem import Problem, build_problem
@@ -26,7 +27,6 @@ from idtool.robot.config import WEAK, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
-from idtool.signals import Motion
 from idtool.weights import free_noise
 
 Array = NDArray[np.float64]

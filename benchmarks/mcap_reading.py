@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from idtool.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import Log, make_log, read_log, write_log
 
 RATE = 1000.0  # Hz
 JOINTS = ("abad", "hip", "knee")

@@ -16,9 +16,9 @@ from pathlib import Path
 import leg
 import numpy as np
 
+from idtool.data.logs import make_log, write_log
+from idtool.data.signals import Motion
 from idtool.fitting import fit
-from idtool.logs import make_log, write_log
-from idtool.signals import Motion
 
 RATE = 1000.0  # Hz
 MINUTE = round(60 * RATE)  # samples

@@ -60,11 +60,11 @@ import idtool
 from idtool.base import structural_base
 from idtool.blocks import Blocks, together
 from idtool.common.exceptions import ConfigError, SolverError
+from idtool.data.logs import Log, read_log
 from idtool.experiment import Experiment, Rows, Run, prepare
 from idtool.fitting import fit
 from idtool.identified import identified
 from idtool.learning import held_out, rms
-from idtool.logs import Log, read_log
 from idtool.reduction import Reduction
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import NAMES, SIZE

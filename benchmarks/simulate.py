@@ -19,11 +19,11 @@ import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from idtool.data.signals import Signals
 from idtool.experiment import Experiment, prepare
 from idtool.mechanism import Mechanism
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.signals import Signals
 from idtool.simulation import simulate
 from idtool.windows import windows_of
 

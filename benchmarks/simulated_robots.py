@@ -31,7 +31,7 @@ from bodies import Body
 from hidden_motion import Motion, draw_motion
 from hidden_robots import ARM6, LEG3, Joint, Robot, rotor, urdf_text
 
-from idtool.logs import Log, make_log
+from idtool.data.logs import Log, make_log
 
 Array = NDArray[np.float64]
 

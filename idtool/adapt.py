@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.causal import causal_batches
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.linear_algebra import svd
 from idtool.common.provenance import provenance
+from idtool.data.causal import causal_batches
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.problem import Problem
 from idtool.recursive import RecursiveFit

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
 from idtool.blocks import Blocks, together
-from idtool.command import LONGEST_DELAY
 from idtool.common.linear_algebra import svd
+from idtool.data.command import LONGEST_DELAY
+from idtool.data.signals import Signals
 from idtool.experiment import Experiment, Progress, Rows, Run, tracked
 from idtool.knowledge import Knowledge
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
 from idtool.robot.config import Config, Uncertain
-from idtool.signals import Signals
 from idtool.trust.scatter import FEWEST
 from idtool.weights import free_noise, freedom
 

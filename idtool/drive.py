@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Signals
 from idtool.mechanism import Mechanism
 from idtool.moment import Lanes
-from idtool.signals import Signals
 from idtool.windows import starts, stretch_of
 
 Array = NDArray[np.float64]

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.blocks import Blocks, block_rows, cut, most_blocks, together
-from idtool.command import commanded
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import shown, some
 from idtool.common.provenance import Source
+from idtool.data.command import commanded
+from idtool.data.logs import Log, read_log
+from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.effects import build_effects
 from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
-from idtool.logs import Log, read_log
 from idtool.reduction import Reduction, empty
 from idtool.regressor import LinearModel
 from idtool.robot.config import Config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Batch, Signals, default_cutoff
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Iterable[tuple[list[NDArray[np.float64]], list[NDArray[np.bool_]]]]

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.dynamics import Dynamics, motor_sides
 from idtool.gears import Gears
 from idtool.mechanism import Mechanism
 from idtool.moment import Flags, Lanes, Moment, solve
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Drive = Callable[[Array, Array, Array, Lanes], Array]  # t (w,), q, v (nv, w), which rollouts → torque (nv, w)

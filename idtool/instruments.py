@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from idtool.common.exceptions import ModelError
+from idtool.data.logs import Log
+from idtool.data.signals import Signals
 from idtool.experiment import Experiment, Progress, Run, tracked
-from idtool.logs import Log
-from idtool.signals import Signals
 from idtool.simulated_log import under_controller
 from idtool.simulation import simulate
 

@@ -15,9 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.robot.inertia import SIZE, symmetric
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

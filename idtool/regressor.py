@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from idtool.data.signals import Batch, Motion
 from idtool.effects.base import Coefficient, Effect
 from idtool.effects.survey import Present
 from idtool.mechanism import Mechanism
 from idtool.present import PresentModel
 from idtool.robot.model import Model
-from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]
 

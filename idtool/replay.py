@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ModelError
+from idtool.data.signals import Signals
 from idtool.envelope import Envelope, Trace
 from idtool.experiment import Experiment, Progress
 from idtool.mechanism import Mechanism
-from idtool.signals import Signals
 from idtool.simulation import simulate
 from idtool.windows import measured_states, windows_of
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError, ModelError
+from idtool.data.logs import Log, make_log
+from idtool.data.signals import Signals
 from idtool.experiment import Experiment, Progress
-from idtool.logs import Log, make_log
-from idtool.signals import Signals
 from idtool.simulation import simulate
 from idtool.windows import windows_of
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ModelError
+from idtool.data.signals import Signals
 from idtool.drive import Drive, stride
 from idtool.integrate import LONGEST_STEP, Rollouts
 from idtool.mechanism import Mechanism
 from idtool.moment import Lanes, Moment, between
-from idtool.signals import Signals
 from idtool.windows import measured_states, starts
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Batch
 from idtool.envelope import Envelope, Trace
 from idtool.experiment import Experiment, Progress, tracked
-from idtool.signals import Batch
 from idtool.spectrum import Correlations
 
 Array = NDArray[np.float64]

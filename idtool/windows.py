@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.signals import Signals
+from idtool.data.signals import Signals
 
 Array = NDArray[np.float64]
 

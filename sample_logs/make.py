@@ -21,7 +21,7 @@ from bodies import Array, Body, ellipsoid_matrix, true_link, true_rotor
 from scipy.signal import butter, sosfiltfilt
 from two_mass import RATE, build, prior_links, rigid_torque
 
-from idtool.logs import make_log, write_log
+from idtool.data.logs import make_log, write_log
 
 HERE = Path(__file__).parent
 ROBOTS: dict[str, tuple[ModuleType, int]] = {"leg": (leg, 1), "belt_arm": (belt_arm, 2)}  # and its seed

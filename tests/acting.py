@@ -10,11 +10,11 @@ from arms import JOINTS
 from numpy.typing import NDArray
 from robots import chain, joint
 
+from idtool.data.signals import Motion
 from idtool.effects import Effect, build_effects
 from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

@@ -23,8 +23,8 @@ from recordings import State, ros2, write_mcap
 from test_logs_rosbag2 import metadata
 from test_robot_description import described
 
-from idtool.logs import read_log, write_log
-from idtool.logs.log import make_log
+from idtool.data.logs import read_log, write_log
+from idtool.data.logs.log import make_log
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -11,7 +11,7 @@ import pinocchio as pin
 from commands import idtool
 from numpy.typing import NDArray
 
-from idtool.logs import Log, read_log
+from idtool.data.logs import Log, read_log
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool.inspection import Inspection, inspect_log
-from idtool.logs.log import Log, make_log
+from idtool.data.inspection import Inspection, inspect_log
+from idtool.data.logs.log import Log, make_log
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from two_mass import Friction, Run
 
-from idtool.logs import Log, make_log
+from idtool.data.logs import Log, make_log
 
 __all__ = ["GENTLE", "JOINTS", "PERFECT", "RATE", "SAMPLES", "TRUTH", "URDF", "Controller", "LegRun", "LegSensors"]
 __all__ += ["Friction", "Motion", "Truth", "as_log", "draw_truth", "encoder_step", "fourier", "inverse_dynamics"]

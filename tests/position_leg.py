@@ -17,7 +17,7 @@ from leg_runs import as_log
 from leg_truth import JOINTS, TRUTH
 from numpy.typing import NDArray
 
-from idtool.logs import Log
+from idtool.data.logs import Log
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.logs.log import Log, make_log
+from idtool.data.logs.log import Log, make_log
+from idtool.data.signals import Motion, Signals
 from idtool.robot.config import parse_config
-from idtool.signals import Motion, Signals
 
 Array = NDArray[np.float64]
 

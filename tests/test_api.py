@@ -21,7 +21,7 @@ import pytest
 from commands import JOINTS, LEG, SAMPLES, TRAIN, VALIDATE_CSV, config_with, csv_text, sample_table
 
 import idtool
-from idtool.logs import read_log
+from idtool.data.logs import read_log
 
 ROOT = Path(__file__).parents[1]
 API = ("data", "diagnose", "fit", "identified", "log", "model", "plots", "records", "simulate", "validate")

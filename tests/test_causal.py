@@ -13,16 +13,16 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfilt
 from swings import JOINTS, clock, everything, signals_of, swing, swinging
 
-from idtool import causal as module
-from idtool.causal import CausalLowPass, causal_batches
+from idtool.data import causal as module
+from idtool.data.causal import CausalLowPass, causal_batches
+from idtool.data.filters import LowPass
+from idtool.data.logs.log import Log
+from idtool.data.signals import Batch, Motion, Signals
 from idtool.effects import build_effects
-from idtool.filters import LowPass
-from idtool.logs.log import Log
 from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Batch, Motion, Signals
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import pytest
 from commands import LEG, config_with, csv_text, files, idtool, refuse, sample_table
 from numpy.typing import NDArray
 
-from idtool.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import Log, make_log, read_log, write_log
 
 Array = NDArray[np.float64]
 

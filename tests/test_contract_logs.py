@@ -27,7 +27,7 @@ from commands import (
 from numpy.typing import NDArray
 from recordings import Proto, State, proto_channel, write_mcap
 
-from idtool.logs import read_log
+from idtool.data.logs import read_log
 
 Column = NDArray[np.float64]
 

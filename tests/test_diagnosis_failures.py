@@ -15,6 +15,7 @@ from disturbed import experiment_of, on, quiet
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError, SolverError
+from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
 from idtool.diagnosis import rounds
 from idtool.diagnosis.diagnose import Options, diagnose
@@ -23,7 +24,6 @@ from idtool.diagnosis.rounds import Search
 from idtool.effects.spring import ParallelSpring
 from idtool.experiment import Experiment
 from idtool.robot.config import EffectEntry
-from idtool.signals import Motion
 
 EFFECTS = ("parallel_spring", "torque_offset")
 SPRING, OFFSET = ("parallel_spring", "j1"), ("torque_offset", "j2")

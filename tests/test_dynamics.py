@@ -17,12 +17,12 @@ from reference import Reference
 from robots import actuated, random_rotors, random_urdf
 
 from idtool.common.exceptions import ModelError
+from idtool.data.signals import Motion
 from idtool.dynamics import Dynamics
 from idtool.effects import RigidBodies
 from idtool.mechanism import Mechanism
 from idtool.regressor import LinearModel
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

@@ -14,13 +14,13 @@ from arms import JOINTS, Physics, recording, written
 from numpy.typing import NDArray
 from robots import chain, joint
 
+from idtool.data.signals import Motion
 from idtool.experiment import prepare
 from idtool.fitting import Fit, fit
 from idtool.regressor import LinearModel
 from idtool.report import model_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Elbow = Callable[[float, Array, Array, Array], Array]

@@ -11,13 +11,13 @@ from arms import ARM, INERTIA, JOINTS, PENDULUM, WEIGHT, Physics, acceleration
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from idtool.data.signals import Motion
 from idtool.effects import build_effects
 from idtool.integrate import Rollouts
 from idtool.mechanism import Mechanism
 from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

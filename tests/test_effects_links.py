@@ -31,6 +31,7 @@ from spatial_arm import (
     written,
 )
 
+from idtool.data.signals import Motion
 from idtool.effects import named_effect
 from idtool.effects.contact import ExternalContact
 from idtool.fitting import fit
@@ -38,7 +39,6 @@ from idtool.report import model_config
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

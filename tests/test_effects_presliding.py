@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from spatial_arm import NOISE, RATE, STEPS, Act, Log, experiment, recorded, residuals, rolled_out, spec_of, written
 
+from idtool.data.signals import Motion
 from idtool.effects.presliding import PreslidingHysteresis
 from idtool.fitting import fit
 from idtool.report import model_config
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

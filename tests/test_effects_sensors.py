@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from spatial_arm import RIGID, Log, recorded, residuals, rolled_out, spec_of, written
 
+from idtool.data.signals import Motion
 from idtool.effects import NamedEffect, named_effect
 from idtool.regressor import LinearModel
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

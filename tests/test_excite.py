@@ -12,8 +12,8 @@ from commands import LEG, SAMPLES, TRAIN, idtool
 from exciting import arm, body, derivatives, excited, joint, robot, torque
 from pages import Page, complete
 
+from idtool.data.logs import Log, read_log
 from idtool.excitation.objective import Objective
-from idtool.logs import Log, read_log
 
 FRICTION = {"a": (0.2, 0.5), "b": (0.2, 0.5)}
 

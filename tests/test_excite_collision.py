@@ -10,8 +10,8 @@ import pytest
 from commands import LEG, idtool
 from exciting import Array, body, derivatives, excited, joint, robot
 
+from idtool.data.logs import Log
 from idtool.excitation.patterns.shell import tip_and_jacobian
-from idtool.logs import Log
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import read_robot

@@ -19,9 +19,9 @@ from leg_truth import true_theta
 from numpy.typing import NDArray
 
 from idtool.base import structural_base
+from idtool.data.logs import Log, read_log, write_log
 from idtool.excitation.criteria import BaseColumns
 from idtool.experiment import Experiment, prepare
-from idtool.logs import Log, read_log, write_log
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 from idtool.uncertainty import uncertainty

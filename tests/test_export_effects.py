@@ -11,11 +11,11 @@ from exported import EXACT, InMujoco, arm, mass_and_bias, model_of, parts, state
 from numpy.typing import NDArray
 from reference import Reference
 
+from idtool.data.signals import Motion
 from idtool.effects import JointTerm, known_effects
 from idtool.export import Export, to_drake, to_mujoco
 from idtool.mechanism import Gear, Mechanism, TorqueSensor
 from idtool.robot.inertia import from_mass_com_inertia
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from robots import chain, joint
 from swings import JOINTS, clock, joined, signals_of, swing, swinging
 
+from idtool.data.signals import Motion
 from idtool.effects import build_effects, known_effects
 from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from imposed import silent
 
-from idtool.logs import Log, make_log
+from idtool.data.logs import Log, make_log
 from idtool.starting import seen
 from idtool.starting.bench import Verdict
 from idtool.starting.seen import shortened

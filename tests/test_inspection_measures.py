@@ -7,8 +7,8 @@ import pytest
 from inspected import DATA, motion, needs_data
 from scipy.signal import lfilter
 
-from idtool.inspection import inspect_log, jitter, quantisation, sample_steps, velocity_lag
-from idtool.logs import read_log
+from idtool.data.inspection import inspect_log, jitter, quantisation, sample_steps, velocity_lag
+from idtool.data.logs import read_log
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.3, 1.0, -2.4, 7.7])

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from idtool.base import structural_base
 from idtool.common.exceptions import ModelError
+from idtool.data.logs import Log, make_log
 from idtool.experiment import Experiment, prepare
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.instruments import Instruments, instruments, smoothing
-from idtool.logs import Log, make_log
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 from idtool.two_stage import TwoStage, project, stack, two_stage, unprojected

@@ -12,7 +12,7 @@ from recordings import Channel, bag, metadata, ros2, states, write_mcap
 from test_logs_mcap import check
 
 from idtool.common.exceptions import LogError
-from idtool.logs import is_bag, read_log
+from idtool.data.logs import is_bag, read_log
 
 ITEMS = states(300)
 PARTS = ITEMS[:100], ITEMS[100:220], ITEMS[220:]

@@ -14,10 +14,10 @@ from recordings import UNINDEXED, Channel, Proto, bag, metadata, proto_channel, 
 from test_logs_mcap import check
 
 from idtool.common.exceptions import LogError
-from idtool.logs import read_log
-from idtool.logs.bag import files_of
-from idtool.logs.payloads.cdr import encode
-from idtool.logs.series import Samples, Series
+from idtool.data.logs import read_log
+from idtool.data.logs.bag import files_of
+from idtool.data.logs.payloads.cdr import encode
+from idtool.data.logs.series import Samples, Series
 
 JOINTS = tuple(f"joint{i:03d}" for i in range(512))
 ZEROS = Channel("/zeros", range(40), [bytes(1 << 20)] * 40, schema=("x", "ros2msg", b""))
@@ -54,7 +54,7 @@ def test_robots_that_publish_their_joints_in_parts_are_not(tmp_path: Path) -> No
 def test_new_joints_are_admitted_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Arrays are made wider once for all pieces, not once for each."""
     widened, pad = [], np.pad
-    monkeypatch.setattr("idtool.logs.series.np.pad", lambda *a, **k: widened.append(a) or pad(*a, **k))
+    monkeypatch.setattr("idtool.data.logs.series.np.pad", lambda *a, **k: widened.append(a) or pad(*a, **k))
     series, values = Series(tmp_path), np.ones((1, 1))
     for names in (JOINTS[:100], JOINTS[100:200]):
         series.append([Samples(np.array([i]), np.array([0.0]), (name,), {"q": values}) for i, name in enumerate(names)])
@@ -75,7 +75,7 @@ def padded(path: Path, size: int) -> bytes:
 
 def test_compression_within_compression_does_not_multiply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """40 MiB in 1 MiB that is in less than a KiB or two: each by itself is not out of bounds."""
-    monkeypatch.setattr("idtool.logs.records._MOST_BYTES", 2 << 20)
+    monkeypatch.setattr("idtool.data.logs.records._MOST_BYTES", 2 << 20)
     path = write_mcap(
         tmp_path / "log", ros2(states(5)), ZEROS, compression=CompressionType.ZSTD, chunk_size=1 << 20, **UNINDEXED
     )
@@ -92,7 +92,7 @@ def test_compression_within_compression_does_not_multiply(tmp_path: Path, monkey
 
 
 def test_definitions_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.logs.definitions._MOST_BYTES", 1 << 16)
+    monkeypatch.setattr("idtool.data.logs.definitions._MOST_BYTES", 1 << 16)
     others = [Channel(f"/{i}", [1], [b"x"], schema=(f"s{i}", "ros2msg", bytes(7000))) for i in range(8)]
     check(read_log(write_mcap(tmp_path / "log", ros2(states(5)), *others)), states(5))
     others = [Channel(f"/{i}", [1], [b"x"], schema=(f"s{i}", "ros2msg", bytes(7000))) for i in range(10)]
@@ -105,7 +105,7 @@ def test_definitions_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_definitions_that_are_repeated_count_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As some writers do in every chunk."""
-    monkeypatch.setattr("idtool.logs.definitions._MOST_BYTES", 1 << 16)
+    monkeypatch.setattr("idtool.data.logs.definitions._MOST_BYTES", 1 << 16)
     channel = Channel("/x", [1], [b"x"], schema=("s", "ros2msg", bytes(7000)))
     path = write_mcap(tmp_path / "log", channel, ros2(states(5)), use_chunking=False, **UNINDEXED)
     data = path.read_bytes()
@@ -119,7 +119,7 @@ def test_a_schema_is_looked_at_once_however_many_channels_have_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = []
-    from idtool.logs import topics
+    from idtool.data.logs import topics
 
     original = topics.decoder_for
     monkeypatch.setattr(topics, "decoder_for", lambda *given: made.append(given) or original(*given))
@@ -150,7 +150,7 @@ def test_metadata_take_room_in_proportion(tmp_path: Path) -> None:
 
 def test_metadata_are_parsed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parsed, original = [], yaml.parse
-    monkeypatch.setattr("idtool.logs.bag.yaml.parse", lambda *a, **k: parsed.append(a) or original(*a, **k))
+    monkeypatch.setattr("idtool.data.logs.bag.yaml.parse", lambda *a, **k: parsed.append(a) or original(*a, **k))
     folder = bag(tmp_path / "run_of_its_own", states(5))
     for _ in range(2):
         check(read_log(folder), states(5))

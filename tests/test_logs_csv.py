@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from idtool.common.exceptions import LogError
-from idtool.logs import Log, read_log
+from idtool.data.logs import Log, read_log
 
 Written = Callable[[str | bytes, str], Path]
 
@@ -196,7 +196,7 @@ def test_seconds_stay(written: Written, start: float) -> None:
 
 
 def test_many_pieces(written: Written, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
-    monkeypatch.setattr("idtool.logs.table._PIECE_BYTES", 1000)
+    monkeypatch.setattr("idtool.data.logs.table._PIECE_BYTES", 1000)
     values = rng.normal(size=(500, 4)) * 10.0 ** rng.integers(-9, 9, size=(500, 4))
     values[:, 0] = np.arange(500)
     text = "t,q_a,q_b,v_b\n" + "".join(",".join(map(repr, row)) + "\n" for row in values.tolist())
@@ -273,8 +273,8 @@ def test_tables_that_cannot_be_read(written: Written, text: str, said: str) -> N
 
 
 def test_lines_without_end(written: Written, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.logs.table._LONGEST_LINE", 1000)
-    monkeypatch.setattr("idtool.logs.table._PIECE_BYTES", 700)
+    monkeypatch.setattr("idtool.data.logs.table._LONGEST_LINE", 1000)
+    monkeypatch.setattr("idtool.data.logs.table._PIECE_BYTES", 700)
     for text in ("t,q_hip," + "x" * 2000, "t,q_hip\n0,1\n" + "1" * 3000):
         with pytest.raises(LogError, match="longer than"):
             read_log(written(text, "log.csv"))

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from recordings import COMPRESSIONS, Channel, State, ros2, states, write_mcap
 
 from idtool.common.exceptions import LogError
-from idtool.logs import Log, read_log
+from idtool.data.logs import Log, read_log
 
 LAYOUTS: list[dict[str, Any]] = [
     {"use_chunking": False},

@@ -19,7 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from recordings import ros2, states, write_mcap
 
 from idtool.common.exceptions import LogError
-from idtool.logs import SIGNALS, Log, make_log, read_log, write_log
+from idtool.data.logs import SIGNALS, Log, make_log, read_log, write_log
 
 Written = Callable[[str | bytes, str], Path]
 
@@ -238,6 +238,8 @@ def test_arrays_are_float64_and_nothing_longer(tmp_path: Path) -> None:
 
 
 def test_import_is_cheap() -> None:
-    code = "import sys, idtool.logs; print([m for m in ('mcap', 'google.protobuf', 'zstandard') if m in sys.modules])"
+    code = (
+        "import sys, idtool.data.logs; print([m for m in ('mcap', 'google.protobuf', 'zstandard') if m in sys.modules])"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out == "[]\n"

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from recordings import COMPRESSIONS, Proto, json_channel, proto_channel, ros2, states, write_mcap
 
 from idtool.common.exceptions import LogError
-from idtool.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import Log, make_log, read_log, write_log
 
 KINDS = ("loose", "chunk", "lz4", "zstd", "json", "protobuf", "unpacked", "csv", "quoted")
 

@@ -25,7 +25,7 @@ from recordings import (
 )
 
 from idtool.common.exceptions import LogError
-from idtool.logs import Log, read_log
+from idtool.data.logs import Log, read_log
 
 NAMES = ("abad", "hip", "knee")
 FIELDS = {"q": "position", "v": "velocity", "tau": "effort"}

@@ -14,9 +14,9 @@ from recordings import JSON, Channel, Proto, json_channel, proto_channel, ros2, 
 from test_logs_mcap import check
 
 from idtool.common.exceptions import LogError
-from idtool.logs import read_log
-from idtool.logs.payloads import wire
-from idtool.logs.payloads.template import Layout
+from idtool.data.logs import read_log
+from idtool.data.logs.payloads import wire
+from idtool.data.logs.payloads.template import Layout
 
 PROTOS = {
     "doubles": Proto(),
@@ -53,7 +53,7 @@ def test_protobuf_is_read_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         laid_out.append(message)
         return wire.lay_out(message, plan)
 
-    monkeypatch.setattr("idtool.logs.payloads.protobuf.lay_out", counted)
+    monkeypatch.setattr("idtool.data.logs.payloads.protobuf.lay_out", counted)
     items = states(2000, step=1_000_003)
     proto = PROTOS["more fields"]
     check(read_log(write_mcap(tmp_path / "log", proto_channel(items, proto, **extra(proto, 2000)))), items)

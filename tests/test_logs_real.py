@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from idtool.logs import read_log, write_log
+from idtool.data.logs import read_log, write_log
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 

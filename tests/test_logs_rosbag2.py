@@ -13,7 +13,7 @@ from recordings import IMU, bag, metadata, ros2, states, write_mcap
 from test_logs_mcap import check
 
 from idtool.common.exceptions import LogError
-from idtool.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import Log, make_log, read_log, write_log
 
 ITEMS = states(300)
 PARTS = ITEMS[:100], ITEMS[100:220], ITEMS[220:]
@@ -201,7 +201,7 @@ def test_a_compressed_file_that_is_no_use(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(LogError, match="is damaged"):
         read_log(path)
     (tmp_path / "y").write_bytes(b"\x89MCAP0\r\n" + bytes(4 << 20))
-    monkeypatch.setattr("idtool.logs.files._LEAST_BYTES", 1 << 20)
+    monkeypatch.setattr("idtool.data.logs.files._LEAST_BYTES", 1 << 20)
     with pytest.raises(LogError, match="expands to more than 256 times its size"):
         read_log(compressed(tmp_path / "y"))
 

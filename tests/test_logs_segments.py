@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError
-from idtool.logs import Log, make_log, read_log, write_log
-from idtool.logs import log as log_module
+from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import log as log_module
 
 Array = NDArray[np.float64]
 
@@ -98,8 +98,8 @@ def test_errors(t: list[float], q: list[float], said: str) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".mcap"])
 def test_memory_beyond_the_result_does_not_grow(tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.logs.series._SPARE_BYTES", 1 << 16)
-    monkeypatch.setattr("idtool.logs.table._PIECE_BYTES", 1 << 18)
+    monkeypatch.setattr("idtool.data.logs.series._SPARE_BYTES", 1 << 16)
+    monkeypatch.setattr("idtool.data.logs.table._PIECE_BYTES", 1 << 18)
     beyond = {}
     for count in (40_000, 160_000):
         path = tmp_path / f"{count}{ending}"

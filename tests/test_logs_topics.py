@@ -12,8 +12,8 @@ from recordings import Channel, Proto, State, bag, json_channel, proto_channel, 
 from test_logs_mcap import check
 
 from idtool.common.exceptions import LogError
-from idtool.logs import read_log
-from idtool.logs.choices import state_topics
+from idtool.data.logs import read_log
+from idtool.data.logs.choices import state_topics
 
 
 def imu(topic: str = "/imu") -> Channel:
@@ -82,7 +82,7 @@ BESIDE = {change.__name__: change for change in (effort_only, velocity_only, no_
 def test_commands_and_latched_states_are_no_candidates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, beside: str, first: bool, batch: int
 ) -> None:
-    monkeypatch.setattr("idtool.logs.records._BATCH", batch)
+    monkeypatch.setattr("idtool.data.logs.records._BATCH", batch)
     items = states(50)
     channels = [ros2(BESIDE[beside](states(50, start=10**17)), "/command"), ros2(items)]
     path = write_mcap(tmp_path / "log", *channels[:: 1 if first else -1])
@@ -131,7 +131,7 @@ def test_the_topics_of_a_bag_in_several_files(tmp_path: Path) -> None:
 
 
 def test_topics_are_found_without_decoding_all_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from idtool.logs.topics import Topics
+    from idtool.data.logs.topics import Topics
 
     decoded: list[int] = []
     original = Topics._decode
@@ -142,7 +142,7 @@ def test_topics_are_found_without_decoding_all_messages(tmp_path: Path, monkeypa
         return samples
 
     monkeypatch.setattr(Topics, "_decode", counted)
-    monkeypatch.setattr("idtool.logs.records._BATCH", 10)
+    monkeypatch.setattr("idtool.data.logs.records._BATCH", 10)
     path = write_mcap(tmp_path / "log", ros2(states(100), "/a"), ros2(states(100), "/b"))
     assert state_topics(path) == ("/a", "/b")
     assert sum(decoded) == 10

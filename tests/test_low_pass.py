@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from idtool.filters import LowPass
+from idtool.data.filters import LowPass
 
 Array = NDArray[np.float64]
 

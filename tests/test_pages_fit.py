@@ -12,9 +12,9 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, complete, with_shapes
 from robots import inertial, link
 
+from idtool.data.logs import make_log, write_log
 from idtool.experiment import prepare
 from idtool.fitting import Fit, fit
-from idtool.logs import make_log, write_log
 from idtool.pages import fit_page, number, with_error
 from idtool.report import fit_report
 from idtool.robot.config import parse_config

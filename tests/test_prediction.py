@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from robots import chain, inertial, joint
 
+from idtool.data.logs import make_log, write_log
 from idtool.experiment import Experiment, prepare
 from idtool.knowledge import Knowledge
-from idtool.logs import make_log, write_log
 from idtool.reduction import Factor
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot

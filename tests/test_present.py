@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, random_urdf
 
+from idtool.data.signals import Motion
 from idtool.effects import build_effects
 from idtool.present import PresentModel
 from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

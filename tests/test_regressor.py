@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, leg_urdf, random_rotors, random_urdf
 
+from idtool.data.signals import Batch, LowPass, Motion
 from idtool.effects import Coefficient, Effect, RigidBodies, build_effects
 from idtool.mechanism import Mechanism
 from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Batch, LowPass, Motion
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

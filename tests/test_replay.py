@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from robots import chain, link
 
 from idtool import replay as module
+from idtool.data.logs import make_log, write_log
+from idtool.data.signals import Signals
 from idtool.experiment import Experiment, prepare
-from idtool.logs import make_log, write_log
 from idtool.replay import HORIZONS, Departure, Replay, replay
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.signals import Signals
 from idtool.simulation import Simulated
 
 Array = NDArray[np.float64]

@@ -16,9 +16,9 @@ from recordings import Channel, bag, ros2, states, write_mcap
 from robots import chain, link
 
 from idtool.common.exceptions import LogError, ModelError
-from idtool.description import robot_and_logs
-from idtool.logs import read_log
-from idtool.logs.payloads import text_decoder_for
+from idtool.data.description import robot_and_logs
+from idtool.data.logs import read_log
+from idtool.data.logs.payloads import text_decoder_for
 from idtool.robot.geometry import link_geometry
 from idtool.robot.urdf.reading import read_robot
 

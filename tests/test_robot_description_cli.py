@@ -12,7 +12,7 @@ from commands import LEG, config_with, files, idtool
 from descriptions import TEXT, described
 from recordings import bag, ros2, states, write_mcap
 
-from idtool.logs import read_log
+from idtool.data.logs import read_log
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
-from idtool.logs import Log, read_log
+from idtool.data.logs import Log, read_log
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from imposed import Stacked, imposed, silent, stacked, with_noise, with_torque
 from numpy.typing import NDArray
 from spatial_arm import experiment, written
 
+from idtool.data.signals import Motion
 from idtool.diagnosis import screen
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import Found, screened
@@ -24,7 +25,6 @@ from idtool.experiment import prepare
 from idtool.present import PresentModel
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from swings import RATE, clock, everything, filtered, joined, signals_of, swing, swinging
 
-from idtool import signals as module
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.logs.log import Log
+from idtool.data import signals as module
+from idtool.data.logs.log import Log
 
 Array = NDArray[np.float64]
 

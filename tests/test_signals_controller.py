@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from swings import RATE, clock, filtered, joined, signals_of, swing, swinging
 
-from idtool.logs.log import Log
-from idtool.signals import Signals
+from idtool.data.logs.log import Log
+from idtool.data.signals import Signals
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from swings import RATE, clock, joined, signals_of, swing, swinging
 
-from idtool.logs.log import Log
+from idtool.data.logs.log import Log
 
 Array = NDArray[np.float64]
 

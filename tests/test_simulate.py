@@ -19,11 +19,11 @@ from scipy.signal import lsim
 from stick_slip import StickSlip
 
 from idtool.common.exceptions import ModelError
-from idtool.logs.log import Log, make_log
+from idtool.data.logs.log import Log, make_log
+from idtool.data.signals import Signals
 from idtool.mechanism import Mechanism
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Signals
 from idtool.simulation import Simulated, simulate
 from idtool.windows import measured_states, windows_of
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from idtool.blocks import together
+from idtool.data.logs import Log, make_log, read_log, write_log
 from idtool.experiment import Experiment, prepare
 from idtool.fitting import Fit, fit
 from idtool.identified import identified
-from idtool.logs import Log, make_log, read_log, write_log
 from idtool.reduction import Factor
 from idtool.robot.config import WEAK, read_config
 from idtool.robot.urdf.reading import read_robot

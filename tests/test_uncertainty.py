@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from robots import chain, joint, random_urdf
 from synthetic import synthetic
 
+from idtool.data.filters import LowPass
+from idtool.data.signals import Batch, Motion
 from idtool.effects import build_effects
-from idtool.filters import LowPass
 from idtool.identify import identify
 from idtool.reduction import Factor, Reduction
 from idtool.regressor import LinearModel
@@ -21,7 +22,6 @@ from idtool.robot.inertia import NAMES
 from idtool.robot.model import Model
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
-from idtool.signals import Batch, Motion
 from idtool.uncertainty import uncertainty
 
 Array = NDArray[np.float64]

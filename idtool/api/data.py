@@ -10,8 +10,8 @@ from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress
 from idtool.common.exceptions import ConfigError, LogError
+from idtool.data.logs import Log as Record
 from idtool.experiment import Experiment, prepare
-from idtool.logs import Log as Record
 
 LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]

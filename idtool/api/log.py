@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from idtool.api.records import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
-from idtool.logs import SIGNALS, make_log, write_log
-from idtool.logs import Log as Record
-from idtool.logs import read_log as read_record
+from idtool.data.logs import SIGNALS, make_log, write_log
+from idtool.data.logs import Log as Record
+from idtool.data.logs import read_log as read_record
 
 
 class Log:

@@ -17,8 +17,8 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import LOG_ENDINGS, OutputError, as_json, check_log
+from idtool.data.logs import write_log
 from idtool.experiment import Experiment
-from idtool.logs import write_log
 from idtool.report import HEADER
 from idtool.robot.config import Config
 from idtool.robot.model import Model as RobotModel

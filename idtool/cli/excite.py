@@ -195,7 +195,7 @@ def _task(
 def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
     from idtool.common.interrupt import held_back
     from idtool.common.outputs import write_all
-    from idtool.logs import write_log
+    from idtool.data.logs import write_log
     from idtool.pages.excite import excite_page
 
     page = excite_page(report, command())

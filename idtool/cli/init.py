@@ -37,7 +37,7 @@ def init_command(
     from idtool.common.names import stem
     from idtool.common.outputs import write_all
     from idtool.common.safe_yaml import read_yaml
-    from idtool.description import robot_and_logs
+    from idtool.data.description import robot_and_logs
     from idtool.report import HEADER
     from idtool.starting import start
     from idtool.terminal import Terminal

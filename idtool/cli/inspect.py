@@ -21,8 +21,8 @@ def inspect_command(
     quiet: QuietOption = False,
 ) -> None:
     """Tell what is in a log, what is wrong with it, and what that means for the fit."""
-    from idtool.inspection import inspect_log
-    from idtool.logs import read_log
+    from idtool.data.inspection import inspect_log
+    from idtool.data.logs import read_log
     from idtool.report import HEADER
     from idtool.robot.config import Config, read_config
     from idtool.terminal import Terminal

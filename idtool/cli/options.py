@@ -27,7 +27,7 @@ def named(path: Path | None) -> Path | None:
 
 def some_log(context: typer.Context, given: Any) -> Any:
     """The log or logs as given: none is enough where what stands in the URDF's place is a bag."""
-    from idtool.logs import is_bag
+    from idtool.data.logs import is_bag
 
     urdf = context.params.get("urdf")
     if not (given or context.resilient_parsing or (urdf and is_bag(urdf))):

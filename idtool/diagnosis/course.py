@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Batch
 from idtool.experiment import Experiment, Progress, tracked
 from idtool.regressor import LinearModel
-from idtool.signals import Batch
 
 Array = NDArray[np.float64]
 Models = Sequence[tuple[LinearModel, Array]]

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from idtool.data.signals import Motion
 from idtool.diagnosis.fault_fit import EXPLAINED, Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_trials import Trial, torque_order, trials
 from idtool.experiment import Progress
 from idtool.robot.urdf.reading import Joint
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import SolverError
+from idtool.data.signals import Batch, Motion
 from idtool.effects import build_effects
 from idtool.experiment import Experiment
 from idtool.identify import identify
@@ -26,7 +27,6 @@ from idtool.reduction import Factor
 from idtool.regressor import LinearModel
 from idtool.robot.config import WEAK, Config, EffectEntry
 from idtool.robot.sets import choose_set
-from idtool.signals import Batch, Motion
 
 Array = NDArray[np.float64]
 Change = Callable[[Motion], Motion]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from idtool.common.names import some
+from idtool.data.inspection import Joint
 from idtool.diagnosis.fault_fit import Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
-from idtool.inspection import Joint
 from idtool.reduction import Factor
 
 Array = NDArray[np.float64]

@@ -14,12 +14,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.channels import Channels
+from idtool.data.channels import Channels
+from idtool.data.inspection import Inspection, Joint, Signal, Stamps
+from idtool.data.inspection.findings import JITTER, LATE, LATE_ERRORS, LATE_PHASE, SHORT, STUCK, UNRELATED
+from idtool.data.inspection.velocity import velocity_agreement
+from idtool.data.logs.log import Log
 from idtool.diagnosis.fault_record import Fault
-from idtool.inspection import Inspection, Joint, Signal, Stamps
-from idtool.inspection.findings import JITTER, LATE, LATE_ERRORS, LATE_PHASE, SHORT, STUCK, UNRELATED
-from idtool.inspection.velocity import velocity_agreement
-from idtool.logs.log import Log
 
 Array = NDArray[np.float64]
 

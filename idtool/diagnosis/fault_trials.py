@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.names import some
+from idtool.data.signals import Motion
 from idtool.diagnosis.fault_fit import Change
 from idtool.diagnosis.fault_record import Fault
 from idtool.robot.urdf.reading import Joint
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -26,14 +26,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.inspection import Inspection, inspect_log
+from idtool.data.inspection.findings import DISAGREEMENT, STUCK
 from idtool.diagnosis.fault_channels import ChannelSearch
 from idtool.diagnosis.fault_fit import FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_scale import cut_off, torque_unit
 from idtool.diagnosis.fault_signals import exchanged_velocities, signal_faults, time_unit
 from idtool.experiment import Experiment, Progress
-from idtool.inspection import Inspection, inspect_log
-from idtool.inspection.findings import DISAGREEMENT, STUCK
 
 __all__ = ["Fault", "faults"]
 

@@ -23,6 +23,7 @@ from idtool.barrier import Barrier
 from idtool.blocks import Blocks, cut, together
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
+from idtool.data.signals import Batch
 from idtool.effects.torque_sensor import Sensor
 from idtool.experiment import Experiment, Progress, Rows, tracked
 from idtool.identified import choose_sets
@@ -30,7 +31,6 @@ from idtool.identify import Estimate, identify
 from idtool.present import PresentModel
 from idtool.reduction import Reduction
 from idtool.regressor import LinearModel
-from idtool.signals import Batch
 from idtool.weights import free_noise, weighted_rows
 
 Array = NDArray[np.float64]

@@ -20,12 +20,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Batch
 from idtool.diagnosis.ground import Ground
 from idtool.effects.probe import Probe
 from idtool.experiment import Progress, tracked
 from idtool.present import PresentModel
 from idtool.robot.config import EffectEntry
-from idtool.signals import Batch
 
 Array = NDArray[np.float64]
 

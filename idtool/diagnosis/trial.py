@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import IdtoolError
+from idtool.data.signals import Motion
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
@@ -27,7 +28,6 @@ from idtool.present import PresentModel
 from idtool.regressor import LinearModel
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import SIZE
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Key = tuple[int, str]  # place in the configuration's effects, and name of a parameter

@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.probe import Columns, Probe
 from idtool.effects.survey import Present, Survey
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.signal import lfilter
 
+from idtool.data.signals import Motion
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_elasticity import MOTOR_FRICTION
@@ -17,7 +18,6 @@ from idtool.effects.probe import spread
 from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Gear, Mechanism
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

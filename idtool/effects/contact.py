@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError
+from idtool.data.signals import Motion
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import place, rows, vector
 from idtool.effects.probe import Probe
@@ -19,7 +20,6 @@ from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
 from idtool.robot.kinematics import cross
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_term import JointTerm
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
 from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Mechanism
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
+from idtool.data.signals import Motion
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, place, vector
 from idtool.effects.probe import Probe
@@ -17,7 +18,6 @@ from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

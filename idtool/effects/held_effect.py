@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.base import Coefficient
 from idtool.effects.joint_effect import JointEffect
 from idtool.effects.named import NamedEffect, Value
@@ -16,7 +17,6 @@ from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
+from idtool.data.signals import Motion
 from idtool.effects.held_effect import HeldJointEffect
 from idtool.effects.joint_effect import Held
 from idtool.effects.survey import Present, Survey
-from idtool.filters import DIFFERENCE_REACH, LowPass, differentiate
 from idtool.mechanism import Gear, Mechanism
 from idtool.robot.inertia import symmetric
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_term import DryFriction
 from idtool.effects.loaded_term import LoadedTerm
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from idtool.common.exceptions import ConfigError
+from idtool.data.signals import Motion
 from idtool.effects.link_effect import LinkEffect
 from idtool.effects.named import number, place, vector
 from idtool.effects.probe import Probe
@@ -30,7 +31,6 @@ from idtool.robot.inertia import (
 )
 from idtool.robot.kinematics import body_motions, cross
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.probe import spread
 from idtool.effects.survey import Survey
 from idtool.mechanism import Mechanism
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.survey import Present
 from idtool.robot.config import EffectEntry
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

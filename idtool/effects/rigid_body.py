@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.base import Coefficient, Effect
 from idtool.mechanism import Mechanism
 from idtool.robot.body import Body
 from idtool.robot.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
 from idtool.robot.kinematics import BodyMotion, body_motions, cross
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm, JointTerms
 from idtool.effects.named import Value
 from idtool.effects.survey import Survey
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

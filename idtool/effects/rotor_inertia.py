@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.survey import Survey
 from idtool.mechanism import Mechanism
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm, log_cosh, mean_within
 from idtool.effects.probe import spread
 from idtool.effects.survey import Survey
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

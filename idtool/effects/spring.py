@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.data.signals import Motion
 from idtool.effects.joint_effect import Held
 from idtool.effects.joint_term import JointTerm
 from idtool.effects.probe import Probe
 from idtool.effects.survey import Present, Survey
 from idtool.robot.config import EffectEntry
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

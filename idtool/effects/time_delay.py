@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from idtool.common.exceptions import ConfigError
+from idtool.data.signals import Motion
 from idtool.effects.held_effect import HeldEffect
 from idtool.effects.named import check_names, joint_index, number, place
 from idtool.effects.probe import Probe
@@ -18,7 +19,6 @@ from idtool.effects.survey import Present, Survey
 from idtool.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-from idtool.signals import Motion
 
 Array = NDArray[np.float64]
 

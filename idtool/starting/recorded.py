@@ -10,13 +10,13 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import shown, some
+from idtool.data.inspection.findings import BAND
+from idtool.data.logs import Log
+from idtool.data.signals import default_cutoff
 from idtool.experiment import Progress
-from idtool.inspection.findings import BAND
-from idtool.logs import Log
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Joint, Robot
-from idtool.signals import default_cutoff
 from idtool.starting.doubts import doubts
 from idtool.starting.seen import Seen, find_topic, see
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
+from idtool.data.inspection import Inspection, inspect_log
+from idtool.data.inspection.records import Joint
+from idtool.data.logs import Log, read_log
+from idtool.data.logs.choices import state_topics
 from idtool.experiment import Progress
-from idtool.inspection import Inspection, inspect_log
-from idtool.inspection.records import Joint
-from idtool.logs import Log, read_log
-from idtool.logs.choices import state_topics
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from idtool.command_delay import with_delay
 from idtool.common.names import some
+from idtool.data.logs import Log
 from idtool.effects.time_delay import WITHIN
 from idtool.experiment import Experiment, Progress, prepare
-from idtool.logs import Log
 from idtool.robot.config import Config, parse_config
 from idtool.robot.urdf.reading import Robot
 from idtool.starting.bench import Bench, Verdict

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from idtool.inspection import Inspection
+from idtool.data.inspection import Inspection
 from idtool.terminal.base import STYLE, Terminal, figure, new_table
 from idtool.terminal.tables import Words
 

@@ -1,0 +1,175 @@
+"""`Signals` without a look ahead: what an estimator that runs along with the robot has of the motion, and when.
+
+The chain is that of `signals`, each of its filters run forwards twice in place of forwards and backwards: the same
+magnitude, and one delay for q, v, a and tau alike. The torque equation is linear in its columns, so the band's delay
+leaves it exact; the wide filter's delay is the same at all frequencies of the motion but for its dispersion, which a
+band five times as narrow makes small. Differences are symmetric, and what is not differenced waits as many samples.
+
+Beforehand, and so from the whole log, comes only what a robot in operation knows from its calibration: the sample
+time and the segments, which velocity is used and how late it is, and the speed below which a joint counts as at rest.
+
+Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
+from idtool.data.signals import BATCH, WIDE, Batch, Motion, Signals
+
+Array = NDArray[np.float64]
+
+_TAIL = 1e-14  # of the response's weight may be forgotten: rounding
+_EDGE = 0.02  # of it may be missing at the start of the data
+_PERIODS = 40.0  # of the cut-off that the slowest response lasts
+_AROUND = 1  # samples to either side that a column may look at
+
+
+class CausalLowPass(LowPass):
+    """`LowPass` without a look ahead: the same Butterworth run forwards twice.
+
+    As its magnitude is that of the zero-phase filter, so is its `redundancy`. Before the data it takes everything as
+    zero, which is linear as the torque equation is. It keeps no state: it is given the `reach` samples before those
+    that are asked for, and what came before them no longer matters.
+
+    Attributes
+    ----------
+    delay
+        Of slow signals [s].
+
+    Parameters
+    ----------
+    cutoff, order, dt, stride
+        See `LowPass`.
+    """
+
+    def __init__(self, cutoff: float, order: int, dt: float, stride: int = 1) -> None:
+        super().__init__(cutoff, order, dt, stride)
+        self._sections: Array = np.tile(signal.butter(order, cutoff, fs=1 / dt, output="sos"), (2, 1))
+        impulse = np.zeros(int(np.ceil(_PERIODS / min(cutoff * dt, 0.5 - cutoff * dt))))
+        impulse[0] = 1.0
+        response = signal.sosfilt(self._sections, impulse)
+        left = np.cumsum(np.abs(response)[::-1])[::-1]
+        self.reach = int(np.count_nonzero(left > _TAIL * left[0]))
+        self.edge = int(np.flatnonzero(np.abs(1 - np.cumsum(response)) > _EDGE)[-1]) + 1
+        self.delay = float(response @ np.arange(len(response))) * dt
+
+    def __call__(self, x: Array, before: int, after: int) -> Array:
+        """Filter and decimate.
+
+        Parameters
+        ----------
+        x
+            Shape (..., before + N + after).
+        before, after
+            Samples of x before and after those asked for; the latter have no influence.
+
+        Returns
+        -------
+        Samples 0, stride, 2 stride, … of the N, filtered; shape (..., ceil(N / stride)).
+        """
+        y = signal.sosfilt(self._sections, x[..., : x.shape[-1] - after], axis=-1)
+        return np.asarray(y[..., before :: self.stride])
+
+    def settled(self, x: Array) -> Array:
+        """All of a signal, shape (nv, N), taken as constant before its first sample; none is left out."""
+        start = signal.sosfilt_zi(self._sections)[:, None, :] * x[None, :, :1]
+        return np.asarray(signal.sosfilt(self._sections, x, axis=-1, zi=start)[0])
+
+
+def causal_batches(signals: Signals, order: int, ranges: Sequence[slice] | None = None) -> Iterator[Batch]:
+    """The log in batches of bounded size, like `Signals.batches`, with no sample that is later than its time.
+
+    A batch's ``motion.t`` is when the last sample was taken that has any influence on the motion, not when the motion
+    was; the band's filter delays the columns by its `CausalLowPass.delay` further.
+
+    Parameters
+    ----------
+    signals
+        The log and what was decided of it.
+    order
+        Of one pass of the filters.
+    ranges
+        Parts of the signals' own; default: all of them.
+    """
+    reader = _Reader(signals, order)
+    low_pass = CausalLowPass(signals.band_hz, order, signals.log.dt, signals.low_pass.stride)
+    size = max(BATCH, 8 * low_pass.reach)
+    size += -size % low_pass.stride
+    for whole in signals.ranges if ranges is None else ranges:
+        first, last = reader.within(whole)
+        for start in range(first + low_pass.edge, last, size):
+            stop = min(start + size, last)
+            before = min(low_pass.reach, start - first)
+            yield Batch(reader.motion(slice(start - before, stop + _AROUND)), before, _AROUND, low_pass)
+
+
+class _Reader:
+    """The motion at samples of the log, from samples up to `ahead` later."""
+
+    def __init__(self, signals: Signals, order: int) -> None:
+        log = signals.log
+        self._signals = signals
+        self._channels, self._command = signals.channels, signals.command  # as they were judged, once
+        wide = WIDE * signals.band_hz
+        self._wide = CausalLowPass(wide, order, log.dt) if wide < 0.4 / log.dt else None
+        self._memory = self._wide.reach if self._wide else 0
+        # Two differences, a velocity that is read later by its lag, a reading between two samples, a column's own.
+        late = int(np.ceil(max(float(signals.lag.max()), 0.0) / log.dt))
+        self.ahead = 2 * DIFFERENCE_REACH + late + 1 + _AROUND
+
+    def within(self, whole: slice) -> tuple[int, int]:
+        """First and last of the samples of a range whose motion is there, the filter's start left out."""
+        part = self._part(whole.start)
+        first = self._first(part) + self._memory + 2 * DIFFERENCE_REACH
+        return max(whole.start, first), min(whole.stop, part.stop - self.ahead - _AROUND)
+
+    def motion(self, part: slice) -> Motion:
+        """Samples of the motion, all from one segment."""
+        r = DIFFERENCE_REACH
+        outer = slice(part.start - 2 * r, part.stop + 2 * r)
+        q = self._smooth(outer, "q")
+        v = differentiate(q, self._signals.log.dt)
+        different = self._signals.differentiated[:, None]
+        if not different.all():
+            v = np.where(different, v, self._smooth(outer, "v")[:, r:-r])
+        a = differentiate(v, self._signals.log.dt)
+        t = self._channels.times(slice(part.start + self.ahead, part.stop + self.ahead)) - self._signals.log.t[0]
+        tau, logged = self._smooth(part, "tau"), self._read("tau", part)
+        return Motion(t, q[:, 2 * r : -2 * r], v[:, r:-r], a, tau, logged, self._signals.still, self._signals.log.dt)
+
+    def _part(self, sample: int) -> slice:
+        """The stretch that a sample lies in."""
+        (part,) = (s for s in self._channels.parts() if s.start <= sample < s.stop)
+        return part
+
+    def _first(self, part: slice) -> int:
+        """The first sample of a stretch that has every signal."""
+        late = int(np.ceil(self._command.delay / self._signals.log.dt)) + 1
+        return int(part.start) + late + DIFFERENCE_REACH
+
+    def _smooth(self, part: slice, name: str) -> Array:
+        """A signal through the wide filter, which starts as far before the part as it can remember."""
+        if not self._wide:
+            return self._read(name, part)
+        start = max(part.start - self._memory, self._first(self._part(part.start)))
+        return self._wide.settled(self._read(name, slice(start, part.stop)))[:, part.start - start :]
+
+    def _read(self, name: str, part: slice) -> Array:
+        """A signal as it was logged, shape (nv, N); the controller's torque where none was."""
+        if name == "v":
+            return self._channels.velocity(part)
+        if name == "q":
+            return self._channels.signal("q", part)
+        joints = self._command.joints
+        if joints.all():
+            return self._command.torque(self._channels, part)
+        tau = self._channels.signal("tau", part)
+        if joints.any():
+            tau[joints] = self._command.torque(self._channels, part)[joints]
+        return tau

@@ -1,0 +1,116 @@
+"""`Command`: the torque of position-controlled joints, from what was commanded.
+
+Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import LogError
+from idtool.common.names import some
+from idtool.data.channels import Channels
+from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
+from idtool.data.logs.log import Log
+from idtool.robot.config import Controller
+
+Array = NDArray[np.float64]
+
+LONGEST_DELAY = 0.05  # s: no longer one is looked for
+
+
+@dataclass(frozen=True)
+class Command:
+    """The torque of a joint controller: kp (qcmd − q) + kd (vcmd − v), the command late (contract section 2).
+
+    Attributes
+    ----------
+    joints
+        Which joints' torque it is, shape (nv,).
+    kp, kd
+        Gains, shape (nv, 1) [N·m/rad, N·m·s/rad].
+    delay
+        From command to torque [s]; 0 where it is yet to be fitted.
+    """
+
+    joints: NDArray[np.bool_]
+    kp: Array
+    kd: Array
+    delay: float
+
+    @classmethod
+    def of(cls, log: Log, joints: Sequence[str], controller: Controller | None) -> Command:
+        """The controller of the joints that have no torque."""
+        without = np.array([not log.has("tau", name) for name in joints])
+        for name in np.array(joints)[without]:
+            if not log.has("qcmd", name):
+                raise LogError(
+                    log.path,
+                    f"joint {name} has neither torque nor position command; log one, or leave it out of joints",
+                )
+            if controller is None or name not in controller.kp:
+                raise LogError(
+                    log.path, f"joint {name} has no torque; give the gains under controller.kp and kd in the config"
+                )
+        if controller is None or not without.any():
+            return cls(without, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
+        kp, kd = (np.array([[g.get(name, 0.0)] for name in joints]) for g in (controller.kp, controller.kd))
+        delay = controller.known_delay
+        return cls(without, kp, kd, delay.value if delay else 0.0)
+
+    def torque(self, channels: Channels, part: slice) -> Array:
+        """The torque at samples of the log, shape (nv, N)."""
+        return np.asarray(self.torques(channels, part, (self.delay,))[0])
+
+    def torques(self, channels: Channels, part: slice, delays: Sequence[float]) -> Array:
+        """The torque at samples of the log if the delay were another [s], shape (delays, nv, N)."""
+        feedback = self._feedback(channels, part)
+        return np.stack([self._commanded(channels, part, delay) - feedback for delay in delays])
+
+    def _feedback(self, channels: Channels, part: slice) -> Array:
+        """Feedback kp q + kd v: the controller's own measurements are in time with its torque."""
+        r = DIFFERENCE_REACH
+        q = channels.signal("q", slice(part.start - r, part.stop + r))
+        v = differentiate(q, channels.log.dt)
+        if channels.measured.any():  # as logged: the controller did not know how late it is
+            logged = channels.signal("v", part) - channels.bias[:, None]  # or kd × bias would pass for gravity
+            v = np.where(channels.measured[:, None], logged, v)
+        return np.asarray(self.kp * q[:, r:-r] + self.kd * v)
+
+    def _commanded(self, channels: Channels, part: slice, delay: float) -> Array:
+        """Command kp qcmd + kd vcmd as it was a delay [s] before; one that the log has not counts as zero."""
+        samples = delay / channels.log.dt
+        whole = int(np.floor(samples))
+        near = slice(part.start - whole - DELAY_REACH, part.stop - whole + DELAY_REACH - 1)
+        total = np.zeros((len(self.kp), near.stop - near.start))
+        for name, gain in (("qcmd", self.kp), ("vcmd", self.kd)):
+            if name in channels.log.signals:
+                total += gain * np.nan_to_num(channels.signal(name, near), nan=0.0)
+        return delayed(total, samples - whole)
+
+
+def commanded(log: Log, controller: Controller | None) -> Log:
+    """The log without the torque of joints that have a command and gains and whose torque never changes.
+
+    Drivers without a torque sensor publish zeros.
+    """
+    gains = controller.kp if controller else {}
+    empty = [i for i, name in enumerate(log.joints) if name in gains and log.has("qcmd", name) and _is_constant(log, i)]
+    if not empty:
+        return log
+    tau = log.signals["tau"].copy()
+    tau[:, empty] = np.nan
+    said = f"torque that never changes is none, the controller's is taken: {some([log.joints[i] for i in empty])}"
+    return replace(log, signals={**log.signals, "tau": tau}, warnings=(*log.warnings, said))
+
+
+def _is_constant(log: Log, joint: int) -> bool:
+    """Whether there is a torque that never changes."""
+    if "tau" not in log.signals:
+        return False
+    tau = log.signals["tau"][:, joint]
+    return bool(np.nanmin(tau) == np.nanmax(tau)) if np.isfinite(tau).any() else False

@@ -1,0 +1,152 @@
+"""The clock of a log: what the stamps say, and what position and velocity betray of the real instants.
+
+Letters: t stamps [s], q position [rad or m], v velocity [rad/s or m/s], dt nominal sample time [s], N samples,
+nj joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.data.inspection.records import Gap, Sampling
+from idtool.data.logs.log import Log
+
+Array = NDArray[np.float64]
+
+_AROUND = 9  # stamps to either side of a gap
+_FEWEST = 200  # samples that tell the time, for a statement
+_UNCERTAIN = 0.1  # standard error of a step, in samples, above which it does not tell the time
+_SKIP = 1.6  # steps longer than this skip a sample
+
+
+def jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
+    """Root-mean-square deviation of the stamps from a uniform clock, fitted per segment, in units of ``dt``.
+
+    Parameters
+    ----------
+    t
+        Stamps [s], shape (N,).
+    dt
+        Nominal sample time [s].
+    segments
+        Runs without a gap.
+    """
+    deviations = [clock_deviation(t[s]) for s in segments]
+    count = sum(len(d) for d in deviations)
+    return float(np.sqrt(sum(d @ d for d in deviations) / count)) / dt if count else 0.0
+
+
+def step_jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
+    """Standard deviation of the steps from stamp to stamp, those between segments left out, in units of ``dt``.
+
+    It is what differentiating from sample to sample suffers from, while a clock that drifts does it no harm; a fit
+    states the same. Parameters are those of `jitter`.
+    """
+    return float(np.std(np.concatenate([np.diff(t[s]) for s in segments]))) / dt
+
+
+def clock_deviation(t: Array) -> Array:
+    """What a uniform clock, its rate fitted, leaves of the stamps of one segment [s], shape (N,)."""
+    k = np.arange(len(t)) - 0.5 * (len(t) - 1)
+    centred = t - t.mean()
+    return np.asarray(centred - k * (k @ centred) / max(float(k @ k), 1.0))
+
+
+def gaps(log: Log) -> tuple[Gap, ...]:
+    """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
+    found, first = [], float(log.t[np.isfinite(log.t)][0])
+    for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
+        # several stamps to either side, extrapolated to the gap: a single one may be off
+        k = np.arange(_AROUND)
+        left, right = log.t[before][: -_AROUND - 1 : -1], log.t[after][:_AROUND]
+        end = float(np.median(left + log.dt * k[: len(left)]))
+        start = float(np.median(right - log.dt * k[: len(right)]))
+        lost = start - end - log.dt * (after.start - before.stop + 1)
+        if lost > 0.5 * log.dt:
+            found.append(Gap(end - first, lost))
+    return tuple(sorted(found, key=lambda gap: -gap.lost))
+
+
+def fresh_rows(log: Log, stretch: slice) -> NDArray[np.bool_]:
+    """Whether a row differs from the one before in the q or v of any joint, for the rows of a stretch, shape (N,)."""
+    fresh = np.zeros(stretch.stop - stretch.start, dtype=bool)
+    fresh[0] = True
+    for name in {"q", "v"} & log.signals.keys():
+        x = log.signals[name][stretch]
+        changed = x[1:] != x[:-1]
+        fresh[1:] |= (changed & ~np.isnan(x[1:])).any(axis=1)
+    return fresh
+
+
+def sample_steps(q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+    """Real time between neighbouring samples, as the joints' motion tells it, and its standard error.
+
+    While a joint moves, its step in position over its velocity is the time that passed. All joints share one clock, so
+    their least-squares mean is that time and their disagreement is its error. A step of 0 is a sample that was logged
+    twice; a step of 2 skips one.
+
+    Parameters
+    ----------
+    q, v
+        Positions [rad or m] and velocities [rad/s or m/s] of one segment, shape (N, nj), nj ≥ 2.
+    dt
+        Nominal sample time [s].
+
+    Returns
+    -------
+    tuple of Array
+        Steps and their standard errors in units of ``dt``, each of shape (N − 1,); NaN where too little moves.
+    """
+    expected, step = 0.5 * (v[1:] + v[:-1]) * dt, np.diff(q, axis=0)
+    power = np.sum(expected**2, axis=0) + np.finfo(float).tiny
+    expected = expected * (np.sum(step * expected, axis=0) / power)  # wrong units and a turned sign put right
+    weight = 1 / (np.mean((step - expected) ** 2, axis=0) + 1e-12 * power / len(step))
+    information = np.sum(expected**2 * weight, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = np.sum(step * expected * weight, axis=1) / information
+        rest = (step - steps[:, None] * expected) ** 2 * weight
+        variance = np.nansum(rest) / max(np.isfinite(rest).sum(), 1) * q.shape[1] / (q.shape[1] - 1)
+        error = np.sqrt(variance / information)
+    return steps, error
+
+
+def sampling(stretches: Sequence[tuple[Array, Array, Array]], dt: float) -> Sampling | None:
+    """What the joints' motion tells of the real instants; None where it does not tell.
+
+    Parameters
+    ----------
+    stretches
+        t, shape (N,), and q and v of the joints that move, shape (N, nj), of stretches without a gap.
+    dt
+        Nominal sample time [s].
+    """
+    parts = []
+    for t, q, v in stretches:
+        if q.shape[1] > 1 and len(t) > 2:
+            parts.append(np.stack([*sample_steps(q, v, dt), np.diff(t) / dt]))
+    if not parts:
+        return None
+    steps, error, stamps = np.concatenate(parts, axis=1)
+    told = error < _UNCERTAIN
+    if told.sum() < _FEWEST:
+        return None
+    noise = 2 * float(np.mean(error[told] ** 2))
+    steps[~told] = np.nan
+    return Sampling(
+        skipped=float(np.mean(steps[told] > _SKIP)),
+        jitter_ms=1e3 * dt * _instant_jitter(steps, noise),
+        stamp_error_ms=1e3 * dt * _instant_jitter(steps - stamps, noise),
+    )
+
+
+def _instant_jitter(steps: Array, noise: float) -> float:
+    """Standard deviation of independent instants, from second differences: steps differ by sqrt(6) times that.
+
+    Differences leave out what changes slowly, such as a velocity that lags; medians, what is skipped or repeated.
+    """
+    change = np.diff(steps)
+    spread = 1.4826 * float(np.nanmedian(np.abs(change))) if np.isfinite(change).any() else 0.0
+    return float(np.sqrt(max(spread**2 - noise, 0.0) / 6))

@@ -1,0 +1,146 @@
+"""One joint of a log, put together from the measures.
+
+Letters: q position [rad or m], v velocity [rad/s or m/s], tau torque or force [N·m or N], N samples of a stretch,
+M samples of all stretches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+
+from idtool.data.inspection.measures import Span, noise_level, power_band, quantisation, stale_share, stuck_share
+from idtool.data.inspection.records import Joint, Signal, Velocity
+from idtool.data.inspection.torque import torque_source
+from idtool.data.inspection.velocity import Agreement, velocity_agreement
+from idtool.data.logs.log import SIGNALS, Log
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_THINNED = 1 << 15  # samples that quantisation is read from
+_MOVES = 10.0  # range of q over its noise or resolution
+_STANDSTILL = 0.02  # of the fastest motion
+_SMOOTH = 0.05  # s over which the speed is averaged to tell standstill
+_CLOCK = 50  # samples over which the stamps are smoothed into a rate
+_BEYOND = 1.02  # speed over the v that is stuck
+_JUMP = 10.0  # times what all but 1 in 200 steps of q stay below
+_TURN = 0.5  # rad off a full turn that a jump may be
+
+
+def inspect_joint(
+    log: Log, i: int, spans: Mapping[str, Span], stretches: Sequence[slice], fresh: Mask
+) -> tuple[Joint, Mask]:
+    """Inspect joint ``i``.
+
+    Parameters
+    ----------
+    log
+        The log.
+    i
+        Index of the joint.
+    spans
+        Of every signal, over the whole log.
+    stretches
+        Stretches without a gap that statistics are taken from.
+    fresh
+        Rows of the stretches that do not repeat the one before in every joint, shape (M,).
+
+    Returns
+    -------
+    tuple
+        The joint, and the rows of the stretches in which it moves, shape (M,).
+    """
+    names = [name for name in SIGNALS if log.has(name, log.joints[i])]
+    runs = {name: [np.ascontiguousarray(log.signals[name][s, i]) for s in stretches] for name in names}
+    changing = {name for name in names if spans[name].low[i] < spans[name].high[i]}
+    steps = {name: quantisation(_thinned(runs[name])) for name in names}
+    noise = {name: float(np.median([noise_level(x) for x in _long(runs[name])])) for name in names}
+    finest = max(steps.get("q") or 0.0, noise.get("q", 0.0))
+    moves = "q" in changing and bool(spans["q"].high[i] - spans["q"].low[i] > _MOVES * finest)
+    source, derivatives = ("v", 0) if "v" in changing else ("q", 1)
+    speed = _speed(runs[source], derivatives, log.dt) if source in runs else np.zeros(len(fresh))
+    moving = moves & (speed > _STANDSTILL * np.percentile(speed, 99.5))
+    signals = {}
+    for name in names:
+        low, high, rms, bad = (float(figure[i]) for figure in spans[name])
+        x, m = np.concatenate(runs[name])[fresh], moving[fresh]
+        stale = stale_share(x, m, steps[name], noise[name])
+        stuck = stuck_share(x[m], low, high, steps[name])
+        if name == "v" and stuck and not _exceeds(runs, low, high, log.dt):
+            stuck = 0.0
+        signals[name] = Signal(low, high, rms, int(bad), steps[name], noise[name], stale, stuck)
+    jumps, wraps = _jumps(runs["q"]) if moves else (0, False)
+    joint = Joint(
+        signals=signals,
+        moves=moves,
+        standstill=1 - float(moving.mean()),
+        speed_rms=float(np.sqrt(np.mean(speed**2))),
+        band_hz=power_band(runs[source], log.dt, derivatives) if moves else None,
+        jumps=jumps,
+        wraps=wraps,
+        velocity=_velocity(log, runs, stretches) if moves and "v" in changing and not jumps else None,
+        torque=torque_source(runs, signals["tau"]) if moves and "tau" in changing else None,
+    )
+    return joint, moving
+
+
+def _thinned(runs: Sequence[Array]) -> Array:
+    every = -(-sum(len(x) for x in runs) // _THINNED)
+    return np.concatenate([x[::every] for x in runs])
+
+
+def _long(runs: Sequence[Array]) -> list[Array]:
+    """The runs that are not much shorter than the longest: short ones tell little of a spectrum."""
+    longest = max(len(x) for x in runs)
+    return [x for x in runs if len(x) > longest // 8]
+
+
+def _speed(runs: Sequence[Array], derivatives: int, dt: float) -> Array:
+    """Smoothed speed, from the velocity, or from the position and one derivative, shape (M,)."""
+    width = max(int(_SMOOTH / dt), 1)
+    return np.concatenate([np.abs(uniform_filter1d(np.gradient(x) / dt if derivatives else x, width)) for x in runs])
+
+
+def _exceeds(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: float) -> bool:
+    """Whether the derivative of q goes on where v is at an extreme; else v is just constant there."""
+    v = np.concatenate(runs["v"])
+    speed = np.concatenate([uniform_filter1d(np.gradient(x) / dt, max(int(_SMOOTH / dt), 1)) for x in runs["q"]])
+    at = (v <= low) | (v >= high)
+    return bool(np.median(np.abs(speed[at])) > _BEYOND * np.median(np.abs(v[at])))
+
+
+def _jumps(runs: Sequence[Array]) -> tuple[int, bool]:
+    """Number of steps of q far beyond all others, and whether they are about a full turn."""
+    step = np.concatenate([np.abs(np.diff(x)) for x in runs])
+    jumps = step[step > _JUMP * np.percentile(step, 99.5)]
+    return len(jumps), bool(len(jumps) and abs(float(np.median(jumps)) - 2 * np.pi) < _TURN)
+
+
+def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence[slice]) -> Velocity | None:
+    """Agreement of v with q, the stretches weighted by what they tell."""
+    found: list[Agreement] = []
+    power = []
+    for q, v, s in zip(runs["q"], runs["v"], stretches, strict=True):
+        # where samples were lost without a gap the stamps show it; smoothed, they give the rate
+        rate = gaussian_filter1d(np.gradient(log.t[s]) / log.dt, _CLOCK)
+        one = velocity_agreement(q, v * rate, log.dt)
+        if not np.isnan(one.agreement):
+            found.append(one)
+            power.append(float(v @ v) + np.finfo(float).tiny)
+    if not found:
+        return None
+    lag, gain, agreement, error = np.array(found).T
+    agreement = float(np.average(agreement, weights=power))
+    residual = float(np.sqrt((1 - agreement) * sum(power) / sum(len(v) for v in runs["v"])))
+    told = np.isfinite(lag)
+    if not told.any():
+        return Velocity(None, None, None, agreement, residual)
+    weight = 1 / np.maximum(error[told], 1e-9) ** 2
+    mean = float(np.average(lag[told], weights=weight))
+    scatter = float(np.average((lag[told] - mean) ** 2, weights=weight)) / max(told.sum() - 1, 1)
+    error = float(np.sqrt(max(1 / weight.sum(), scatter)))
+    return Velocity(1e3 * mean, 1e3 * error, float(np.average(gain[told], weights=weight)), agreement, residual)

@@ -1,0 +1,130 @@
+"""Whether a logged torque was measured or is the command.
+
+Letters: q position [rad or m], v velocity [rad/s or m/s], tau torque or force [N·m or N], N samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.data.inspection.records import Signal, TorqueSource
+
+Array = NDArray[np.float64]
+Runs = Mapping[str, Sequence[Array]]
+
+_LAW = 1e-3  # of tau's deviation: what a control law's rounding may leave
+_DELAYS = (0, 1, 2)  # samples by which the law may act late
+_POOR = 1e-2  # an acceleration this close to a line in q and v makes any torque look like a law
+_NOISELESS = 1e-5  # of tau's deviation: no sensor is that quiet
+_SAME_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
+_OWN_NOISE = 0.7
+_DROWNED = 2.0  # fast changes over noise
+_HELD = 0.3  # share of repeated values
+_FEWEST = 256  # samples of a stretch
+_WINDOW = 50  # samples
+_RESOLUTION = 1.5 / np.sqrt(12)  # noise below this many steps may be the rounding's
+
+
+def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
+    """Tell a measured torque from a commanded one.
+
+    Commanded: tau is a linear function of q, v and their commands, or its noise is theirs, or it has none. Measured: it
+    carries noise of its own. Where neither is plain, as with a torque held for several samples or rounded coarsely,
+    the answer is ``unknown``.
+
+    Parameters
+    ----------
+    runs
+        The joint's signals by name; of each its stretches without a gap, of shape (N,).
+    tau
+        The summary of the torque.
+    """
+    if max(len(x) for x in runs["tau"]) < _FEWEST:
+        return TorqueSource("unknown", "no stretch without a gap is long enough to tell")
+    law = _law(runs, tau)
+    if law is not None:
+        return TorqueSource("commanded", law)
+    if (tau.stale or 0.0) > _HELD:
+        return TorqueSource("unknown", f"{tau.stale:.0%} of its values repeat: a slow sensor or a slow controller")
+    spread = float(np.std(np.concatenate(runs["tau"])))
+    if tau.step is None and tau.noise < _NOISELESS * spread:
+        return TorqueSource("commanded", "it carries no noise, as only a computed torque can")
+    if tau.step is not None and tau.noise < _RESOLUTION * tau.step:
+        return TorqueSource("unknown", f"it carries no noise beyond its resolution of {tau.step:.3g}")
+    fast = 1.4826 * float(np.median(np.abs(np.concatenate([np.diff(x, 2) for x in runs["tau"]])))) / np.sqrt(6)
+    if fast > _DROWNED * tau.noise:
+        return TorqueSource("unknown", "it changes too fast from sample to sample to show its noise")
+    share = _shared_noise(runs)
+    if share > _SAME_NOISE:
+        return TorqueSource("commanded", f"{share:.0%} of its noise is that of q and v, as under feedback")
+    if share < _OWN_NOISE:
+        return TorqueSource("measured", f"it carries noise of its own, {tau.noise:.2g} rms")
+    return TorqueSource("unknown", f"{share:.0%} of its noise is that of q and v")
+
+
+def _law(runs: Runs, tau: Signal) -> str | None:
+    """The control law that tau follows to the last digit, in words; None if it follows none."""
+    names = [name for name in ("q", "v", "qcmd", "vcmd") if name in runs]
+    if _poorly_excited(runs):
+        return None
+    for delay in _DELAYS:
+        rows = _rows(runs, names, delay)
+        free = (rows[:, -1] > tau.minimum) & (rows[:, -1] < tau.maximum)  # a law is cut off at the drive's limits
+        columns, torque = rows[free, :-1], rows[free, -1]
+        if len(torque) < _FEWEST:
+            return None
+        gains, rest = _line(columns, torque)
+        rounding = 0.4 * (tau.step or 0.0)
+        if rest < max(_LAW, min(rounding / torque.std(), 20 * _LAW)):
+            terms = " ".join(f"{gain:+.4g} {name}" for gain, name in zip(gains, names, strict=True))
+            late = f", {delay} samples late" if delay else ""
+            return f"it equals {terms} + constant within {rest:.1g} of its deviation{late}"
+    return None
+
+
+def _rows(runs: Runs, names: Sequence[str], delay: int) -> Array:
+    """The named signals, ``delay`` samples earlier, and tau, thinned to a bounded number of rows."""
+    rows = [
+        np.stack([*(x[: len(x) - delay] for x in columns), tau[delay:]], axis=1)
+        for *columns, tau in zip(*(runs[name] for name in names), runs["tau"], strict=True)
+    ]
+    every = max(sum(len(r) for r in rows) >> 14, 1)
+    return np.concatenate([r[::every] for r in rows])
+
+
+def _line(columns: Array, x: Array) -> tuple[Array, float]:
+    """Gains of the best line in the columns and a constant, and what it leaves over x's deviation."""
+    centred = columns - columns.mean(axis=0)
+    gains = np.linalg.lstsq(centred, x - x.mean(), rcond=None)[0]
+    return gains, float(np.std(x - centred @ gains) / max(np.std(x), np.finfo(float).tiny))
+
+
+def _poorly_excited(runs: Runs) -> bool:
+    """Whether the acceleration is itself a line in q and v, as in a single sine."""
+    q = np.concatenate([x[1:-1] for x in runs["q"]])
+    v = np.concatenate([x[2:] - x[:-2] for x in runs["q"]])
+    a = np.concatenate([np.diff(x, 2) for x in runs["q"]])
+    return _line(np.stack([q, v], axis=1), a)[1] < _POOR
+
+
+def _shared_noise(runs: Runs) -> float:
+    """Share of tau's fast changes that those of q and v, now and a sample or two ago, explain: of their power.
+
+    Second differences, in windows so short that the gain of any feedback is as good as constant; the median window, as
+    dry friction jumps in some.
+    """
+    names = [name for name in ("q", "v") if name in runs]
+    shares = []
+    for *signals, tau in zip(*(runs[name] for name in names), runs["tau"], strict=True):
+        change = [np.diff(x, 2) for x in (*signals, tau)]
+        columns = [x[2 - d : len(x) - d] for x in change[:-1] for d in _DELAYS] + [change[-1][2:]]
+        count = len(columns[0]) // _WINDOW
+        windows = np.stack(columns, axis=1)[: count * _WINDOW].reshape(count, _WINDOW, len(columns))
+        Q, _ = np.linalg.qr(windows[:, :, :-1])
+        explained = np.sum(np.einsum("wsc,ws->wc", Q, windows[:, :, -1]) ** 2, axis=1)
+        shares.append(explained / np.maximum(np.sum(windows[:, :, -1] ** 2, axis=1), np.finfo(float).tiny))
+    chance = (len(columns) - 1) / _WINDOW
+    return float((np.median(np.concatenate(shares)) - chance) / (1 - chance))
