@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.data.signals import Motion
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.identify import solve
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Factor
-from idtool.regressor import LinearModel
 from idtool.robot.config import WEAK, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.sets import choose_set

@@ -13,8 +13,8 @@ import pinocchio as pin  # type: ignore[import-untyped]
 import yaml
 from numpy.typing import NDArray
 
-from idtool.effects import RigidBodies
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import RigidBodies
+from idtool.dynamics.regressor import LinearModel
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from idtool.data.signals import Signals
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.simulation.simulation import simulate
+from idtool.dynamics.simulation.windows import windows_of
 from idtool.experiment import Experiment, prepare
-from idtool.mechanism import Mechanism
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.simulation import simulate
-from idtool.windows import windows_of
 
 Array = NDArray[np.float64]
 Torque = Callable[[float, Array, Array], Array]

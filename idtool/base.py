@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.data.signals import Motion
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
-from idtool.regressor import LinearModel
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 

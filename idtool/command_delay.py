@@ -26,10 +26,10 @@ from idtool.blocks import Blocks, together
 from idtool.common.linear_algebra import svd
 from idtool.data.command import LONGEST_DELAY
 from idtool.data.signals import Signals
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment, Progress, Rows, Run, tracked
 from idtool.knowledge import Knowledge
 from idtool.reduction import Factor, Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.config import Config, Uncertain
 from idtool.trust.scatter import FEWEST
 from idtool.weights import free_noise, freedom

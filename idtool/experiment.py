@@ -16,10 +16,10 @@ from idtool.common.provenance import Source
 from idtool.data.command import commanded
 from idtool.data.logs import Log, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge, knowledge, with_equal_bounds
 from idtool.reduction import Reduction, empty
-from idtool.regressor import LinearModel
 from idtool.robot.config import Config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot

@@ -16,13 +16,13 @@ from idtool.certificate import GAP, Certificate, cost_of_margin, lower_bound, vi
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
 from idtool.conic import APART, Solution, infeasible, solve_conic
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.local import LOCAL
 from idtool.parts import INTERIOR
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
 from idtool.refinement import refine
-from idtool.regressor import LinearModel
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.sets import ConstraintSet

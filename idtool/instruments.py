@@ -20,9 +20,9 @@ from scipy import signal
 from idtool.common.exceptions import ModelError
 from idtool.data.logs import Log
 from idtool.data.signals import Signals
+from idtool.dynamics.simulation.simulation import simulate
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.simulated_log import under_controller
-from idtool.simulation import simulate
 
 Array = NDArray[np.float64]
 Kind = Literal["closed_loop", "smoothed"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
-from idtool.regressor import LinearModel
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import Config, Measured, Mirror
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import SIZE, mirrored

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.effects.rigid_body import length
+from idtool.dynamics.effects.rigid_body import length
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
 from idtool.robot.inertia import POWERS, SIZE

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
-from idtool.regressor import LinearModel
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from idtool.common.names import some
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.body import Body
 from idtool.robot.config import Config
 from idtool.robot.config.estimation import Measured

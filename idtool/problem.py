@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.parts import INTERIOR, Matrix, Part, parts_of
 from idtool.prior import LogDet, log_dets, prior_rows
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE

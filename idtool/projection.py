@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import SolverError
-from idtool.effects.rigid_body import scales
+from idtool.dynamics.effects.rigid_body import scales
 from idtool.identify import solve
 from idtool.parts import parts_of
 from idtool.prior import reference

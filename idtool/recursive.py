@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.barrier import Barrier
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.problem import Problem, build_problem
 from idtool.reduction import empty
-from idtool.regressor import LinearModel
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from idtool.barrier import Barrier
 from idtool.blocks import Blocks, together
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.problem import Problem, build_problem
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.simulation.simulation import simulate
+from idtool.dynamics.simulation.windows import measured_states, windows_of
 from idtool.envelope import Envelope, Trace
 from idtool.experiment import Experiment, Progress
-from idtool.mechanism import Mechanism
-from idtool.simulation import simulate
-from idtool.windows import measured_states, windows_of
 
 Array = NDArray[np.float64]
 

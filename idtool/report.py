@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idtool import __version__
 from idtool.common.provenance import Source, provenance
-from idtool.effects import NamedEffect, named_effect, plain
+from idtool.dynamics.effects import NamedEffect, named_effect, plain
 from idtool.fitting import Fit
 from idtool.knowledge import Fact
 from idtool.regularization_path import PathPoint

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from idtool.common.exceptions import LogError, ModelError
 from idtool.data.logs import Log, make_log
 from idtool.data.signals import Signals
+from idtool.dynamics.simulation.simulation import simulate
+from idtool.dynamics.simulation.windows import windows_of
 from idtool.experiment import Experiment, Progress
-from idtool.simulation import simulate
-from idtool.windows import windows_of
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters
-from idtool.effects.base import Coefficient
+from idtool.dynamics.effects.base import Coefficient
 from idtool.fitting import Fit
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.trust.bias import BiasCheck

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from idtool.common.linear_algebra import svd
 from idtool.common.names import some
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment, Progress
 from idtool.identify import solve
 from idtool.instruments import Instruments, Kind, instrumented_rows, instruments
 from idtool.problem import build_problem
 from idtool.reduction import Factor, Reduction, reduce_blocks
-from idtool.regressor import LinearModel
 from idtool.robot.sets import ConstraintSet
 from idtool.weights import residual_noise
 

@@ -15,9 +15,9 @@ from scipy.linalg import null_space
 
 from idtool.base import felt
 from idtool.common.linear_algebra import svd
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.conic import solve_conic
-from idtool.effects.rigid_body import length
+from idtool.dynamics.effects.rigid_body import length
 from idtool.projection import nearest_problem
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece

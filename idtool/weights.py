@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.reduction import Factor, Reduction
-from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from robots import chain, joint
 
 from idtool.data.signals import Motion
-from idtool.effects import Effect, build_effects
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import Effect, build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
 

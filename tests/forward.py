@@ -14,10 +14,10 @@ from commands import SAMPLES
 from numpy.typing import NDArray
 from robots import actuated
 
-from idtool.effects import build_effects
-from idtool.integrate import Rollouts
-from idtool.mechanism import Mechanism
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.simulation.integrate import Rollouts
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot

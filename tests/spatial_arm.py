@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from idtool.dynamics.simulation.simulation import simulate
+from idtool.dynamics.simulation.windows import windows_of
 from idtool.experiment import Experiment, prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.simulation import simulate
 from idtool.validation import evaluate
-from idtool.windows import windows_of
 
 Array = NDArray[np.float64]
 Log = dict[str, Array]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, rotation
 
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge, knowledge
 from idtool.reduction import Factor, Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.body import Body, Frame
 from idtool.robot.config import Config, parse_config
 from idtool.robot.ellipsoid import Ellipsoid

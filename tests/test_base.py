@@ -14,9 +14,9 @@ from robots import actuated, random_rotors, random_urdf
 from tables import GANTRY, PANDA, PUMA, RX90, SCARA, STANFORD, UR5, Row, rooted, table_urdf
 
 from idtool.base import BaseParameters, base_parameters, structural_base
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import knowledge
-from idtool.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.model import Model, build_model

@@ -18,8 +18,8 @@ from idtool.data.causal import CausalLowPass, causal_batches
 from idtool.data.filters import LowPass
 from idtool.data.logs.log import Log
 from idtool.data.signals import Batch, Motion, Signals
-from idtool.effects import build_effects
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot

@@ -21,7 +21,7 @@ from idtool.diagnosis import rounds
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.rounds import Search
-from idtool.effects.spring import ParallelSpring
+from idtool.dynamics.effects.spring import ParallelSpring
 from idtool.experiment import Experiment
 from idtool.robot.config import EffectEntry
 

@@ -20,9 +20,9 @@ from pydantic.fields import FieldInfo
 import idtool as idtool_library
 from idtool.cli import app
 from idtool.common.exceptions import ConfigError
-from idtool.effects import known_effects
-from idtool.effects.joint_effect import JointEffect
-from idtool.effects.link_effect import LinkEffect
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.config import Config, EffectEntry
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import read_robot

@@ -18,10 +18,10 @@ from robots import actuated, random_rotors, random_urdf
 
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Motion
-from idtool.dynamics import Dynamics
-from idtool.effects import RigidBodies
-from idtool.mechanism import Mechanism
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import RigidBodies
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.simulation.dynamics import Dynamics
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]

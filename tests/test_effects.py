@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from robots import chain, joint
 
 from idtool.data.signals import Motion
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import prepare
 from idtool.fitting import Fit, fit
-from idtool.regressor import LinearModel
 from idtool.report import model_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot

@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robots import chain, joint
 
-import idtool.effects
+import idtool.dynamics.effects
 from idtool.common.exceptions import ConfigError
-from idtool.effects import build_effects, known_effects, named_effect
-from idtool.effects.joint_effect import JointEffect
+from idtool.dynamics.effects import build_effects, known_effects, named_effect
+from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.experiment import coefficients_of, prepare
 from idtool.fitting import fit
 from idtool.report import model_config
@@ -155,7 +155,7 @@ def test_the_errors_of_amplitude_and_phase_are_those_of_many_draws(build: Build)
 
 
 MODULE = '''
-from idtool.effects.joint_term import JointTerm
+from idtool.dynamics.effects.joint_term import JointTerm
 
 class Cubic(JointTerm):
     """k q³."""
@@ -172,7 +172,7 @@ class Cubic(JointTerm):
 
 def test_a_new_effect_is_one_new_file(build: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cubic_for_a_test.py").write_text(MODULE)
-    monkeypatch.setattr(idtool.effects, "__path__", [*idtool.effects.__path__, str(tmp_path)])
+    monkeypatch.setattr(idtool.dynamics.effects, "__path__", [*idtool.dynamics.effects.__path__, str(tmp_path)])
     known_effects.cache_clear()
     try:
         motion = moving()

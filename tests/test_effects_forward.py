@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from idtool.data.signals import Motion
-from idtool.effects import build_effects
-from idtool.integrate import Rollouts
-from idtool.mechanism import Mechanism
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.simulation.integrate import Rollouts
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
 

@@ -29,9 +29,9 @@ from spatial_arm import (
     written,
 )
 
-from idtool.effects import known_effects
-from idtool.mechanism import Gear
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.mechanism import Gear
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.model import Model
 
 Array = NDArray[np.float64]

@@ -32,8 +32,8 @@ from spatial_arm import (
 )
 
 from idtool.data.signals import Motion
-from idtool.effects import named_effect
-from idtool.effects.contact import ExternalContact
+from idtool.dynamics.effects import named_effect
+from idtool.dynamics.effects.contact import ExternalContact
 from idtool.fitting import fit
 from idtool.report import model_config
 from idtool.robot.config import EffectEntry, parse_config

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from spatial_arm import NOISE, RATE, STEPS, Act, Log, experiment, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.data.signals import Motion
-from idtool.effects.presliding import PreslidingHysteresis
+from idtool.dynamics.effects.presliding import PreslidingHysteresis
 from idtool.fitting import fit
 from idtool.report import model_config
 from idtool.robot.model import Model

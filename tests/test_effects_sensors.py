@@ -17,8 +17,8 @@ from scipy.interpolate import CubicSpline
 from spatial_arm import RIGID, Log, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.data.signals import Motion
-from idtool.effects import NamedEffect, named_effect
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import NamedEffect, named_effect
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 

@@ -13,7 +13,7 @@ from commands import LEG, TRAIN, config_with, files, fitted, idtool
 from exported import EXACT, InMujoco
 from robots import chain, link
 
-from idtool.dynamics import Dynamics
+from idtool.dynamics.simulation.dynamics import Dynamics
 from idtool.export import identified, to_drake, to_mujoco
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot

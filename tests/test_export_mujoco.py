@@ -13,10 +13,10 @@ from exported import EXACT, InMujoco, arm, mass_and_bias, model_of, sample, stat
 from numpy.typing import NDArray
 from reference import Reference
 
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.simulation.integrate import Rollouts
 from idtool.export import Identified, to_mujoco
-from idtool.integrate import Rollouts
-from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from robots import chain, joint
 from swings import JOINTS, clock, joined, signals_of, swing, swinging
 
 from idtool.data.signals import Motion
-from idtool.effects import build_effects, known_effects
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import build_effects, known_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
 

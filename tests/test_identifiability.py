@@ -15,7 +15,7 @@ from robots import chain, joint, random_urdf
 from synthetic import Synthetic, bounds, random_states, synthetic
 
 from idtool.base import BaseParameters
-from idtool.effects.base import Coefficient
+from idtool.dynamics.effects.base import Coefficient
 from idtool.identify import Estimate, identify
 from idtool.knowledge import with_equal_bounds
 from idtool.robot.config import Regularization

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from synthetic import point_parameters
 
-from idtool.effects.payload import realizable
+from idtool.dynamics.effects.payload import realizable
 
 Array = NDArray[np.float64]
 

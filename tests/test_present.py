@@ -15,9 +15,9 @@ from reference import Reference
 from robots import actuated, random_urdf
 
 from idtool.data.signals import Motion
-from idtool.effects import build_effects
-from idtool.present import PresentModel
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.present import PresentModel
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot

@@ -12,7 +12,7 @@ from robots import rotation
 from scipy.optimize import nnls
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
-from idtool.effects.rigid_body import length, scales
+from idtool.dynamics.effects.rigid_body import length, scales
 from idtool.prior import reference
 from idtool.projection import Metric, Projection, project
 from idtool.robot.body import Body

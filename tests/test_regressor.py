@@ -12,9 +12,9 @@ from reference import Reference
 from robots import actuated, leg_urdf, random_rotors, random_urdf
 
 from idtool.data.signals import Batch, LowPass, Motion
-from idtool.effects import Coefficient, Effect, RigidBodies, build_effects
-from idtool.mechanism import Mechanism
-from idtool.regressor import LinearModel
+from idtool.dynamics.effects import Coefficient, Effect, RigidBodies, build_effects
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot

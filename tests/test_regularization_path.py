@@ -17,11 +17,11 @@ from synthetic import Synthetic, bounds, synthetic
 
 import idtool
 from idtool.blocks import Blocks
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.prior_bodies import placeholder_reasons, polyhedron_moments
-from idtool.regressor import LinearModel
 from idtool.regularization_path import WEIGHTS, RegularizationPath, _largest_accepted, regularization_path
 from idtool.robot.config import WEAK, Config, Regularization, parse_config
 from idtool.robot.inertia import SIZE

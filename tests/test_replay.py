@@ -15,11 +15,11 @@ from robots import chain, link
 from idtool import replay as module
 from idtool.data.logs import make_log, write_log
 from idtool.data.signals import Signals
+from idtool.dynamics.simulation.simulation import Simulated
 from idtool.experiment import Experiment, prepare
 from idtool.replay import HORIZONS, Departure, Replay, replay
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.simulation import Simulated
 
 Array = NDArray[np.float64]
 Build = Callable[..., Experiment]

@@ -18,11 +18,11 @@ from idtool.diagnosis import screen
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
-from idtool.effects import known_effects
-from idtool.effects.probe import Columns, Probe
-from idtool.effects.survey import Present
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.probe import Columns, Probe
+from idtool.dynamics.effects.survey import Present
+from idtool.dynamics.present import PresentModel
 from idtool.experiment import prepare
-from idtool.present import PresentModel
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -21,11 +21,11 @@ from stick_slip import StickSlip
 from idtool.common.exceptions import ModelError
 from idtool.data.logs.log import Log, make_log
 from idtool.data.signals import Signals
-from idtool.mechanism import Mechanism
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.simulation.simulation import Simulated, simulate
+from idtool.dynamics.simulation.windows import measured_states, windows_of
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
-from idtool.simulation import Simulated, simulate
-from idtool.windows import measured_states, windows_of
 
 Array = NDArray[np.float64]
 ReadRobot = Callable[[str | bytes], Robot]

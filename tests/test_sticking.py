@@ -25,7 +25,7 @@ from mujoco_robots import Tree
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from idtool.mechanism import Mechanism
+from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]

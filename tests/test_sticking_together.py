@@ -17,9 +17,9 @@ from robots import random_rotors, random_urdf
 from scipy.integrate import solve_ivp
 from stick_slip import StickSlip
 
-from idtool.effects.stribeck import StribeckFriction
-from idtool.integrate import Rollouts
-from idtool.mechanism import Mechanism
+from idtool.dynamics.effects.stribeck import StribeckFriction
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.simulation.integrate import Rollouts
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]

@@ -13,10 +13,10 @@ from synthetic import synthetic
 
 from idtool.data.filters import LowPass
 from idtool.data.signals import Batch, Motion
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.identify import identify
 from idtool.reduction import Factor, Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import NAMES
 from idtool.robot.model import Model

@@ -13,7 +13,7 @@ from commands import LEG, TRAIN, config_with, fitted
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idtool.effects.rigid_body import length
+from idtool.dynamics.effects.rigid_body import length
 from idtool.robot.config import read_config
 from idtool.robot.inertia import (
     DIGITS,

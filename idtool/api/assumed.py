@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.effects import known_effects
-from idtool.effects.joint_effect import JointEffect
-from idtool.effects.link_effect import LinkEffect
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.model import Model
 
 Assumed = tuple[str, str | None]

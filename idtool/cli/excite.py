@@ -164,12 +164,12 @@ def _task(
 ) -> tuple[Task, Logged | None, Experiment | None]:
     """The robot and what is to be told, of the joints that are logged already, where some are; and these logs."""
     from idtool.command_delay import with_delay
-    from idtool.effects import build_effects
+    from idtool.dynamics.effects import build_effects
+    from idtool.dynamics.regressor import LinearModel
     from idtool.excitation.design import Logged
     from idtool.excitation.task import make_task
     from idtool.experiment import prepare
     from idtool.knowledge import knowledge
-    from idtool.regressor import LinearModel
     from idtool.robot.model import build_model
     from idtool.weights import free_noise
 

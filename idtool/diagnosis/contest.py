@@ -16,8 +16,8 @@ from idtool.diagnosis.ground import Ground
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.trial import Trial
-from idtool.effects import known_effects
-from idtool.effects.probe import Probe
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.probe import Probe
 from idtool.experiment import Progress
 
 Array = NDArray[np.float64]

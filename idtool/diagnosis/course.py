@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.data.signals import Batch
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment, Progress, tracked
-from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
 Models = Sequence[tuple[LinearModel, Array]]

@@ -23,7 +23,7 @@ from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unknown import UNKNOWN, unnamed
 from idtool.diagnosis.where import located, residual_maps, unexplained
 from idtool.diagnosis.words import aside, doubted, sentence, separating
-from idtool.effects import named_effect
+from idtool.dynamics.effects import named_effect
 from idtool.experiment import Experiment, Progress
 from idtool.fitting import Fit, fit
 

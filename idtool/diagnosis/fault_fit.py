@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import SolverError
 from idtool.data.signals import Batch, Motion
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment
 from idtool.identify import identify
 from idtool.reduction import Factor
-from idtool.regressor import LinearModel
 from idtool.robot.config import WEAK, Config, EffectEntry
 from idtool.robot.sets import choose_set
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import periodogram
 
+from idtool.dynamics.present import PresentModel
 from idtool.experiment import Experiment, Progress, tracked
-from idtool.present import PresentModel
 
 Array = NDArray[np.float64]
 

@@ -24,13 +24,13 @@ from idtool.blocks import Blocks, cut, together
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
-from idtool.effects.torque_sensor import Sensor
+from idtool.dynamics.effects.torque_sensor import Sensor
+from idtool.dynamics.present import PresentModel
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment, Progress, Rows, tracked
 from idtool.identified import choose_sets
 from idtool.identify import Estimate, identify
-from idtool.present import PresentModel
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.weights import free_noise, weighted_rows
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ from idtool.diagnosis.search import DETERMINED, assumed, searched, unfitted
 from idtool.diagnosis.trial import FAILURES, Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
 from idtool.diagnosis.words import superseded
-from idtool.effects import known_effects
-from idtool.effects.time_delay import WITHIN, TimeDelay
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.time_delay import WITHIN, TimeDelay
 from idtool.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from idtool.data.signals import Batch
 from idtool.diagnosis.ground import Ground
-from idtool.effects.probe import Probe
+from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.present import PresentModel
 from idtool.experiment import Progress, tracked
-from idtool.present import PresentModel
 from idtool.robot.config import EffectEntry
 
 Array = NDArray[np.float64]

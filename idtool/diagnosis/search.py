@@ -14,9 +14,9 @@ from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import FAILURES, Trial, is_fixed, reason_of, tried, value_of
-from idtool.effects import known_effects
-from idtool.effects.probe import Probe
-from idtool.effects.survey import Survey
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.effects.survey import Survey
 from idtool.experiment import Progress
 
 _CONTENDERS = 7  # that are tried more finely

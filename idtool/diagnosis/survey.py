@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.diagnosis.ground import Ground
-from idtool.effects import NamedEffect
-from idtool.effects.survey import Survey
+from idtool.dynamics.effects import NamedEffect
+from idtool.dynamics.effects.survey import Survey
 
 
 def survey(ground: Ground, bursts: tuple[tuple[float, float], ...] = (), fixed: bool = False) -> Survey:

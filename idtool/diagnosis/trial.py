@@ -18,14 +18,14 @@ from idtool.data.signals import Motion
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
-from idtool.effects import build_effects, known_effects
-from idtool.effects.joint_effect import JointEffect
-from idtool.effects.probe import Probe
-from idtool.effects.survey import Present
+from idtool.dynamics.effects import build_effects, known_effects
+from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.effects.survey import Present
+from idtool.dynamics.present import PresentModel
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment, Progress
 from idtool.knowledge import Fact, knowledge
-from idtool.present import PresentModel
-from idtool.regressor import LinearModel
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import SIZE
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.data.signals import Motion
-from idtool.effects.probe import Columns, Probe
-from idtool.effects.survey import Present, Survey
+from idtool.dynamics.effects.probe import Columns, Probe
+from idtool.dynamics.effects.survey import Present, Survey
 
 Array = NDArray[np.float64]
 

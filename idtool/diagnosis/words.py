@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from idtool.diagnosis.records import Candidate, Level, Step
-from idtool.effects import known_effects
-from idtool.effects.payload import Payload
+from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects.payload import Payload
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 

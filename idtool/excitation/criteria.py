@@ -26,9 +26,9 @@ from idtool.base import BaseParameters
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.common.names import nearest
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 
 Array = NDArray[np.float64]
 

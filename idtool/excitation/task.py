@@ -16,11 +16,11 @@ from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest
 from idtool.data.filters import LowPass
 from idtool.data.signals import Motion, default_cutoff
+from idtool.dynamics.regressor import LinearModel
 from idtool.excitation.criteria import Aim, BaseColumns, Criterion, favoured, sizes
 from idtool.excitation.limits import Limits, limits_of
 from idtool.excitation.patterns import Fourier, Samples, Setting
 from idtool.knowledge import Knowledge
-from idtool.regressor import LinearModel
 from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
 from idtool.robot.model import Model

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import ModelError
-from idtool.effects import NamedEffect, RigidBodies, build_effects
+from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.regressor import LinearModel
 from idtool.export.base import Part
-from idtool.mechanism import Mechanism
-from idtool.regressor import LinearModel
 from idtool.robot.config import Config, read_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Joint, Robot, read_robot

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError, SolverError
-from idtool.effects import build_effects
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
 from idtool.experiment import Experiment, Progress, Run, tracked
 from idtool.identified import choose_sets
 from idtool.identify import identify
 from idtool.knowledge import knowledge
 from idtool.prior_bodies import prior_bodies
 from idtool.reduction import Factor, Reduction, empty, merge
-from idtool.regressor import LinearModel
 from idtool.regularization_path import assumed_weight
 from idtool.robot.config import Config
 

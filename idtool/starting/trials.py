@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from idtool.command_delay import with_delay
 from idtool.common.names import some
 from idtool.data.logs import Log
-from idtool.effects.time_delay import WITHIN
+from idtool.dynamics.effects.time_delay import WITHIN
 from idtool.experiment import Experiment, Progress, prepare
 from idtool.robot.config import Config, parse_config
 from idtool.robot.urdf.reading import Robot

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.base import BaseParameters, structural_base
-from idtool.effects.base import Coefficient
+from idtool.dynamics.effects.base import Coefficient
+from idtool.dynamics.regressor import LinearModel
 from idtool.identify import Estimate
 from idtool.knowledge import Knowledge
 from idtool.problem import Problem
 from idtool.ranges import free_spread, ranges
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 from idtool.uncertainty import Uncertainty, weighed

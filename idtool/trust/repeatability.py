@@ -16,9 +16,9 @@ from scipy import stats
 
 from idtool.base import BaseParameters
 from idtool.blocks import Blocks
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.trust.scatter import scatter
 
 Array = NDArray[np.float64]

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.blocks import Blocks, together
+from idtool.dynamics.regressor import LinearModel
 from idtool.knowledge import Knowledge
 from idtool.reduction import Reduction
-from idtool.regressor import LinearModel
 from idtool.uncertainty import Uncertainty, directions, identifiable, weighed
 
 Array = NDArray[np.float64]

@@ -1,0 +1,1 @@
+"""The model run forwards: forces, stiction, integration."""
