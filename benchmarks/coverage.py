@@ -60,11 +60,11 @@ from leg_runs import (
     true_theta,
 )
 
-from idtool.base import BaseParameters, structural_base
 from idtool.data.logs import write_log
-from idtool.experiment import Experiment, prepare
-from idtool.fitting import Fit, fit
-from idtool.identified import Method
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.fit import Fit, fit
+from idtool.estimation.identified import Method
+from idtool.estimation.uncertainty.base import BaseParameters, structural_base
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.identify import solve
-from idtool.problem import Problem, build_problem
-from idtool.reduction import Factor
+from idtool.estimation.dataset.reduction import Factor
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import WEAK, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 

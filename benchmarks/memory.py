@@ -18,7 +18,7 @@ import numpy as np
 
 from idtool.data.logs import make_log, write_log
 from idtool.data.signals import Motion
-from idtool.fitting import fit
+from idtool.estimation.fit import fit
 
 RATE = 1000.0  # Hz
 MINUTE = round(60 * RATE)  # samples

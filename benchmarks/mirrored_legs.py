@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.experiment import Experiment, prepare
-from idtool.identified import choose_sets
-from idtool.identify import identify
-from idtool.learning import held_out, rms
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.identified import choose_sets
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.study.learning import held_out, rms
 from idtool.robot.config import Config, Mirror, read_config
 from idtool.robot.urdf.reading import Robot, read_robot
 

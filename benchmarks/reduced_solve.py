@@ -13,13 +13,13 @@ import leg
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.experiment import Experiment
-from idtool.identified import choose_sets
-from idtool.identify import _SETTINGS, solve
-from idtool.prior import prior_rows
-from idtool.problem import _LEAST_WEIGHT, Problem, build_problem
-from idtool.reduction import Factor, Reduction, empty, reduce_blocks
-from idtool.weights import free_noise, weighted_rows
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, reduce_blocks
+from idtool.estimation.dataset.weights import free_noise, weighted_rows
+from idtool.estimation.identified import choose_sets
+from idtool.estimation.problem.identify import _SETTINGS, solve
+from idtool.estimation.problem.prior import prior_rows
+from idtool.estimation.problem.problem import _LEAST_WEIGHT, Problem, build_problem
 
 Array = NDArray[np.float64]
 

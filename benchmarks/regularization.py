@@ -57,15 +57,15 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import leg_truth
 
 import idtool
-from idtool.base import structural_base
-from idtool.blocks import Blocks, together
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.logs import Log, read_log
-from idtool.experiment import Experiment, Rows, Run, prepare
-from idtool.fitting import fit
-from idtool.identified import identified
-from idtool.learning import held_out, rms
-from idtool.reduction import Reduction
+from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.experiment import Experiment, Rows, Run, prepare
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.fit import fit
+from idtool.estimation.identified import identified
+from idtool.estimation.study.learning import held_out, rms
+from idtool.estimation.uncertainty.base import structural_base
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.urdf.reading import Robot, parse_robot

@@ -23,7 +23,7 @@ from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import windows_of
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

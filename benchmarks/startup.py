@@ -32,8 +32,8 @@ def idtool(*arguments: str | Path) -> str:
 def print_steps(urdf: Path, log: Path) -> None:
     """Fit in this process, from the imports to the page, and print the time of each step [s]."""
     clock = [time.perf_counter()]
-    from idtool.experiment import prepare
-    from idtool.fitting import fit
+    from idtool.estimation.dataset.experiment import prepare
+    from idtool.estimation.fit import fit
     from idtool.pages import fit_page
     from idtool.report import fit_report
     from idtool.robot.config import read_config

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from idtool.simulation_report import POSITION_UNITS
+from idtool.estimation.evaluation.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.base import BaseParameters
 from idtool.common.names import some
+from idtool.estimation.uncertainty.base import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task

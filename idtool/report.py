@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from idtool import __version__
 from idtool.common.provenance import Source, provenance
 from idtool.dynamics.effects import NamedEffect, named_effect, plain
-from idtool.fitting import Fit
-from idtool.knowledge import Fact
-from idtool.regularization_path import PathPoint
+from idtool.estimation.dataset.knowledge import Fact
+from idtool.estimation.evaluation.simulation_report import simulation_report
+from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.fit import Fit
+from idtool.estimation.problem.regularization_path import PathPoint
+from idtool.estimation.problem.verdict import Verdict, judge
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
 from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
-from idtool.simulation_report import simulation_report
 from idtool.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
-from idtool.validation import Evaluation
-from idtool.verdict import Verdict, judge
 
 Array = NDArray[np.float64]
 

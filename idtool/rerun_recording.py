@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError
-from idtool.envelope import Trace
+from idtool.estimation.evaluation.envelope import Trace
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import Robot
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from idtool.common.provenance import provenance
-from idtool.identify import stuck_note
-from idtool.learning import Curve
+from idtool.estimation.problem.identify import stuck_note
+from idtool.estimation.study.learning import Curve
+from idtool.estimation.study.study import Outcome, Study
 from idtool.robot.inequality import Inequality
 from idtool.robot.inertia import SIZE
-from idtool.study import Outcome, Study
 
 
 def study_report(study: Study) -> dict[str, Any]:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.base import BaseParameters
 from idtool.dynamics.effects.base import Coefficient
-from idtool.fitting import Fit
+from idtool.estimation.fit import Fit
+from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.estimation.uncertainty.bias import BiasCheck
+from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination
+from idtool.estimation.uncertainty.repeatability import Repeatability
 from idtool.robot.inertia import NAMES, SIZE
-from idtool.trust.bias import BiasCheck
-from idtool.trust.identifiability import Basis, Identifiability, combination
-from idtool.trust.repeatability import Repeatability
 
 Array = NDArray[np.float64]
 

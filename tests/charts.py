@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, synthetic
 
-from idtool.local import Chart, LogCholesky, Manifold
-from idtool.parts import Part
-from idtool.problem import Problem, build_problem
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.local import Chart, LogCholesky, Manifold
+from idtool.estimation.problem.parts import Part
+from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.inequality import DENSITY, Piece
 from idtool.robot.inertia import (
@@ -20,7 +21,6 @@ from idtool.robot.inertia import (
 )
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 State = Callable[..., tuple[Problem, Array]]

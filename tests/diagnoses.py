@@ -12,8 +12,8 @@ from commands import LEG, csv_text, sample_table
 
 from idtool.diagnosis.faults import Fault
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step, Where
-from idtool.experiment import prepare
-from idtool.fitting import Fit, fit
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import Config, EffectEntry, read_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -12,7 +12,7 @@ import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from reference import Reference
 
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

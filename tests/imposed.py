@@ -12,7 +12,7 @@ import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from spatial_arm import ARM, RATE
 
-from idtool.experiment import Experiment
+from idtool.estimation.dataset.experiment import Experiment
 
 Array = NDArray[np.float64]
 Log = dict[str, Array]

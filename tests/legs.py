@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from robots import body, inertial, joint
 from synthetic import Synthetic, point_parameters, points_in, random_bound, random_states, synthetic
 
-from idtool.identify import Estimate, identify
-from idtool.knowledge import Knowledge, with_equal_bounds
+from idtool.estimation.dataset.knowledge import Knowledge, with_equal_bounds
+from idtool.estimation.problem.identify import Estimate, identify
+from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 Robots = Callable[[str], Robot]

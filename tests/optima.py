@@ -10,8 +10,8 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.certificate import lower_bound
-from idtool.problem import Problem
+from idtool.estimation.problem.certificate import lower_bound
+from idtool.estimation.problem.problem import Problem
 
 Array = NDArray[np.float64]
 

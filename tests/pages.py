@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.envelope import Trace
+from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.evaluation.validation import Errors, Evaluation
 from idtool.robot.inertia import from_mass_com_inertia
-from idtool.validation import Errors, Evaluation
 
 Array = NDArray[np.float64]
 

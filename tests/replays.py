@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.envelope import Trace
-from idtool.replay import HORIZONS, Departure, Replay
+from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay
 
 Array = NDArray[np.float64]
 

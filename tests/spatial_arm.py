@@ -16,10 +16,10 @@ from scipy import signal
 
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import windows_of
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.evaluation.validation import evaluate
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.validation import evaluate
 
 Array = NDArray[np.float64]
 Log = dict[str, Array]

@@ -16,8 +16,8 @@ from robots import actuated, rotation
 
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.knowledge import Knowledge, knowledge
-from idtool.reduction import Factor, Reduction
+from idtool.estimation.dataset.knowledge import Knowledge, knowledge
+from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.robot.body import Body, Frame
 from idtool.robot.config import Config, parse_config
 from idtool.robot.ellipsoid import Ellipsoid

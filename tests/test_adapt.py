@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool import adapt as module
-from idtool.adapt import Adaptation, adapt, adapt_report, convergence, time_to
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.experiment import Experiment, prepare
-from idtool.identify import identify
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.weights import weighted_rows
+from idtool.estimation.online import adapt as module
+from idtool.estimation.online.adapt import Adaptation, adapt, adapt_report, convergence, time_to
+from idtool.estimation.problem.identify import identify
 from idtool.robot.config import WEAK, read_config
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
-from idtool.weights import weighted_rows
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from commands import LEG, TRAIN, config_with, idtool
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.certificate import GAP
 from idtool.common.exceptions import SolverError
-from idtool.conic import solve_conic
-from idtool.identify import ENOUGH, Estimate, identify, solve, solve_with_backend
-from idtool.problem import Problem, build_problem
+from idtool.estimation.problem.certificate import GAP
+from idtool.estimation.problem.conic import solve_conic
+from idtool.estimation.problem.identify import ENOUGH, Estimate, identify, solve, solve_with_backend
+from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
@@ -77,8 +77,8 @@ def test_a_backend_for_quadratic_programmes_only_is_named_with_those_that_can_mo
 def test_a_first_order_method_that_stops_short_is_refused(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
     """Unless it can be refined."""
     problem = problem_of(data(robot_of))
-    monkeypatch.setattr("idtool.backends._SETTINGS", {"SCS": {"max_iters": 20}})
-    monkeypatch.setattr("idtool.identify.refine", lambda problem, solution: None)
+    monkeypatch.setattr("idtool.estimation.problem.backends._SETTINGS", {"SCS": {"max_iters": 20}})
+    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: None)
     with pytest.raises(SolverError, match=r"not solved well enough by cvxpy \(SCS\): relative duality gap \d"):
         solve_with_backend(problem, "SCS")
 
@@ -104,7 +104,7 @@ def test_where_clarabel_fails_cvxpy_takes_over(robot_of: Robots, monkeypatch: py
     def fails(*_: Any) -> None:
         raise SolverError("solver", "broke down on these numbers")
 
-    monkeypatch.setattr("idtool.identify.solve_conic", fails)
+    monkeypatch.setattr("idtool.estimation.problem.identify.solve_conic", fails)
     theirs = estimate(s)
     assert theirs.certificate.name == "cvxpy (CLARABEL)"
     assert abs(theirs.certificate.duality_gap) < GAP
@@ -115,7 +115,7 @@ def test_an_infeasible_problem_is_not_tried_again(robot_of: Robots, monkeypatch:
     def never(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("idtool.identify.solve_with_backend", never)
+    monkeypatch.setattr("idtool.estimation.problem.identify.solve_with_backend", never)
     with pytest.raises(SolverError, match="found no parameters"):
         estimate(data(robot_of, known={"mass": {"link1": 3, "link2": 2}, "total_mass": 4}))
 
@@ -129,7 +129,7 @@ def test_a_fallback_is_said_in_a_warning(tmp_path: Path, monkeypatch: pytest.Mon
             raise SolverError("solver", "broke down on these numbers")
         return solve_conic(problem, start, settings)
 
-    monkeypatch.setattr("idtool.identify.solve_conic", fails)
+    monkeypatch.setattr("idtool.estimation.problem.identify.solve_conic", fails)
     done = idtool("fit", LEG, TRAIN, "--quick", "--no-simulation", "--out", tmp_path, "--json")
     assert done.code == 0
     assert done.json["solver"]["name"] == "cvxpy (CLARABEL)"
@@ -151,6 +151,6 @@ def test_a_backend_that_cannot_be_used_is_one_line(tmp_path: Path, backend: str)
 
 def test_cvxpy_is_imported_where_it_is_asked_for() -> None:
     """It takes a second."""
-    script = "import sys, idtool.fitting, idtool.backends; print('cvxpy' in sys.modules)"
+    script = "import sys, idtool.estimation.fit, idtool.estimation.problem.backends; print('cvxpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False"]

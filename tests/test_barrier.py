@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import bounds, synthetic
 
-from idtool.barrier import Barrier
 from idtool.common.exceptions import SolverError
-from idtool.identify import solve
-from idtool.problem import Problem, build_problem
-from idtool.reduction import empty
+from idtool.estimation.dataset.reduction import empty
+from idtool.estimation.problem.barrier import Barrier
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.inequality import least
 from idtool.robot.sets import choose_set
@@ -115,7 +115,7 @@ def test_what_cannot_be_is_refused(stated: Stated) -> None:
 def test_a_small_change_takes_two_steps_at_the_most(
     stated: Stated, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from idtool import barrier as module
+    from idtool.estimation.problem import barrier as module
 
     problem = with_data(stated("ellipsoid"), rng, 10.0)
     P, q = normal(problem)

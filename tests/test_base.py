@@ -13,10 +13,10 @@ from reference import Reference
 from robots import actuated, random_rotors, random_urdf
 from tables import GANTRY, PANDA, PUMA, RX90, SCARA, STANFORD, UR5, Row, rooted, table_urdf
 
-from idtool.base import BaseParameters, base_parameters, structural_base
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.knowledge import knowledge
+from idtool.estimation.dataset.knowledge import knowledge
+from idtool.estimation.uncertainty.base import BaseParameters, base_parameters, structural_base
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.model import Model, build_model
@@ -105,8 +105,8 @@ def check(robot: Robot, rng: np.random.Generator, **config: Any) -> BaseParamete
     bodies = [body.name for body in model.bodies]
     Y = states(reference, bodies, rng, 3 + 30 * len(bodies) // len(model.names))
     with pytest.MonkeyPatch.context() as strict:
-        strict.setattr("idtool.base._RANK", 1e-9)
-        strict.setattr("idtool.base._ZERO", 1e-12)
+        strict.setattr("idtool.estimation.uncertainty.base._RANK", 1e-9)
+        strict.setattr("idtool.estimation.uncertainty.base._ZERO", 1e-12)
         exact = structural_base(model, equation)
     assert_same_space(exact, Y)
     assert len(base) == len(exact)

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from idtool.blocks import Blocks, block_rows, cut, most_blocks, together
-from idtool.reduction import Factor, Reduction
+from idtool.estimation.dataset.blocks import Blocks, block_rows, cut, most_blocks, together
+from idtool.estimation.dataset.reduction import Factor, Reduction
 
 Array = NDArray[np.float64]
 Batches = list[tuple[list[Array], list[NDArray[np.bool_]]]]

@@ -23,12 +23,12 @@ from scipy.spatial.transform import Rotation
 from solids import inside, kinds, random_shape, seeds
 from synthetic import bounded_body, point_parameters, random_ellipsoid
 
-from idtool.knowledge import with_equal_bounds
+from idtool.estimation.dataset.knowledge import with_equal_bounds
+from idtool.estimation.problem.verdict import judge
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import mirrored
 from idtool.robot.model import Model
 from idtool.robot.shapes import known_shapes
-from idtool.verdict import judge
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,12 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 from units import in_units
 
-from idtool.certificate import GAP
 from idtool.common.exceptions import SolverError
-from idtool.conic import Solution, solve_conic
-from idtool.identify import identify, solve
-from idtool.problem import Problem, build_problem
-from idtool.refinement import Refined
+from idtool.estimation.problem.certificate import GAP
+from idtool.estimation.problem.conic import Solution, solve_conic
+from idtool.estimation.problem.identify import identify, solve
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.problem.refinement import Refined
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE, from_mass_com_inertia
@@ -194,7 +194,7 @@ def test_a_solve_cut_short_is_refused_and_names_a_body(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """Where refining does not help either."""
-    monkeypatch.setattr("idtool.identify.refine", lambda problem, solution: None)
+    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: None)
     s, tau = random_data(tmp_path, 2)
     with pytest.raises(SolverError, match=r"link\d: .*: not solved well enough: relative duality gap \d"):
         solve(stated(s, tau, kind), max_iter=3)
@@ -210,8 +210,8 @@ def test_what_the_solver_says_is_not_believed(tmp_path: Path, monkeypatch: pytes
         solution = solve_conic(*arguments)
         return replace(solution, x=solution.x + 0.01)
 
-    monkeypatch.setattr("idtool.identify.solve_conic", spoilt)
-    monkeypatch.setattr("idtool.identify.refine", lambda problem, solution: Refined(solution, 0.0))
+    monkeypatch.setattr("idtool.estimation.problem.identify.solve_conic", spoilt)
+    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: Refined(solution, 0.0))
     assert honest.status == "optimal"
     with pytest.raises(SolverError, match="not solved well enough"):
         solve(problem)

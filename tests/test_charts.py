@@ -23,8 +23,8 @@ from charts import (
 from robots import rotation
 from scipy.spatial.transform import Rotation
 
-from idtool.local import Chart, LogCholesky, Manifold, Residuals, spectral
-from idtool.prior import LogDet
+from idtool.estimation.problem.local import Chart, LogCholesky, Manifold, Residuals, spectral
+from idtool.estimation.problem.prior import LogDet
 from idtool.robot.inertia import (
     SIZE,
     from_mass_com_inertia,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from robots import joint, random_urdf, rotation
 from synthetic import point_parameters
 
-from idtool.check import check, nearest_bodies, repaired
 from idtool.common.exceptions import ConfigError
 from idtool.common.provenance import Source
+from idtool.estimation.problem.check import check, nearest_bodies, repaired
 from idtool.robot.config import Config, parse_config
 from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
 from idtool.robot.urdf.reading import Robot, read_robot

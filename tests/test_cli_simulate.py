@@ -268,7 +268,7 @@ def test_a_model_that_cannot_move_loses_nothing(tmp_path: Path) -> None:
     refuse(tmp_path, "simulate", "leg.urdf", "log.csv", "--out", "former.csv", naming="leg.urdf: cannot be simulated")
 
 
-@pytest.mark.parametrize("target", ["idtool.simulated_log.simulate", "mcap.writer.Writer.finish"])
+@pytest.mark.parametrize("target", ["idtool.estimation.evaluation.simulated_log.simulate", "mcap.writer.Writer.finish"])
 def test_stopped_by_the_user_it_leaves_what_was_there(
     short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str
 ) -> None:

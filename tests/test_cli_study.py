@@ -87,14 +87,14 @@ def test_the_page_of_a_study(folder: Path, studied: Any) -> None:
 
 
 def test_a_quiet_study_prints_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.study.LOCAL", {})
+    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
     done = idtool("study", "leg.urdf", "log.csv", "--draws", "5", "--quiet", "--out", "quiet", folder=folder)
     assert (done.code, done.out, done.err) == (0, "", "")
     assert set(files(folder / "quiet")) == STUDY_FILES
 
 
 def test_without_out_files_go_where_the_user_is(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.study.LOCAL", {})
+    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
     log, urdf = folder / "log.csv", folder / "leg.urdf"
     assert idtool("study", urdf, log, "--draws", "5", "--quiet", folder=tmp_path).code == 0
     assert idtool("adapt", urdf, log, "--quiet", folder=tmp_path).code == 0
@@ -221,7 +221,7 @@ def test_the_examples_run_as_they_are_written(
     folder: Path, tmp_path: Path, name: str, extra: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """But with few draws, on a short log."""
-    monkeypatch.setattr("idtool.study.LOCAL", {})
+    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
     for file in ("leg.urdf", "leg.yaml"):
         (tmp_path / file).write_bytes((folder / file).read_bytes())
     for log in ("run1.mcap", "run2.mcap"):

@@ -17,12 +17,12 @@ from position_leg import GAINS, KD, KP, noisy, position_controlled
 from scipy.interpolate import make_interp_spline
 
 import idtool
-from idtool.command_delay import CommandDelay, command_delay, with_delay
 from idtool.data.command import LONGEST_DELAY
 from idtool.data.filters import delayed
 from idtool.data.logs import Log, make_log, read_log
-from idtool.experiment import Experiment, prepare
-from idtool.fitting import Fit, fit
+from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.fit import Fit, fit
 from idtool.report import fit_report, model_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot

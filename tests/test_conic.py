@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.certificate import GAP, lower_bound
 from idtool.common.exceptions import InfeasibleError, SolverError
-from idtool.conic import APART, Solution, smat, solve_conic, svec
-from idtool.identify import solve
-from idtool.prior import moved_priors
-from idtool.problem import Problem, build_problem
+from idtool.estimation.problem.certificate import GAP, lower_bound
+from idtool.estimation.problem.conic import APART, Solution, smat, solve_conic, svec
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.prior import moved_priors
+from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.ellipsoid import Ellipsoid
@@ -349,7 +349,7 @@ def test_an_attempt_that_gives_up_hides_no_proof_that_nothing_fulfils_the_constr
         return real(*statement)
 
     problem = state({"set": "ellipsoid", **IMPOSSIBLE["masses beyond their total"]}).problem
-    monkeypatch.setattr("idtool.conic.clarabel.DefaultSolver", giving_up)
+    monkeypatch.setattr("idtool.estimation.problem.conic.clarabel.DefaultSolver", giving_up)
     with pytest.raises(InfeasibleError):
         solve(problem)
 
@@ -359,7 +359,7 @@ def test_an_interrupt_is_not_taken_for_a_breakdown(state: State, monkeypatch: py
         raise KeyboardInterrupt
 
     problem = state({"set": "full"}).problem
-    monkeypatch.setattr("idtool.conic.clarabel.DefaultSolver", interrupted)
+    monkeypatch.setattr("idtool.estimation.problem.conic.clarabel.DefaultSolver", interrupted)
     with pytest.raises(KeyboardInterrupt):
         solve(problem)
 
@@ -374,6 +374,6 @@ def test_a_breakdown_of_the_solvers_own_is_an_error(state: State, monkeypatch: p
         raise Panic("index out of bounds")
 
     problem = state({"set": "full"}).problem
-    monkeypatch.setattr("idtool.conic.clarabel.DefaultSolver", panicking)
+    monkeypatch.setattr("idtool.estimation.problem.conic.clarabel.DefaultSolver", panicking)
     with pytest.raises(SolverError, match=r"^solver: broke down on these numbers \(index out of bounds\); check units"):
         solve(problem)

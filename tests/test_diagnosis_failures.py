@@ -22,7 +22,7 @@ from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.rounds import Search
 from idtool.dynamics.effects.spring import ParallelSpring
-from idtool.experiment import Experiment
+from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
 EFFECTS = ("parallel_spring", "torque_offset")

@@ -16,7 +16,7 @@ from spatial_arm import ARM, JOINTS, recorded, reference, spec_of
 from idtool.data.logs.log import Log, make_log
 from idtool.diagnosis.fault_fit import FaultFit
 from idtool.diagnosis.faults import faults
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config, read_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -8,7 +8,7 @@ import pytest
 from commands import SAMPLES
 
 from idtool.diagnosis.diagnose import Options, diagnose
-from idtool.experiment import prepare
+from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

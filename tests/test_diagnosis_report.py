@@ -21,7 +21,7 @@ from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step
 from idtool.diagnosis.words import doubted
 from idtool.diagnosis_report import diagnosis_report, gap_closed
-from idtool.fitting import Fit
+from idtool.estimation.fit import Fit
 from idtool.terminal import Terminal
 from idtool.terminal.diagnosis import show_diagnosis
 

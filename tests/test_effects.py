@@ -16,8 +16,8 @@ from robots import chain, joint
 
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
-from idtool.experiment import prepare
-from idtool.fitting import Fit, fit
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.fit import Fit, fit
 from idtool.report import model_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot

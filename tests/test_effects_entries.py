@@ -18,8 +18,8 @@ import idtool.dynamics.effects
 from idtool.common.exceptions import ConfigError
 from idtool.dynamics.effects import build_effects, known_effects, named_effect
 from idtool.dynamics.effects.joint_effect import JointEffect
-from idtool.experiment import coefficients_of, prepare
-from idtool.fitting import fit
+from idtool.estimation.dataset.experiment import coefficients_of, prepare
+from idtool.estimation.fit import fit
 from idtool.report import model_config
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.inertia import SIZE

@@ -34,7 +34,7 @@ from spatial_arm import (
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import named_effect
 from idtool.dynamics.effects.contact import ExternalContact
-from idtool.fitting import fit
+from idtool.estimation.fit import fit
 from idtool.report import model_config
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.model import build_model

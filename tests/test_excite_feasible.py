@@ -10,10 +10,10 @@ from exciting import Array, arm
 
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.excitation.feasible import feasible
 from idtool.excitation.patterns import Fourier, Part, Setting
 from idtool.excitation.task import Task, make_task
-from idtool.knowledge import Knowledge
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import read_robot

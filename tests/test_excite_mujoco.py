@@ -18,14 +18,14 @@ from leg_runs import run_leg
 from leg_truth import true_theta
 from numpy.typing import NDArray
 
-from idtool.base import structural_base
 from idtool.data.logs import Log, read_log, write_log
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.uncertainty.base import structural_base
+from idtool.estimation.uncertainty.uncertainty import uncertainty
 from idtool.excitation.criteria import BaseColumns
-from idtool.experiment import Experiment, prepare
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.uncertainty import uncertainty
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 

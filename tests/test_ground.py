@@ -15,7 +15,7 @@ from reference import Reference
 from spatial_arm import ARM, JOINTS, NOISE, experiment, in_band, written
 
 from idtool.diagnosis.ground import Ground, ground, held_out
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -168,8 +168,8 @@ def test_a_seed_says_it_all(tmp_path: Path) -> None:
 
 
 def test_idtool_fits_a_clean_log_down_to_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from idtool.experiment import prepare
-    from idtool.fitting import fit
+    from idtool.estimation.dataset.experiment import prepare
+    from idtool.estimation.fit import fit
     from idtool.robot.config import read_config
     from idtool.robot.urdf.reading import read_robot
 

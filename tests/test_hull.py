@@ -10,11 +10,11 @@ from robots import rotation
 from solids import Array, Largest, Problem, body, inside, largest_on_grid, margin, on_ball, random_shape, seeds
 from synthetic import bounded_body
 
+from idtool.estimation.problem.verdict import judge
 from idtool.robot.ellipsoid import smallest_around
 from idtool.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.shapes import Hull
-from idtool.verdict import judge
 
 TETRAHEDRON = Hull.around([[1, 0, 0], [0, 1, 0], [0, 0, 2], [-1, -1, -1]])
 

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from robots import chain, joint, random_urdf
 from synthetic import Synthetic, bounds, random_states, synthetic
 
-from idtool.base import BaseParameters
 from idtool.dynamics.effects.base import Coefficient
-from idtool.identify import Estimate, identify
-from idtool.knowledge import with_equal_bounds
+from idtool.estimation.dataset.knowledge import with_equal_bounds
+from idtool.estimation.problem.identify import Estimate, identify
+from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination, identifiability
+from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.trust.identifiability import Basis, Identifiability, combination, identifiability
 from idtool.trust_report import basis_text, combination_name
-from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 Robots = Callable[[str], Robot]

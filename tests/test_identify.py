@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.identify import Estimate, identify
+from idtool.estimation.problem.identify import Estimate, identify
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE, pseudo_inertia
 from idtool.robot.sets import constraint_sets

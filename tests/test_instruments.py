@@ -12,16 +12,16 @@ import yaml
 from leg_runs import Controller, LegSensors, Motion
 from numpy.typing import NDArray
 
-from idtool.base import structural_base
 from idtool.common.exceptions import ModelError
 from idtool.data.logs import Log, make_log
-from idtool.experiment import Experiment, prepare
-from idtool.identified import choose_sets
-from idtool.identify import identify
-from idtool.instruments import Instruments, instruments, smoothing
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.identified import choose_sets
+from idtool.estimation.instruments import Instruments, instruments, smoothing
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.two_stage import TwoStage, project, stack, two_stage, unprojected
+from idtool.estimation.uncertainty.base import structural_base
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.two_stage import TwoStage, project, stack, two_stage, unprojected
 
 Array = NDArray[np.float64]
 

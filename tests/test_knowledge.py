@@ -13,9 +13,9 @@ from robots import random_urdf
 from synthetic import Synthetic, synthetic
 
 from idtool.common.exceptions import ConfigError, SolverError
+from idtool.estimation.dataset.weights import free_noise
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 

@@ -14,18 +14,18 @@ from commands import LEG, TRAIN, VALIDATE
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from idtool import learning
 from idtool.common.exceptions import LogError, SolverError
-from idtool.experiment import Experiment, prepare
-from idtool.identify import solve
-from idtool.learning import Pool, counts, gather, held_out, learn, rms, violation
-from idtool.problem import Problem, build_problem
-from idtool.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.study import learning
+from idtool.estimation.study.learning import Pool, counts, gather, held_out, learn, rms, violation
 from idtool.robot.config import read_config
 from idtool.robot.inertia import SIZE, from_mass_com_inertia
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 

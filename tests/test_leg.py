@@ -22,9 +22,9 @@ from commands import SAMPLES, fitted
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
-from idtool.experiment import Experiment, prepare
-from idtool.fitting import Fit, fit
-from idtool.replay import HORIZONS, replay
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.evaluation.replay import HORIZONS, replay
+from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import read_config
 from idtool.robot.inertia import NAMES, from_mass_com_inertia, symmetric
 from idtool.robot.urdf.reading import read_robot

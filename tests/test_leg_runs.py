@@ -16,7 +16,7 @@ from leg_truth import PAPER
 from numpy.typing import NDArray
 from test_sample_logs import EDGE, low_pass, rigid_torque
 
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -23,14 +23,15 @@ from commands import SAMPLES
 from robots import random_urdf, rotation
 from synthetic import bounds, synthetic
 
-from idtool.certificate import GAP, violation
 from idtool.common.exceptions import SolverError
-from idtool.experiment import prepare
-from idtool.identify import solve, solve_locally, stuck_note
-from idtool.local import LOCAL, LogCholesky, Manifold, Residuals, manifold
-from idtool.parts import INTERIOR
-from idtool.prior import LogDet
-from idtool.problem import build_problem
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.certificate import GAP, violation
+from idtool.estimation.problem.identify import solve, solve_locally, stuck_note
+from idtool.estimation.problem.local import LOCAL, LogCholesky, Manifold, Residuals, manifold
+from idtool.estimation.problem.parts import INTERIOR
+from idtool.estimation.problem.prior import LogDet
+from idtool.estimation.problem.problem import build_problem
 from idtool.robot.config import WEAK, Regularization, read_config
 from idtool.robot.inertia import (
     POWERS,
@@ -42,7 +43,6 @@ from idtool.robot.inertia import (
 )
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot, read_robot
-from idtool.weights import free_noise
 
 
 @pytest.fixture

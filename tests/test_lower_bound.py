@@ -13,14 +13,14 @@ from optima import solved_with_duals
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.certificate import GAP, lower_bound
-from idtool.identify import solve
-from idtool.problem import Problem, build_problem
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.certificate import GAP, lower_bound
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.inequality import least
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 State = Callable[..., Problem]

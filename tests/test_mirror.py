@@ -12,7 +12,7 @@ from reference import Reference
 from robots import body
 from synthetic import points_in
 
-from idtool.knowledge import with_equal_bounds
+from idtool.estimation.dataset.knowledge import with_equal_bounds
 from idtool.robot.inertia import SIZE
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from replays import experiment_of, replay_of
 
 from idtool.diagnosis.records import Diagnosis, Level, Where
 from idtool.diagnosis_report import diagnosis_report
-from idtool.fitting import Fit
+from idtool.estimation.fit import Fit
 from idtool.pages import diagnosis_page, number
 from idtool.pages.diagnosis import parameter_texts
 

@@ -13,8 +13,8 @@ from pages import BODY, SCRIPT, SLIDE, Page, complete, with_shapes
 from robots import inertial, link
 
 from idtool.data.logs import make_log, write_log
-from idtool.experiment import prepare
-from idtool.fitting import Fit, fit
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.fit import Fit, fit
 from idtool.pages import fit_page, number, with_error
 from idtool.report import fit_report
 from idtool.robot.config import parse_config

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pages import Page, complete, evaluation_of
 from replays import experiment_of, replay_of
 
+from idtool.estimation.evaluation.replay import Departure, Replay
+from idtool.estimation.evaluation.simulation_report import simulation_report
 from idtool.pages import validation_page
-from idtool.replay import Departure, Replay
 from idtool.report import validation_report
-from idtool.simulation_report import simulation_report
 
 Array = NDArray[np.float64]
 

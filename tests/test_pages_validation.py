@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from pages import Page, complete, evaluation_of
 
+from idtool.estimation.evaluation.validation import Evaluation
 from idtool.pages import merged, rounded, validation_page
 from idtool.report import validation_report
-from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from robots import chain, inertial, joint
 
 from idtool.data.logs import make_log, write_log
-from idtool.experiment import Experiment, prepare
-from idtool.knowledge import Knowledge
-from idtool.reduction import Factor
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.reduction import Factor
+from idtool.estimation.uncertainty.prediction import Prediction, prediction
+from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
-from idtool.trust.prediction import Prediction, prediction
-from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 

@@ -14,14 +14,14 @@ from robots import random_urdf
 from scipy.optimize import minimize
 from synthetic import Synthetic, bounds, point_parameters, synthetic
 
-from idtool.identify import identify
-from idtool.knowledge import Knowledge
-from idtool.prior import LogDet, log_dets, moved_priors, prior_rows, reference
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.prior import LogDet, log_dets, moved_priors, prior_rows, reference
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import BASIS, SIZE, pseudo_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from robots import axis, joint, origin, rotation
 from synthetic import Synthetic, random_states, synthetic
 from units import Frame, bounds_in_frames, bounds_in_units, in_frames, in_units
 
-from idtool.identify import identify
-from idtool.prior import moved_priors
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import POWERS, SIZE, transformation
 from idtool.robot.sets import choose_set

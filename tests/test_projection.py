@@ -13,8 +13,8 @@ from scipy.optimize import nnls
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
 from idtool.dynamics.effects.rigid_body import length, scales
-from idtool.prior import reference
-from idtool.projection import Metric, Projection, project
+from idtool.estimation.problem.prior import reference
+from idtool.estimation.problem.projection import Metric, Projection, project
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import POWERS, from_mass_com_inertia, transformation

@@ -16,10 +16,10 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 from idtool.common.exceptions import SolverError
-from idtool.identify import solve
-from idtool.knowledge import Knowledge, with_equal_bounds
-from idtool.problem import Problem, build_problem
-from idtool.ranges import free_spread, ranges
+from idtool.estimation.dataset.knowledge import Knowledge, with_equal_bounds
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.uncertainty.ranges import free_spread, ranges
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import choose_set
@@ -218,7 +218,7 @@ def of_legs(s: Synthetic, known: Knowledge, kind: str = "ellipsoid") -> tuple[Pr
 
 def spied_sizes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many variables each programme has."""
-    from idtool import ranges as module
+    from idtool.estimation.uncertainty import ranges as module
 
     sizes, real = [], module.extreme_conic
 
@@ -269,7 +269,7 @@ def test_the_higher_the_level_the_wider(robot_of: Robots, monkeypatch: pytest.Mo
     wanted = [0, 4, SIZE, SIZE + 3, SIZE + 9]
     widths = []
     for above in (1e-3, 1e-2, 1e-1):
-        monkeypatch.setattr("idtool.ranges.ABOVE", above)
+        monkeypatch.setattr("idtool.estimation.uncertainty.ranges.ABOVE", above)
         widths.append(asked(problem, x, wanted) / problem.scale[wanted, None])
     for narrow, wide in itertools.pairwise(widths):
         assert (wide[:, 0] <= narrow[:, 0] + 1e-4).all()
@@ -331,7 +331,7 @@ def test_where_the_solver_gives_up_there_is_no_number(robot_of: Robots, monkeypa
         raise SolverError("solver", "no")
 
     _, problem, x = stated(robot_of, CASES["full"])
-    monkeypatch.setattr("idtool.ranges.extreme_conic", gives_up)
+    monkeypatch.setattr("idtool.estimation.uncertainty.ranges.extreme_conic", gives_up)
     assert np.isnan(asked(problem, x, [0, 5])).all()
 
 

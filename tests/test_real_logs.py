@@ -11,14 +11,14 @@ import pytest
 import yaml
 from commands import config_with, fitted, validated
 
-from idtool.command_delay import with_delay
-from idtool.experiment import prepare
-from idtool.problem import weighted_rows
+from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.evaluation.validation import evaluate
+from idtool.estimation.problem.problem import weighted_rows
 from idtool.robot.config import read_config
 from idtool.robot.geometry import link_geometry
 from idtool.robot.inertia import symmetric
 from idtool.robot.urdf.reading import read_robot
-from idtool.validation import evaluate
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, point_parameters, synthetic
 
-from idtool.identify import identify, solve
-from idtool.recursive import RecursiveFit, units
+from idtool.estimation.online.recursive import RecursiveFit, units
+from idtool.estimation.problem.identify import identify, solve
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import POWERS
 from idtool.robot.sets import choose_set

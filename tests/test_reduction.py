@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from idtool.reduction import Factor, Reduction, empty, merge, reduce_blocks
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge, reduce_blocks
 
 Array = NDArray[np.float64]
 

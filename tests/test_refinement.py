@@ -14,17 +14,17 @@ from optima import agreed_optimum
 from robots import random_urdf
 from synthetic import bounds, synthetic
 
-from idtool.conic import Solution, solve_conic
-from idtool.experiment import Experiment, prepare
-from idtool.identify import ENOUGH, solve, solve_with_backend, unfinished_note
-from idtool.problem import Problem, build_problem
-from idtool.reduction import Reduction
-from idtool.refinement import refine
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.problem.conic import Solution, solve_conic
+from idtool.estimation.problem.identify import ENOUGH, solve, solve_with_backend, unfinished_note
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.problem.refinement import refine
 from idtool.robot.config import Regularization, read_config
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot, read_robot
-from idtool.weights import free_noise
 
 Array = NDArray[np.float64]
 Prior = tuple[str, float]
@@ -181,7 +181,7 @@ def test_where_refining_fails_the_solvers_own_optimum_stays_and_it_is_said(
     problem = leg("ellipsoid", ("euclidean", 1e-6))
     _, refined = solve(problem)
     assert not unfinished_note(refined)
-    monkeypatch.setattr("idtool.identify.refine", lambda problem, solution: None)
+    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: None)
     _, certificate = solve(problem)
     assert certificate.certified
     assert certificate.parameter_error is None

@@ -16,20 +16,25 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 import idtool
-from idtool.blocks import Blocks
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.identified import choose_sets
-from idtool.identify import identify
-from idtool.prior_bodies import placeholder_reasons, polyhedron_moments
-from idtool.regularization_path import WEIGHTS, RegularizationPath, _largest_accepted, regularization_path
+from idtool.estimation.dataset.blocks import Blocks
+from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.identified import choose_sets
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.prior_bodies import placeholder_reasons, polyhedron_moments
+from idtool.estimation.problem.regularization_path import (
+    WEIGHTS,
+    RegularizationPath,
+    _largest_accepted,
+    regularization_path,
+)
 from idtool.robot.config import WEAK, Config, Regularization, parse_config
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import build_model
 from idtool.robot.shapes.box import Box
 from idtool.robot.shapes.cylinder import Cylinder
 from idtool.robot.urdf.reading import Robot, parse_robot
-from idtool.weights import free_noise
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 ROWS = 40  # of a block

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, point_parameters, synthetic
 
-from idtool.base import BaseParameters, structural_base
-from idtool.blocks import Blocks, together
-from idtool.reduction import Factor, Reduction
+from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.estimation.uncertainty.base import BaseParameters, structural_base
+from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
 from idtool.robot.inertia import SIZE
 from idtool.robot.urdf.reading import Robot
-from idtool.trust.repeatability import Repeatability, repeatability
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from robots import chain, link
 
-from idtool import replay as module
 from idtool.data.logs import make_log, write_log
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import Simulated
-from idtool.experiment import Experiment, prepare
-from idtool.replay import HORIZONS, Departure, Replay, replay
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.evaluation import replay as module
+from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay, replay
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -11,7 +11,7 @@ import pytest
 from commands import LEG, VALIDATE_CSV, idtool
 from numpy.typing import NDArray
 
-from idtool.envelope import Trace
+from idtool.estimation.evaluation.envelope import Trace
 from idtool.rerun_recording import Take, rerun_recording, take
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import read_robot

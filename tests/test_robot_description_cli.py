@@ -68,7 +68,7 @@ def test_split_files_are_logs_of_their_own(folder: Path) -> None:
 
 
 def test_a_study_takes_the_robot_from_the_bag(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.study.LOCAL", {})
+    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
     done = idtool("study", "run.mcap", "--draws", "5", "--json", "--quiet", folder=folder)
     assert (done.code, done.err) == (0, "")
     assert (done.json["urdf"], done.json["logs"]) == ("run.mcap/robot_description", ["run.mcap"])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Candidate, Diagnosis
 from idtool.diagnosis.words import superseded
-from idtool.experiment import prepare
+from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
-from idtool.blocks import Blocks
-from idtool.knowledge import Fact, Knowledge
-from idtool.reduction import Factor
-from idtool.trust.scatter import Scatter, scatter
-from idtool.uncertainty import uncertainty
+from idtool.estimation.dataset.blocks import Blocks
+from idtool.estimation.dataset.knowledge import Fact, Knowledge
+from idtool.estimation.dataset.reduction import Factor
+from idtool.estimation.uncertainty.scatter import Scatter, scatter
+from idtool.estimation.uncertainty.uncertainty import uncertainty
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from idtool.dynamics.effects import known_effects
 from idtool.dynamics.effects.probe import Columns, Probe
 from idtool.dynamics.effects.survey import Present
 from idtool.dynamics.present import PresentModel
-from idtool.experiment import prepare
+from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.urdf.reading import read_robot
 

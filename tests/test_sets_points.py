@@ -13,7 +13,7 @@ from robots import random_urdf
 from scipy.optimize import nnls
 from synthetic import Synthetic, bounded_body, bounds, point_parameters, random_ellipsoid, synthetic
 
-from idtool.identify import identify
+from idtool.estimation.problem.identify import identify
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.ellipsoid import Ellipsoid

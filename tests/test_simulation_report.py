@@ -11,8 +11,8 @@ import pytest
 from commands import LEG, column_set, config_with, csv_text, fitted, idtool, sample_table, validated
 from replays import experiment_of, replay_of
 
-from idtool.replay import Departure, Replay
-from idtool.simulation_report import simulation_notes, simulation_report
+from idtool.estimation.evaluation.replay import Departure, Replay
+from idtool.estimation.evaluation.simulation_report import simulation_notes, simulation_report
 
 UNITS = {"j0": "N·m", "j1": "N"}
 FLAT = {name: np.zeros((2, 40)) for name in ("measured", "model", "prior")}

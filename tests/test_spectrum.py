@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from idtool.spectrum import Correlations
+from idtool.estimation.evaluation.spectrum import Correlations
 
 Array = NDArray[np.float64]
 

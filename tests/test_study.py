@@ -15,15 +15,15 @@ import yaml
 from commands import JOINTS, LEG, SAMPLES, TRAIN, VALIDATE, numbers
 from numpy.typing import NDArray
 
-from idtool import study as module
-from idtool.certificate import GAP
 from idtool.common.exceptions import ConfigError
-from idtool.experiment import Experiment, prepare
-from idtool.fitting import fit
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.fit import fit
+from idtool.estimation.problem.certificate import GAP
+from idtool.estimation.study import study as module
+from idtool.estimation.study.study import Study, study
 from idtool.robot.config import WEAK, parse_config, read_config
 from idtool.robot.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
 from idtool.robot.urdf.reading import read_robot
-from idtool.study import Study, study
 from idtool.study_report import study_report
 
 Array = NDArray[np.float64]

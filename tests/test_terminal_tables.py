@@ -18,7 +18,7 @@ from diagnoses import candidate, diagnosis_of, faulty, fits, step_of
 from rich.text import Text
 
 from idtool.diagnosis_report import diagnosis_report
-from idtool.regression import Outcome
+from idtool.estimation.regression import Outcome
 from idtool.terminal import Terminal
 from idtool.terminal.base import new_table
 from idtool.terminal.diagnosis import show_diagnosis

@@ -15,7 +15,7 @@ from spatial_arm import experiment, written
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of, with_effects, with_fixed_inertia
-from idtool.experiment import Experiment
+from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
 Array = NDArray[np.float64]

@@ -15,17 +15,17 @@ from leg_truth import true_theta
 from numpy.typing import NDArray
 from scipy import stats
 
-from idtool.blocks import together
 from idtool.data.logs import Log, make_log, read_log, write_log
-from idtool.experiment import Experiment, prepare
-from idtool.fitting import Fit, fit
-from idtool.identified import identified
-from idtool.reduction import Factor
+from idtool.estimation.dataset.blocks import together
+from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.reduction import Factor
+from idtool.estimation.fit import Fit, fit
+from idtool.estimation.identified import identified
+from idtool.estimation.uncertainty import Trust, trust
+from idtool.estimation.uncertainty.scatter import Scatter, scatter
+from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
 from idtool.robot.config import WEAK, read_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.trust import Trust, trust
-from idtool.trust.scatter import Scatter, scatter
-from idtool.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 
@@ -196,7 +196,7 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
         return replace(found, uncertainty=wider, correlated=True)
 
     plain = questioned(1.0).uncertainty
-    monkeypatch.setattr("idtool.trust.inquiry.scatter", correlated)
+    monkeypatch.setattr("idtool.estimation.uncertainty.inquiry.scatter", correlated)
     many, few = questioned(4.0), questioned(1 / 400)
     np.testing.assert_allclose(many.uncertainty.of(base()), plain.of(base()), rtol=0.4)
     assert (many.uncertainty.of(base()) >= plain.of(base()) * (1 - 1e-9)).all()

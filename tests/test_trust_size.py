@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool.experiment import prepare
-from idtool.fitting import fit
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.fit import fit
+from idtool.estimation.uncertainty import Trust, scatter
+from idtool.estimation.uncertainty.uncertainty import Directions, Uncertainty
 from idtool.report import fit_report
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.trust import Trust, scatter
-from idtool.uncertainty import Directions, Uncertainty
 
 Array = NDArray[np.float64]
 

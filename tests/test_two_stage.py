@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import subspace_angles
 
-from idtool.reduction import Factor, Reduction, merge
-from idtool.two_stage import correlations, first_stage, project, unprojected
+from idtool.estimation.dataset.reduction import Factor, Reduction, merge
+from idtool.estimation.two_stage import correlations, first_stage, project, unprojected
 
 Array = NDArray[np.float64]
 

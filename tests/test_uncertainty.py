@@ -15,14 +15,14 @@ from idtool.data.filters import LowPass
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.identify import identify
-from idtool.reduction import Factor, Reduction
+from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.uncertainty.uncertainty import uncertainty
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import NAMES
 from idtool.robot.model import Model
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
-from idtool.uncertainty import uncertainty
 
 Array = NDArray[np.float64]
 Build = Callable[..., Model]

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from solids import inside, random_shape
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
-from idtool.projection import Metric, project
+from idtool.estimation.problem.projection import Metric, project
+from idtool.estimation.problem.verdict import Verdict, judge
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import POWERS, from_mass_com_inertia, pseudo_inertia
@@ -23,7 +24,6 @@ from idtool.robot.shapes import Hull
 from idtool.robot.shapes.box import Box
 from idtool.robot.shapes.capsule import Capsule
 from idtool.robot.shapes.cylinder import Cylinder
-from idtool.verdict import Verdict, judge
 
 Array = NDArray[np.float64]
 

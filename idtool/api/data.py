@@ -11,7 +11,7 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.data.logs import Log as Record
-from idtool.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, prepare
 
 LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]

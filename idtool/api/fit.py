@@ -15,10 +15,10 @@ from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes,
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.maps import residual_maps
-from idtool.experiment import Experiment
-from idtool.fitting import Fit
-from idtool.fitting import fit as identify
-from idtool.identified import Method
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.fit import Fit
+from idtool.estimation.fit import fit as identify
+from idtool.estimation.identified import Method
 from idtool.report import fit_report, model_config
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from idtool.api.records import Array
-from idtool.envelope import Envelope
+from idtool.estimation.evaluation.envelope import Envelope
 from idtool.pages.curves import drawn
 
 _MOST_VALUES = 80_000  # that all curves of a figure hold together

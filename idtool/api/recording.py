@@ -10,11 +10,11 @@ import numpy as np
 
 from idtool.api.records import Array
 from idtool.common.outputs import write_all
-from idtool.envelope import Envelope, Trace
-from idtool.fitting import Fit
+from idtool.estimation.evaluation.envelope import Envelope, Trace
+from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.fit import Fit
 from idtool.rerun_recording import rerun_recording, take
 from idtool.robot.model import Model
-from idtool.validation import Evaluation
 
 _MEASURED = {"measured": "torque/measured", "residual": "torque/residual", "q": "position/measured"}
 

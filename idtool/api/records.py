@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from idtool.common.outputs import as_json, write_all
 
 if TYPE_CHECKING:
-    from idtool.envelope import Trace
+    from idtool.estimation.evaluation.envelope import Trace
     from idtool.robot.model import Model as RobotModel
 
     Recorded = tuple[

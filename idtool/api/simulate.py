@@ -18,12 +18,18 @@ from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, fr
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import LOG_ENDINGS, OutputError, as_json, check_log
 from idtool.data.logs import write_log
-from idtool.experiment import Experiment
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.evaluation.simulated_log import (
+    SimulatedLog,
+    as_command,
+    as_logged,
+    simulated_log,
+    under_controller,
+)
+from idtool.estimation.evaluation.simulation_report import POSITION_UNITS
 from idtool.report import HEADER
 from idtool.robot.config import Config
 from idtool.robot.model import Model as RobotModel
-from idtool.simulated_log import SimulatedLog, as_command, as_logged, simulated_log, under_controller
-from idtool.simulation_report import POSITION_UNITS
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

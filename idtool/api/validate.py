@@ -15,12 +15,12 @@ from idtool.api.records import Array, Progress, ReadOnly, Saved, figure, frozen,
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json
-from idtool.experiment import Experiment, coefficients_of, sources_of
-from idtool.replay import Replay, replay
+from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
+from idtool.estimation.evaluation.replay import Replay, replay
+from idtool.estimation.evaluation.simulation_report import simulation_notes, simulation_report
+from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.report import validation_report
 from idtool.robot.model import Model as RobotModel
-from idtool.simulation_report import simulation_notes, simulation_report
-from idtool.validation import Evaluation, evaluate
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

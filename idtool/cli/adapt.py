@@ -33,13 +33,13 @@ def adapt_command(
     quiet: QuietOption = False,
 ) -> None:
     """Identify online, one update for each decimated row, within the constraints; write the parameters over time."""
-    from idtool.adapt import adapt, adapt_report
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
-    from idtool.command_delay import with_delay
     from idtool.common.outputs import as_json as dump
     from idtool.common.outputs import write_all
-    from idtool.identified import choose_sets
+    from idtool.estimation.command_delay import with_delay
+    from idtool.estimation.identified import choose_sets
+    from idtool.estimation.online.adapt import adapt, adapt_report
     from idtool.pages import adapt_page
     from idtool.report import HEADER
     from idtool.terminal import Terminal

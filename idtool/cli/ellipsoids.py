@@ -82,8 +82,8 @@ def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) ->
 
 def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None) -> None:
     """Links whose inertia no body can have."""
-    from idtool.check import check, check_report, nearest_bodies, repaired
     from idtool.common.outputs import write_all
+    from idtool.estimation.problem.check import check, check_report, nearest_bodies, repaired
     from idtool.report import HEADER
     from idtool.terminal.check import show_check
 

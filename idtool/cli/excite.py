@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from idtool.api.model import Model
+    from idtool.estimation.dataset.experiment import Experiment
     from idtool.excitation.design import Logged
     from idtool.excitation.task import Task
-    from idtool.experiment import Experiment
 
 _CRITERIA = ("d", "a", "e", "condition")
 _ALL = ""  # an option's value for all joints
@@ -70,9 +70,9 @@ def excite_command(
     from idtool.api.model import Model
     from idtool.common.outputs import check_log
     from idtool.common.provenance import provenance
+    from idtool.estimation.dataset.experiment import sources_of
     from idtool.excitation.design import Wishes, design
     from idtool.excite_report import excite_report
-    from idtool.experiment import sources_of
     from idtool.report import HEADER
     from idtool.terminal import Terminal
     from idtool.terminal.excite import show_excitation
@@ -163,15 +163,15 @@ def _task(
     progress: Callable[[str, float], None],
 ) -> tuple[Task, Logged | None, Experiment | None]:
     """The robot and what is to be told, of the joints that are logged already, where some are; and these logs."""
-    from idtool.command_delay import with_delay
     from idtool.dynamics.effects import build_effects
     from idtool.dynamics.regressor import LinearModel
+    from idtool.estimation.command_delay import with_delay
+    from idtool.estimation.dataset.experiment import prepare
+    from idtool.estimation.dataset.knowledge import knowledge
+    from idtool.estimation.dataset.weights import free_noise
     from idtool.excitation.design import Logged
     from idtool.excitation.task import make_task
-    from idtool.experiment import prepare
-    from idtool.knowledge import knowledge
     from idtool.robot.model import build_model
-    from idtool.weights import free_noise
 
     robot, settings, measured = given.robot, given.settings, dict[str, float]()
     logged = experiment = None

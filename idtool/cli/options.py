@@ -16,7 +16,7 @@ from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import stem
 
 if TYPE_CHECKING:
-    from idtool.experiment import Experiment
+    from idtool.estimation.dataset.experiment import Experiment
     from idtool.terminal import Terminal
 
 

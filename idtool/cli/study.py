@@ -39,9 +39,9 @@ def study_command(
     from idtool.api.model import Model
     from idtool.common.outputs import as_json as dump
     from idtool.common.outputs import write_all
+    from idtool.estimation.study.study import study
     from idtool.pages import study_page
     from idtool.report import HEADER
-    from idtool.study import study
     from idtool.study_report import study_report
     from idtool.terminal import Terminal
     from idtool.terminal.study import show_study

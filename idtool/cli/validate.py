@@ -81,7 +81,7 @@ def _regression(terminal: Terminal, options: bool) -> None:
     """`idtool validate` without arguments."""
     if options:
         raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
-    from idtool.regression import find_manifest, read_manifest, run_case
+    from idtool.estimation.regression import find_manifest, read_manifest, run_case
     from idtool.report import HEADER
     from idtool.terminal.validation import show_regression
 

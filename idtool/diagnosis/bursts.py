@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.diagnosis.course import pieces
 from idtool.diagnosis.robust import robust
-from idtool.experiment import Experiment, Progress
+from idtool.estimation.dataset.experiment import Experiment, Progress
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.trial import Trial
 from idtool.dynamics.effects import known_effects
 from idtool.dynamics.effects.probe import Probe
-from idtool.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress
 
 Array = NDArray[np.float64]
 Place = tuple[str, ...]

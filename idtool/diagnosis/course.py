@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
-from idtool.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 Array = NDArray[np.float64]
 Models = Sequence[tuple[LinearModel, Array]]

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.command_delay import with_delay
 from idtool.diagnosis.contest import SURE, candidate, share
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.floor import Floor, noise_floor
@@ -24,8 +23,9 @@ from idtool.diagnosis.unknown import UNKNOWN, unnamed
 from idtool.diagnosis.where import located, residual_maps, unexplained
 from idtool.diagnosis.words import aside, doubted, sentence, separating
 from idtool.dynamics.effects import named_effect
-from idtool.experiment import Experiment, Progress
-from idtool.fitting import Fit, fit
+from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.fit import Fit, fit
 
 Array = NDArray[np.float64]
 

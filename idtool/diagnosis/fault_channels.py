@@ -22,7 +22,7 @@ from idtool.data.signals import Motion
 from idtool.diagnosis.fault_fit import EXPLAINED, Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_trials import Trial, torque_order, trials
-from idtool.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import Joint
 
 Array = NDArray[np.float64]

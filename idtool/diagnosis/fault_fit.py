@@ -22,9 +22,9 @@ from idtool.common.exceptions import SolverError
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.experiment import Experiment
-from idtool.identify import identify
-from idtool.reduction import Factor
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.dataset.reduction import Factor
+from idtool.estimation.problem.identify import identify
 from idtool.robot.config import WEAK, Config, EffectEntry
 from idtool.robot.sets import choose_set
 

@@ -16,7 +16,7 @@ from idtool.common.names import some
 from idtool.data.inspection import Joint
 from idtool.diagnosis.fault_fit import Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
-from idtool.reduction import Factor
+from idtool.estimation.dataset.reduction import Factor
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from idtool.diagnosis.fault_fit import FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_scale import cut_off, torque_unit
 from idtool.diagnosis.fault_signals import exchanged_velocities, signal_faults, time_unit
-from idtool.experiment import Experiment, Progress
+from idtool.estimation.dataset.experiment import Experiment, Progress
 
 __all__ = ["Fault", "faults"]
 

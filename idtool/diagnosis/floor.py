@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from scipy.signal import periodogram
 
 from idtool.dynamics.present import PresentModel
-from idtool.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 Array = NDArray[np.float64]
 

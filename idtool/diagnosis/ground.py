@@ -19,19 +19,19 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.barrier import Barrier
-from idtool.blocks import Blocks, cut, together
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
 from idtool.dynamics.effects.torque_sensor import Sensor
 from idtool.dynamics.present import PresentModel
 from idtool.dynamics.regressor import LinearModel
-from idtool.experiment import Experiment, Progress, Rows, tracked
-from idtool.identified import choose_sets
-from idtool.identify import Estimate, identify
-from idtool.reduction import Reduction
-from idtool.weights import free_noise, weighted_rows
+from idtool.estimation.dataset.blocks import Blocks, cut, together
+from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, tracked
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.weights import free_noise, weighted_rows
+from idtool.estimation.identified import choose_sets
+from idtool.estimation.problem.barrier import Barrier
+from idtool.estimation.problem.identify import Estimate, identify
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.diagnosis.records import Level
-from idtool.experiment import Experiment, Progress
-from idtool.replay import replay
-from idtool.validation import evaluate
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.evaluation.replay import replay
+from idtool.estimation.evaluation.validation import evaluate
 
 Array = NDArray[np.float64]
 

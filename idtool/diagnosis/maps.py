@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.lines import density, ripple
 from idtool.diagnosis.records import Residual
-from idtool.experiment import Experiment, Progress
+from idtool.estimation.dataset.experiment import Experiment, Progress
 
 Array = NDArray[np.float64]
 

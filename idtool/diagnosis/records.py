@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.diagnosis.faults import Fault
-from idtool.fitting import Fit
+from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 
 Array = NDArray[np.float64]

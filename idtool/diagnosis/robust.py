@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.blocks import block_rows, cut, most_blocks
-from idtool.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.blocks import block_rows, cut, most_blocks
+from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 Array = NDArray[np.float64]
 

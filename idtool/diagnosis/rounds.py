@@ -22,7 +22,7 @@ from idtool.diagnosis.where import bursts
 from idtool.diagnosis.words import superseded
 from idtool.dynamics.effects import known_effects
 from idtool.dynamics.effects.time_delay import WITHIN, TimeDelay
-from idtool.experiment import Experiment, Progress
+from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
 APART = 0.04  # s from reversals

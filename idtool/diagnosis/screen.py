@@ -24,7 +24,7 @@ from idtool.data.signals import Batch
 from idtool.diagnosis.ground import Ground
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.present import PresentModel
-from idtool.experiment import Progress, tracked
+from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from idtool.diagnosis.trial import FAILURES, Trial, is_fixed, reason_of, tried, 
 from idtool.dynamics.effects import known_effects
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.survey import Survey
-from idtool.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress
 
 _CONTENDERS = 7  # that are tried more finely
 _FINALISTS = 5  # that are fitted whole

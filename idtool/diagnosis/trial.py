@@ -24,8 +24,8 @@ from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.survey import Present
 from idtool.dynamics.present import PresentModel
 from idtool.dynamics.regressor import LinearModel
-from idtool.experiment import Experiment, Progress
-from idtool.knowledge import Fact, knowledge
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.knowledge import Fact, knowledge
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import SIZE
 

@@ -12,7 +12,7 @@ from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.maps import residual_maps
 from idtool.diagnosis.records import Where
 from idtool.diagnosis.regions import Scene, in_words
-from idtool.experiment import Experiment, Progress
+from idtool.estimation.dataset.experiment import Experiment, Progress
 
 __all__ = ["bursts", "located", "residual_maps", "unexplained"]
 

@@ -22,13 +22,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.base import BaseParameters
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.common.names import nearest
 from idtool.dynamics.regressor import LinearModel
-from idtool.knowledge import Knowledge
-from idtool.reduction import Reduction
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.uncertainty.base import BaseParameters
 
 Array = NDArray[np.float64]
 

@@ -20,13 +20,13 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.data.logs import Log, make_log
 from idtool.data.signals import Signals, default_cutoff
+from idtool.estimation.dataset.experiment import Progress
+from idtool.estimation.dataset.reduction import Reduction, empty, reduce_blocks
 from idtool.excitation.criteria import CRITERIA, Errors, expected_errors
 from idtool.excitation.feasible import collisions, feasible, home_of, largest_use, nearest_links
 from idtool.excitation.objective import Objective
 from idtool.excitation.patterns import PATTERNS, Part, Setting, Slow, Standstill, Trajectory
 from idtool.excitation.task import Task
-from idtool.experiment import Progress
-from idtool.reduction import Reduction, empty, reduce_blocks
 from idtool.robot.config import Config
 
 Array = NDArray[np.float64]

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.base import BaseParameters, structural_base
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest
 from idtool.data.filters import LowPass
 from idtool.data.signals import Motion, default_cutoff
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.uncertainty.base import BaseParameters, structural_base
 from idtool.excitation.criteria import Aim, BaseColumns, Criterion, favoured, sizes
 from idtool.excitation.limits import Limits, limits_of
 from idtool.excitation.patterns import Fourier, Samples, Setting
-from idtool.knowledge import Knowledge
 from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
 from idtool.robot.model import Model

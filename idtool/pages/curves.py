@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.envelope import Trace
-from idtool.validation import Evaluation
+from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.evaluation.validation import Evaluation
 
 Array = NDArray[np.float64]
 

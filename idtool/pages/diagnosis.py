@@ -9,7 +9,9 @@ from typing import Any
 
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis_words import UNKNOWN, effect_name, on, position_units
-from idtool.envelope import Trace
+from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.simulation_report import simulation_report
 from idtool.pages.base import render
 from idtool.pages.bodies import body_views
 from idtool.pages.curves import drawn
@@ -18,8 +20,6 @@ from idtool.pages.residuals import gap_views, residual_views
 from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import simulation_text, simulation_view
 from idtool.pages.trust import trust_view
-from idtool.replay import Replay
-from idtool.simulation_report import simulation_report
 
 _STEPS, _SIMULATION = ("The steps", "diagnosis_steps.html"), ("Simulation", "diagnosis_simulation.html")
 _SECTIONS = (

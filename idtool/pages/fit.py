@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from idtool.certificate import GAP, ROUNDING
 from idtool.diagnosis.records import Residual
-from idtool.fitting import Fit
+from idtool.estimation.fit import Fit
+from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.pages.base import render
 from idtool.pages.bodies import body_views
 from idtool.pages.curves import curves

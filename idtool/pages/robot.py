@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idtool.envelope import Trace
+from idtool.estimation.evaluation.envelope import Trace
 from idtool.pages.base import Sections
 from idtool.robot.body import Body, Frame
 from idtool.robot.geometry import link_surface

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from idtool.estimation.evaluation.replay import Replay
 from idtool.pages.base import Sections
 from idtool.pages.charts import Array, chart, line, numbers, panel
 from idtool.pages.curves import drawn
 from idtool.pages.figures import by_unit
-from idtool.replay import Replay
 
 SIMULATION = ("Simulation", "simulation.html")
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from idtool.estimation.evaluation.validation import Evaluation
 from idtool.pages.base import render
 from idtool.pages.charts import Array, chart, line, numbers, over_time, panel, thinned
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
-from idtool.validation import Evaluation
 
 _SECTIONS = (
     ("What was found", "study_findings.html"),

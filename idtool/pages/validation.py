@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.validation import Evaluation
 from idtool.pages.base import render
 from idtool.pages.bodies import bodies_of, body_views
 from idtool.pages.curves import curves
 from idtool.pages.figures import by_unit
 from idtool.pages.robot import ROBOT, robot_view, with_robot
 from idtool.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
-from idtool.replay import Replay
 from idtool.robot.model import Model
-from idtool.validation import Evaluation
 
 Array = NDArray[np.float64]
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from idtool.common.exceptions import LogError, SolverError
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.experiment import Experiment, Progress, Run, tracked
-from idtool.identified import choose_sets
-from idtool.identify import identify
-from idtool.knowledge import knowledge
-from idtool.prior_bodies import prior_bodies
-from idtool.reduction import Factor, Reduction, empty, merge
-from idtool.regularization_path import assumed_weight
+from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
+from idtool.estimation.dataset.knowledge import knowledge
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.identified import choose_sets
+from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.prior_bodies import prior_bodies
+from idtool.estimation.problem.regularization_path import assumed_weight
 from idtool.robot.config import Config
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from idtool.common.names import shown, some
 from idtool.data.inspection.findings import BAND
 from idtool.data.logs import Log
 from idtool.data.signals import default_cutoff
-from idtool.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Joint, Robot

@@ -9,7 +9,7 @@ from typing import Any
 
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import shown, some
-from idtool.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.command_delay import with_delay
 from idtool.common.names import some
 from idtool.data.logs import Log
 from idtool.dynamics.effects.time_delay import WITHIN
-from idtool.experiment import Experiment, Progress, prepare
+from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
 from idtool.robot.config import Config, parse_config
 from idtool.robot.urdf.reading import Robot
 from idtool.starting.bench import Bench, Verdict

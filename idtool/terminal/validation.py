@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from idtool.regression import Outcome
+from idtool.estimation.regression import Outcome
 from idtool.terminal.base import Terminal, figure, new_table, units_of
 from idtool.terminal.simulation import show_simulation
 from idtool.terminal.tables import Words

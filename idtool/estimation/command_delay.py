@@ -1,0 +1,402 @@
+"""The delay from command to torque, by least squares along with the coefficients.
+
+The torque of a joint controller is linear in what was commanded. In the band it is a smooth function of the delay d,
+tau(d) = Σ_k w_k(d) tau_k by the polynomial through a few delays, whose tau_k are further columns beside Y. One pass
+over the logs gives their R-factors. From these follow the least residual at any delay, the best delay, and by the
+scores of blocks of time its standard error, which is honest for residuals that are correlated (see `scatter`).
+
+To first order, kp d stands for viscous friction, as a joint that follows its command moves with the command's velocity.
+Friction that may not be negative bounds the delay from above.
+
+Letters: p coefficients theta, Y their columns; K delays; g = d tau / d delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebval, chebvander
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar, nnls
+
+from idtool.common.linear_algebra import svd
+from idtool.data.command import LONGEST_DELAY
+from idtool.data.signals import Signals
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run, tracked
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.estimation.dataset.weights import free_noise, freedom
+from idtool.estimation.uncertainty.scatter import FEWEST
+from idtool.robot.config import Config, Uncertain
+
+Array = NDArray[np.float64]
+
+_MUCH_THE_SAME = 0.9  # correlation of two effects that are worth a word
+_RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
+_WEIGHINGS = 5  # of the joints by the noise that is left at the best delay
+_CLOSE = 1e-5  # s, between two of them
+_GROUPS = 2 * FEWEST  # of blocks of time: few, so that what is correlated lies within one
+_GRID = 64  # delays between which the best one is looked for
+_SURE = 3.0  # standard errors
+_WORTH = 0.01  # share of the torque error that another delay must take off
+
+
+@dataclass(frozen=True)
+class CommandDelay:
+    """The delay from command to torque.
+
+    Attributes
+    ----------
+    value
+        At which the torque equation leaves least [s].
+    standard_error
+        Of it [s]; None: the commands do not tell it.
+    known_friction_error
+        The same if viscous friction were known [s].
+    correlation
+        Of the delay with viscous friction, all joints' together; 0: there is none in the model.
+    slope
+        By how much the coefficients of least squares change with the delay, shape (p,) [1/s].
+    given
+        The configuration's; None: it was to be fitted.
+    gain
+        Share of the torque error, rms, that ``value`` takes off what ``given`` leaves.
+    viscous
+        Mean viscous friction of commanded joints with ``given`` and with ``value`` [N·m·s/rad or N·s/m].
+    """
+
+    value: float
+    standard_error: float | None
+    known_friction_error: float | None
+    correlation: float
+    slope: Array
+    given: Uncertain | None
+    gain: float
+    viscous: tuple[float, float]
+
+    @property
+    def error(self) -> float:
+        """Standard error of the delay that the model has, 0 where it is given without one [s]."""
+        return (self.given.standard_error if self.given else self.standard_error) or 0.0
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the data contradict what is given."""
+        if self.given is None or self.standard_error is None:
+            return False
+        apart = abs(self.value - self.given.value)
+        error = np.hypot(self.standard_error, self.given.standard_error or 0.0)
+        return bool(apart > _SURE * error and self.gain > _WORTH)
+
+    @property
+    def text(self) -> str | None:
+        """The delay, and how far it can be told from viscous friction, in words; None: the commands do not tell it."""
+        if self.standard_error is None or self.known_friction_error is None:
+            return None
+        found = _milliseconds(self.value, self.standard_error)
+        said = f"{found} from command to torque, fitted"
+        if self.given is not None:
+            said = f"{1e3 * self.given.value:.3g} ms from command to torque, as given; the data say {found}"
+        if self.correlation < _MUCH_THE_SAME:
+            return said
+        known = _milliseconds(self.value, self.known_friction_error).partition(" ")[2]
+        return f"{said}; viscous friction does much the same (correlation {self.correlation:.2f}): if known, {known}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know, a plain sentence each."""
+        if self.standard_error is None:
+            if self.given is not None:
+                return ()
+            return ("controller.delay: the commands do not tell it, 0 is taken; log a motion, or give it",)
+        found = _milliseconds(self.value, self.standard_error)
+        if self.contradicted and self.given is not None:
+            before, after = self.viscous
+            said = f"controller.delay: {1e3 * self.given.value:.3g} ms is given, but the data say {found}"
+            change = f"that takes {self.gain:.1%} off the torque error"
+            friction = f" and mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
+            return (f"{said}; {change}{friction}; give auto to have it fitted",)
+        if self.given is None and self.value >= LONGEST_DELAY - _CLOSE:
+            most = f"{1e3 * LONGEST_DELAY:.0f} ms"
+            return (f"controller.delay: {most} or more fits best; check controller.kp and kd, or give the delay",)
+        return ()
+
+
+def _milliseconds(value: float, error: float) -> str:
+    """A time and its standard error [s], both to the error's second digit."""
+    digits = max(1 - int(np.floor(np.log10(1e3 * error))), 0) if error else 3
+    return f"{1e3 * value:.{digits}f} ± {1e3 * error:.{digits}f} ms"
+
+
+def with_delay(
+    experiment: Experiment, progress: Progress
+) -> tuple[Experiment, CommandDelay | None, tuple[Blocks, ...] | None]:
+    """Fit the delay where the configuration asks for it.
+
+    Returns
+    -------
+    The experiment with the delay; how it was found, None where it is given or no torque comes from a command; and the
+    training data with it, None where they must be read anew.
+    """
+    controller = experiment.config.controller
+    fitted = _fitted(experiment, progress) if controller and controller.known_delay is None else None
+    if controller is None or fitted is None:
+        return experiment, None, None
+    found, data, lags = fitted
+    delay = Uncertain(value=found.value, standard_error=found.standard_error)
+    config = experiment.config.model_copy(update={"controller": controller.model_copy(update={"delay": delay})})
+    experiment = replace(
+        experiment, config=config, runs=tuple(_later(run, config, found.value) for run in experiment.runs)
+    )
+    if any(effect.by_torque for effect in experiment.equation.effects):
+        return experiment, found, None
+    return experiment, found, tuple(log.of(lambda part: lags.at(part, found.value)) for log in data)
+
+
+def _later(run: Run, config: Config, delay: float) -> Run:
+    """A run under a configuration with a delay [s] where there was none."""
+    train, held_out = (tuple(run.signals.after(delay, parts)) for parts in (run.train, run.held_out))
+    return Run(Signals(run.signals.log, run.signals.joints, config), train, held_out)
+
+
+def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | None:
+    """Fit the delay to the training data, whether one is given or not.
+
+    Parameters
+    ----------
+    experiment
+        Model and data. Columns that take the torque for something are those at its own delay.
+    progress
+        Told the stage and how far it has come.
+
+    Returns
+    -------
+    None where no torque comes from a command.
+    """
+    fitted = _fitted(experiment, progress)
+    return fitted[0] if fitted else None
+
+
+def _fitted(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, tuple[Blocks, ...], _Lags] | None:
+    """The delay, and the data with the torque at many."""
+    controller = experiment.config.controller
+    by_command = np.any([run.signals.command.joints for run in experiment.runs if run.train], axis=0)
+    if controller is None or not by_command.any():
+        return None
+    equation, known, given = experiment.equation, experiment.known, controller.known_delay
+    lags = _Lags(experiment.band_hz)
+    data = experiment.blocks(lambda run: _rows(equation, run, lags, progress))
+    total = together([log.total for log in data])
+    value = 0.0
+    for _ in range(_WEIGHINGS):
+        noise = free_noise(equation, lags.at(total, value), known)
+        profile = _Profile(equation, known, total, noise, lags)
+        before, value = value, profile.least()
+        if abs(value - before) < _CLOSE:
+            break
+    errors = _Errors(equation, known, data, noise, lags, value)
+    value = 0.0 if errors.value is None else value
+    start = min(given.value, LONGEST_DELAY) if given else value
+    gain = 1 - np.sqrt(profile.cost(value) / max(profile.cost(start), np.finfo(float).tiny))
+    joints = np.flatnonzero(by_command)
+    viscous = (profile.viscous(start, joints), profile.viscous(value, joints))
+    found = CommandDelay(
+        value=value,
+        standard_error=errors.value,
+        known_friction_error=errors.known_friction,
+        correlation=errors.correlation,
+        slope=errors.slope,
+        given=given,
+        gain=float(gain),
+        viscous=viscous,
+    )
+    return found, data, lags
+
+
+def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> Rows:
+    """Columns of the torque equation and then the torque at each of the delays, batch after batch."""
+    parts = run.signals.after(LONGEST_DELAY, run.train)
+    batches = run.signals.batches(parts, delays=lags.delays)
+    for batch in tracked(batches, parts, progress, f"fitting the delay to {run.signals.log.path.name}"):
+        columns, kept = equation.rows(batch)
+        torques = batch.filter(equation.torques(batch.motion))
+        yield [np.concatenate([own[:-1], torques[:, j]]) for j, own in enumerate(columns)], kept
+
+
+class _Lags:
+    """Delays, and the polynomial that gives the torque in between them: Chebyshev's points, so that it does not ring.
+
+    Attributes
+    ----------
+    delays
+        From 0 to the longest [s], K.
+    """
+
+    def __init__(self, band_hz: float) -> None:
+        # The error at the band's edge is (x / 2)^K / K! or so, x the phase that the longest delay makes there.
+        count = int(np.ceil(1.25 * np.pi * band_hz * LONGEST_DELAY)) + 7
+        places = -np.cos(np.pi * np.arange(count) / (count - 1))
+        self.delays: list[float] = (LONGEST_DELAY * (1 + places) / 2).tolist()
+        self._coefficients = np.linalg.inv(chebvander(places, count - 1))
+        self._slopes = chebder(self._coefficients) * 2 / LONGEST_DELAY
+
+    def weights(self, delay: float) -> Array:
+        """Weights w, shape (K,)."""
+        return np.asarray(chebval(2 * delay / LONGEST_DELAY - 1, self._coefficients))
+
+    def slopes(self, delay: float) -> Array:
+        """Slopes dw / d delay [1/s], shape (K,)."""
+        return np.asarray(chebval(2 * delay / LONGEST_DELAY - 1, self._slopes))
+
+    def at(self, data: Reduction, delay: float) -> Reduction:
+        """The reduction of [Y, tau(delay)] from that with all delays."""
+        m, w = len(self.delays), self.weights(delay)
+        return tuple(Factor.joined((replace(f, R=np.column_stack([f.R[:, :-m], f.R[:, -m:] @ w])),)) for f in data)
+
+
+class _Profile:
+    """Least sum of squared residuals at a delay, in units of the joints' noise.
+
+    The coefficients are free but for lower bounds, as on friction: what is not bounded is taken out beforehand.
+    """
+
+    def __init__(self, equation: LinearModel, known: Knowledge, data: Reduction, noise: Array, lags: _Lags) -> None:
+        self._lags = lags
+        every = equation.coefficients
+        coefficients = [every[i] for i in known.free]
+        lower = np.array([c.lower for c in coefficients])
+        bounded = np.isfinite(lower)
+        rows = _weighted(equation, known, data, noise, len(lags.delays))
+        Y, taus = (np.concatenate(part) for part in zip(*rows, strict=True))
+        rest = np.column_stack([Y[:, bounded], taus - (Y[:, bounded] @ lower[bounded])[:, None]])
+        rest = _less(rest, Y[:, ~bounded])
+        R = np.asarray(np.linalg.qr(rest, mode="r"))
+        count = int(np.count_nonzero(bounded))
+        self._Y, self._taus = R[:, :count], R[:, count:]
+        owners = [c.owner if c.effect == "viscous_friction" else "" for c in coefficients]
+        self._owners = np.array(owners)[bounded]
+        self._joints = np.array(equation.joints)
+
+    def _solved(self, delay: float) -> tuple[Array, float]:
+        tau = self._taus @ self._lags.weights(delay)
+        if not self._Y.shape[1]:
+            return np.zeros(0), float(np.linalg.norm(tau))
+        x, left = nnls(self._Y, tau)
+        return x, float(left)
+
+    def cost(self, delay: float) -> float:
+        """Sum of squared residuals."""
+        return self._solved(delay)[1] ** 2
+
+    def viscous(self, delay: float, joints: NDArray[np.intp]) -> float:
+        """Mean viscous friction of some joints; 0 where the model has none."""
+        own = self._solved(delay)[0][np.isin(self._owners, self._joints[joints])]
+        return float(own.mean()) if len(own) else 0.0
+
+    def least(self) -> float:
+        """The delay of least cost [s]."""
+        grid = np.linspace(0, LONGEST_DELAY, _GRID + 1)
+        best = int(np.argmin([self.cost(delay) for delay in grid]))
+        around = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])
+        found = float(minimize_scalar(self.cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
+        return min((0.0, found, LONGEST_DELAY), key=self.cost)
+
+
+class _Errors:
+    """Errors of the delay by least squares without bounds, in which viscous friction is refitted or known.
+
+    What is left out of a model is the same at all times, but not on all joints. So scores are taken together in blocks
+    of time, and by joint: the larger of both standard errors counts, or what the number of independent samples gives.
+
+    Attributes
+    ----------
+    value, known_friction
+        Standard errors of the delay, viscous friction refitted and known [s]; None: the commands do not tell it.
+    correlation
+        Of the delay with viscous friction.
+    slope
+        By how much the coefficients change with the delay, shape (p,) [1/s].
+    """
+
+    def __init__(
+        self,
+        equation: LinearModel,
+        known: Knowledge,
+        data: Sequence[Blocks],
+        noise: Array,
+        lags: _Lags,
+        delay: float,
+    ) -> None:
+        rows = partial(_weighted, equation, known, noise=noise, count=len(lags.delays))
+        w, slopes = lags.weights(delay), lags.slopes(delay)
+        total = together([log.total for log in data])
+        Y, taus = (np.concatenate(part) for part in zip(*rows(total), strict=True))
+        every = equation.coefficients
+        viscous = np.array([every[i].effect == "viscous_friction" for i in known.free])
+        theta, rank = _solved(Y, taus @ w)
+        changes = [_solved(columns, taus @ slopes)[0] for columns in (Y, np.where(viscous, 0.0, Y))]
+
+        def products(part: Reduction) -> Array:
+            """By joint and change: slope with itself, and with the residual; shape (2, nv, 2)."""
+            found = np.zeros((2, len(noise), len(changes)))
+            for j, (own, tau) in enumerate(rows(part)):
+                residual = tau @ w - own @ theta
+                for k, change in enumerate(changes):
+                    slope = tau @ slopes - own @ change
+                    found[:, j, k] = slope @ slope, slope @ residual
+            return found
+
+        self.slope = known.K @ changes[0]
+        self.value = self.known_friction = None
+        self.correlation = 0.0
+        by_joint = products(total)[0]  # (nv, 2)
+        seen = by_joint.sum(axis=0)
+        worth = sum(factor.independent for factor in total) / sum(factor.rows for factor in total)
+        if seen[0] * worth * LONGEST_DELAY**2 < 1:  # an error of all that is looked for
+            return
+        length = max(sum(map(len, data)) // _GROUPS, 1)
+        scores = np.array([products(part)[1] for log in data for part in log.joined(length).parts])  # (blocks, nv, 2)
+        share = freedom(total, rank)
+        variance = seen / worth
+        if len(scores) >= FEWEST:
+            variance = np.maximum(variance, _spread(scores.sum(axis=1)) / share)
+        telling = by_joint[:, 0] > _RANK * seen[0]
+        variance = np.maximum(variance, _spread(scores.sum(axis=0)[telling]) / share)
+        self.value, self.known_friction = (np.sqrt(variance) / seen).tolist()
+        self.correlation = float(np.sqrt(max(1 - seen[0] / seen[1], 0.0)))
+
+
+def _spread(scores: Array) -> Array:
+    """Variance of the sum of independent scores, shape (n, 2) to (2,); of a single one it is not known."""
+    return len(scores) * np.var(scores, axis=0, ddof=1) if len(scores) > 1 else np.zeros(scores.shape[1])
+
+
+def _weighted(
+    equation: LinearModel, known: Knowledge, data: Reduction, noise: Array, count: int
+) -> list[tuple[Array, Array]]:
+    """Each joint's rows in units of its noise: Y over the free coefficients, (rows, p'), and tau_k, (rows, K)."""
+    found = []
+    for factor, columns, sigma in zip(data, equation.active(), noise, strict=True):
+        found.append((factor.R[:, :-count] @ known.K[columns] / sigma, factor.R[:, -count:] / sigma))
+    return found
+
+
+def _solved(Y: Array, right: Array) -> tuple[Array, int]:
+    """Least squares, of the shortest solutions in units of the columns, and the rank of Y."""
+    size = np.linalg.norm(Y, axis=0)
+    size[size == 0] = 1.0
+    z, _, rank, _ = np.linalg.lstsq(Y / size, right, rcond=_RANK)
+    return z / size, int(rank)
+
+
+def _less(rows: Array, Y: Array) -> Array:
+    """What the columns of Y leave of other columns."""
+    size = np.linalg.norm(Y, axis=0)
+    U, s, _ = svd(Y[:, size > 0] / size[size > 0])
+    U = U[:, s > _RANK * s[0]] if len(s) else U
+    return np.asarray(rows - U @ (U.T @ rows))

@@ -1,0 +1,1 @@
+"""Robot and logs put together, and reduced to triangular factors."""

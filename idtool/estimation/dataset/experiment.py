@@ -1,0 +1,338 @@
+"""`Experiment`: a robot, its logs and its configuration put together, with what is kept for validation set aside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import ConfigError, LogError, ModelError
+from idtool.common.names import shown, some
+from idtool.common.provenance import Source
+from idtool.data.command import commanded
+from idtool.data.logs import Log, read_log
+from idtool.data.signals import Batch, Signals, default_cutoff
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.blocks import Blocks, block_rows, cut, most_blocks, together
+from idtool.estimation.dataset.knowledge import Knowledge, knowledge, with_equal_bounds
+from idtool.estimation.dataset.reduction import Reduction, empty
+from idtool.robot.config import Config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
+
+Progress = Callable[[str, float], None]  # stage, share of it that is done
+Rows = Iterable[tuple[list[NDArray[np.float64]], list[NDArray[np.bool_]]]]
+
+_MOST = 1e12  # of a signal in SI: powers of what is larger are not finite
+_TRAVEL = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
+_TURN = 0.02  # rad, of any other joint
+_OF_SAMPLES = (0.5, 99.5)  # percentiles between which it moves: a spike is no motion
+
+
+@dataclass(frozen=True)
+class Run:
+    """One log: its signals, and which parts are for fitting and which for validation.
+
+    Attributes
+    ----------
+    signals
+        The log as the model's joints' motion.
+    train, held_out
+        Parts of it, without a gap each.
+    """
+
+    signals: Signals
+    train: tuple[slice, ...]
+    held_out: tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is to be fitted or validated.
+
+    Attributes
+    ----------
+    config
+        The configuration.
+    model
+        The tree of bodies.
+    equation
+        The torque equation.
+    known
+        What is known beside the logs.
+    runs
+        The logs.
+    """
+
+    config: Config
+    model: Model
+    equation: LinearModel
+    known: Knowledge
+    runs: tuple[Run, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know, a plain sentence each."""
+        several = len(self.runs) > 1
+        said = [*self.model.warnings, *self._left_out()]
+        fits = [source for run in self.runs if run.train for source in run.signals.log.sources]
+        twice = sorted({Path(one.path).name for one in fits if [s.sha256 for s in fits].count(one.sha256) > 1})
+        said += [f"{', '.join(twice)}: the same log more than once; standard errors are too small"] if twice else []
+        fitted, kept = (
+            {run.signals.log.path.resolve() for run in self.runs if bool(run.train) is trained}
+            for trained in (True, False)
+        )
+        said += [f"{path.name} is fitted to and validated on: its error says little" for path in sorted(fitted & kept)]
+        controller = self.config.controller
+        by_command = any(run.signals.command.joints.any() for run in self.runs)
+        if by_command and controller is not None and controller.known_delay is None:
+            said.append("controller.delay is auto, and no command is fitted to here: 0 is taken; fit finds it")
+        for run in self.runs:
+            prefix = f"{run.signals.log.path.name}: " if several else ""
+            said += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
+        return tuple(said)
+
+    def _left_out(self) -> Iterator[str]:
+        """Joints that the model takes as standing still though they move, on one branch with joints that it has."""
+        moved, robot = [], self.model.robot
+        for joint in robot.joints.values():
+            if joint.kind == "fixed" or joint.mimic or joint.name in self.model.names:
+                continue
+            if not any(robot.on_one_branch(joint.name, name) for name in self.model.names):
+                continue  # the root stands still, so that nothing is felt of it
+            travel = max((_travel(run.signals.log, joint.name) for run in self.runs), default=0.0)
+            if travel > _TRAVEL.get(joint.kind, _TURN):
+                unit = "m" if joint.kind == "prismatic" else "rad"
+                place = self.config.locked_joints.get(joint.name, 0.0)
+                moved.append(f"{shown(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
+        if moved:
+            yield (
+                f"taken as standing still, though they move in the log: {', '.join(moved)}; what their motion does to "
+                "the other joints' torque is not in the model and falsifies the parameters: add them to joints, or log "
+                "them at rest"
+            )
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """What was read: the URDF, the configuration and the logs, each once."""
+        return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
+
+    @property
+    def band_hz(self) -> float:
+        """The low-pass's cut-off, the lowest of the runs' [Hz]."""
+        return min(run.signals.band_hz for run in self.runs)
+
+    def samples(self, held_out: bool) -> int:
+        """Samples at the logged rate that are used for fitting or validation."""
+        return sum(
+            max(part.stop - part.start - 2 * run.signals.every_sample.edge, 0)
+            for run in self.runs
+            for part in (run.held_out if held_out else run.train)
+        )
+
+    def rows(self, run: Run, progress: Progress) -> Rows:
+        """The torque equation's rows along the training part of a log, batch after batch."""
+        stage = f"reading {run.signals.log.path.name}"
+        return map(self.equation.rows, tracked(run.signals.batches(run.train), run.train, progress, stage))
+
+    def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
+        """The training data as R-factors of consecutive blocks, log by log.
+
+        Parameters
+        ----------
+        rows
+            Those of a log: per joint columns and torque, shape (columns + 1, n), and which of the n samples count.
+
+        Raises
+        ------
+        LogError
+            If a joint has no sample that counts.
+        """
+        found, length = [], self._block_rows()
+        for run in (run for run in self.runs if run.train):
+            low_pass = run.signals.low_pass
+            parts = tuple(cut(rows(run), length, low_pass.redundancy))
+            if parts:
+                found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
+        if not found:
+            self.checked(empty(self.equation.active()))
+        self.checked(together([block.total for block in found]))
+        return tuple(found)
+
+    def _block_rows(self) -> int:
+        """How many rows a block has, the same for all logs."""
+        rows = [(part.stop - part.start) // run.signals.low_pass.stride for run in self.runs for part in run.train]
+        signals = self.runs[0].signals
+        seconds = signals.low_pass.stride * signals.log.dt
+        return block_rows(sum(rows), seconds, signals.band_hz, most_blocks(self.equation.active()))
+
+    def reduce(self, progress: Progress) -> Reduction:
+        """The training data as R-factors; see `checked`."""
+        return together([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
+
+    def checked(self, data: Reduction) -> Reduction:
+        """The training data, with something to fit every joint to.
+
+        Raises
+        ------
+        LogError
+            If a joint has no sample that counts.
+        """
+        still = [name for name, factor in zip(self.equation.joints, data, strict=True) if not factor.rows]
+        if len(still) == len(data) and not self.samples(held_out=False):
+            lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
+            longest = max(lengths, default=0.0)
+            what = f"no stretch without a gap is long enough for the filter; the longest has {longest:.3g} s"
+            raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect tells where samples are missing")
+        if still:
+            what = "hardly moves in the part to fit"
+            if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
+                what += f", or only where one of the effects ({some(effects)}) is not defined"
+            what += "; log a motion, or lock it by leaving it out of joints"
+            raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
+        return data
+
+
+def _travel(log: Log, joint: str) -> float:
+    """How far a joint of a log moves [rad or m]; 0 where the log does not have it."""
+    if not log.has("q", joint):
+        return 0.0
+    q = log.signals["q"][:, log.joints.index(joint)]
+    low, high = np.nanpercentile(q, _OF_SAMPLES)
+    return float(high - low)
+
+
+def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:
+    """What a robot, a configuration and logs were read from, each once; a log of arrays has no hash."""
+    read = [robot.source, *([config.source] if config.source else [])]
+    for log in logs:
+        read += log.sources or [Source("log", str(log.path), None)]
+    return tuple(dict.fromkeys(read))
+
+
+def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress, stage: str) -> Iterable[Batch]:
+    """The same batches; tells how far they have come."""
+    whole = sum(part.stop - part.start for part in parts) or 1
+    done = 0
+    for batch in batches:
+        yield batch
+        done += len(batch.motion.t) - batch.before - batch.after
+        progress(stage, min(done / whole, 1.0))
+
+
+def prepare(
+    robot: Robot,
+    config: Config,
+    logs: Sequence[Path | Log],
+    validate: Sequence[Path | Log] = (),
+    holdout: float = 0.3,
+    seen_as: Callable[[Log], Log] = lambda log: log,
+) -> Experiment:
+    """Read the logs and put model and data together.
+
+    Parameters
+    ----------
+    robot
+        From the URDF.
+    config
+        The configuration.
+    logs
+        Logs to fit to: files, which are read as the configuration says, or what was read.
+    validate
+        Whole logs for validation; where given, nothing is held out of the others.
+    holdout
+        Share at the end of every log that is kept for validation.
+    seen_as
+        A log as read → what it is taken for.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used.
+    """
+    if not 0 <= holdout < 1:
+        raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
+    if not logs and not validate:
+        raise LogError("logs", "none given; name at least one MCAP or CSV file")
+    fitted, kept = (
+        [seen_as(commanded(_read(log, config), config.controller)) for log in given] for given in (logs, validate)
+    )
+    every = (*fitted, *kept)
+    common = [name for name in every[0].joints if all(name in log.joints for log in every)]
+    model = build_model(robot, config, common)
+    for log in every:
+        _check_signals(log, model.names)
+    equation = LinearModel(model.names, build_effects(model, config))
+    known = knowledge(config, model, equation)
+    if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
+        band = min(default_cutoff(log.dt) for log in every)
+        config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
+    runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
+    runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
+    return Experiment(config, with_equal_bounds(model, known), equation, known, tuple(runs))
+
+
+def _read(log: Path | Log, config: Config) -> Log:
+    if not isinstance(log, Log):
+        options = config.log
+        log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+    return commanded(log, config.controller)
+
+
+def _check_signals(log: Log, joints: Sequence[str]) -> None:
+    """Refuse a log in which a joint of the model has no position, or a value that no sensor gives."""
+    for name in joints:
+        if not log.has("q", name):
+            raise LogError(log.path, f"joint {name} has no position; log it, or leave it out of joints")
+        for signal, values in log.signals.items():
+            column = values[:, log.joints.index(name)]
+            finite = np.isfinite(column)
+            largest = max(np.max(column, where=finite, initial=0.0), -np.min(column, where=finite, initial=0.0))
+            if largest > _MOST:
+                raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; take out what is no reading")
+
+
+def _split(signals: Signals, share: float) -> Run:
+    """The first part of a log's samples to fit, the last to validate."""
+    samples = sum(part.stop - part.start for part in signals.ranges)
+    left = round((1 - share) * samples)
+    train, held_out = [], []
+    for part in signals.ranges:
+        cut = min(part.start + max(left, 0), part.stop)
+        left -= part.stop - part.start
+        if cut > part.start:
+            train.append(slice(part.start, cut))
+        if part.stop > cut:
+            held_out.append(slice(cut, part.stop))
+    return Run(signals, tuple(train), tuple(held_out))
+
+
+def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> NDArray[np.float64]:
+    """Another URDF's coefficients in the order of an experiment's, shape (p,).
+
+    Parameters
+    ----------
+    robot
+        From the other URDF.
+    config
+        Its configuration; its choice of joints gives way to the experiment's.
+    experiment
+        Whose torque equation the coefficients are for; what the other model lacks is zero.
+
+    Raises
+    ------
+    ModelError
+        If it is not a URDF of the same robot.
+    """
+    joints = experiment.equation.joints
+    config = config.model_copy(update={"joints": joints})
+    model = build_model(robot, config, joints)
+    coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
+    values = {c.key: c.prior for c in coefficients}
+    if {body.name for body in model.bodies} != {body.name for body in experiment.model.bodies}:
+        raise ModelError(robot.path, "has not the same bodies as the model; compare URDFs of one robot")
+    return np.array([values.get(c.key, 0.0) for c in experiment.equation.coefficients])

@@ -1,0 +1,71 @@
+"""How much every joint's torque counts: by the noise that a fit without constraints leaves in it.
+
+Letters: p coefficients theta; sigma_j noise of joint j's torque [N·m or N].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.reduction import Factor, Reduction
+
+Array = NDArray[np.float64]
+
+_RANK = 1e-10  # of the largest singular value: what lies below is not determined
+_WEIGHINGS = 2  # of the joints by their noise
+_LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear
+
+
+def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
+    """All joints' factors over all coefficients, in units of their noise and per sample; shape (rows, p + 1)."""
+    samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
+    p = len(model.coefficients)
+    rows = np.zeros((sum(len(factor.R) for factor in reduction), p + 1))
+    first = 0
+    for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
+        last = first + len(factor.R)
+        rows[first:last, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
+        first = last
+    return rows
+
+
+def _floor(factor: Factor) -> float:
+    """The least noise that a joint's torque is believed to have."""
+    tau = float(np.linalg.norm(factor.R[:, -1]) / np.sqrt(max(factor.rows, 1)))
+    return _LEAST_NOISE * tau or 1.0
+
+
+def residual_noise(factor: Factor, theta: Array, share: float = 1.0) -> float:
+    """Residual noise of a joint; ``share`` of the samples' freedom is left after the fit."""
+    return max(float(np.sqrt(factor.squares(theta) / max(factor.rows, 1) / share)), _floor(factor))
+
+
+def freedom(reduction: Reduction, rank: int) -> float:
+    """Share of the independent samples that are left when a fit has taken ``rank`` of them, at least a half."""
+    independent = sum(factor.independent for factor in reduction)
+    return max(1 - rank / max(independent, 1.0), 0.5)
+
+
+def free_noise(model: LinearModel, reduction: Reduction, known: Knowledge | None = None) -> Array:
+    """What least squares leaves of each joint's torque, nothing constrained but copies equal; shape (nv,).
+
+    All joints weigh the same at first, then as much as the fit before says, so that a joint of much noise does not pass
+    for noise of the others: iterated weighted least squares (Gautier 1997 takes one step). With fewer than two
+    independent samples for each parameter that they determine, the torques themselves are the weights.
+    """
+    K = (known or Knowledge.none(len(model.coefficients))).K
+    sigma = np.ones(len(reduction))
+    for _ in range(_WEIGHINGS):
+        rows = weighted_rows(model, reduction, sigma)
+        Y = rows[:, :-1] @ K
+        size = np.linalg.norm(Y, axis=0)
+        size[size == 0] = 1.0
+        z, _, rank, _ = np.linalg.lstsq(Y / size, rows[:, -1], rcond=_RANK)
+        theta = K @ (z / size) if sum(factor.independent for factor in reduction) >= 2 * rank else np.zeros(len(K))
+        share = freedom(reduction, int(rank))
+        residuals = zip(reduction, model.active(), strict=True)
+        sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in residuals])
+    return sigma

@@ -1,0 +1,203 @@
+"""Instruments: a motion close to the measured one that knows nothing of the noise in q and v.
+
+Simulated under the logged command (Janot, Vandanjon & Gautier 2014), or the measured one smoothed where there is none.
+`two_stage` says what they are for.
+
+Letters: nv joints; N samples; m_j coefficients of joint j's equation; Z_j, Y_j (n, m_j) rows of the torque equation
+along the instruments' motion and the measured one, tau_j (n,) torque, all through the same low-pass. Units: SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from idtool.common.exceptions import ModelError
+from idtool.data.logs import Log
+from idtool.data.signals import Signals
+from idtool.dynamics.simulation.simulation import simulate
+from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
+from idtool.estimation.evaluation.simulated_log import under_controller
+
+Array = NDArray[np.float64]
+Kind = Literal["closed_loop", "smoothed"]
+
+_STANDS_OUT = 30.0  # times the noise's power from which on motion is told from it
+_ROOM = 1.5  # of a smoothing's cut-off over the highest frequency of the motion
+_LINES = 40  # of a spectrum, up to the band
+_ORDER = 4  # of the smoothing, one way
+_INSTEAD = "or estimate by least squares (method ls)"
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """The motion that Z is taken along.
+
+    Attributes
+    ----------
+    run
+        The log that it belongs to, sample by sample.
+    signals
+        The motion.
+    kind
+        ``closed_loop``: simulated under the logged command, which knows nothing of the sensors' noise but for the
+        state in which it begins, and a stable loop forgets that. ``smoothed``: the measured motion through a low-pass,
+        as low as the motion allows. Noise below its cut-off is in Z as it is in Y and still biases: of what white noise
+        on q does by way of a, (cut-off / band)⁵ is left; of what it does by way of v, (cut-off / band)³.
+    cutoff_hz
+        The smoothing's, per joint, shape (nv,); infinite: none.
+    """
+
+    run: Run
+    signals: Signals
+    kind: Kind
+    cutoff_hz: Array
+
+
+def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Instruments:
+    """The instruments' motion along the training part of a log.
+
+    Simulated where there are a command and a controller for every joint, even if torque was logged too: a feed-forward
+    that the configuration does not know makes the simulation follow less closely, not less free of noise. Elsewhere
+    the measured motion is smoothed: simulated under the measured torque it would run away, and whatever keeps it from
+    that brings the noise back.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    run
+        One of its logs.
+    theta
+        Coefficients of the model that is simulated, shape (p,).
+    progress
+        Told how far it has come.
+
+    Raises
+    ------
+    ModelError
+        If the model cannot be simulated, or runs away.
+    """
+    signals, controller = run.signals, experiment.config.controller
+    kind: Kind = "smoothed"
+    if controller is not None and all(signals.log.has("qcmd", n) and n in controller.kp for n in signals.joints):
+        kind, cutoff = "closed_loop", np.full(len(signals.joints), np.inf)
+        log = _simulated(experiment, run, theta, progress)
+    else:
+        motion = signals.channels.signal("q", signals.channels.longest(signals.channels.parts()))
+        cutoff = np.array([smoothing(q, signals.log.dt, signals.band_hz) for q in motion])
+        log = _smoothed(signals, cutoff)
+    config = experiment.config.model_copy(update={"velocity": "differentiated"})  # without noise as good as measured
+    seen = Signals(log, signals.joints, config)
+    seen.still = signals.still  # where Z's sign must not be trusted is where Y's is lost in noise
+    return Instruments(run, seen, kind, cutoff)
+
+
+def instrumented_rows(
+    experiment: Experiment, made: Instruments, progress: Progress
+) -> Iterator[tuple[list[Array], list[NDArray[np.bool_]]]]:
+    """Rows of a log's training part beside those of its instruments, batch after batch.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    made
+        The instruments of one of its logs.
+    progress
+        Told how far it has come.
+
+    Yields
+    ------
+    Per joint the columns of Z_j, of Y_j, and the torque, shape (2 m_j + 1, n); and which of the n samples count, shape
+    (n,): those in which the columns of Z_j are defined. To choose by those of Y_j would be to choose by the noise.
+    """
+    run, equation = made.run, experiment.equation
+    batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
+    for batch, free in zip(batches, made.signals.batches(run.train), strict=True):
+        (Y, _), (Z, defined) = equation.rows(batch), equation.rows(free)
+        yield [np.concatenate([z[:-1], y]) for z, y in zip(Z, Y, strict=True)], defined
+
+
+def smoothing(q: Array, dt: float, band_hz: float) -> float:
+    """Cut-off below which a motion stands out of its noise [Hz]; infinite where it fills the band.
+
+    What is above twice the band is taken for white noise on q.
+
+    Parameters
+    ----------
+    q
+        Positions, shape (N,).
+    dt
+        Sample time.
+    band_hz
+        The band.
+    """
+    a = np.diff(q, 2)  # whitens the motion, whose power at 1 Hz is a million times that at 30 Hz
+    f, power = signal.welch(a, 1 / dt, nperseg=min(len(a), round(_LINES / band_hz / dt)), average="median")
+    f, power = f[1:], power[1:] / (2 * np.sin(np.pi * f[1:] * dt)) ** 4
+    noise = np.median(power[f > 2 * band_hz]) if f[-1] > 2 * band_hz else 0.0
+    stands_out = f[(power > _STANDS_OUT * noise) & (f <= band_hz)]
+    highest = _ROOM * float(stands_out.max(initial=f[0]))
+    return highest if highest < band_hz else np.inf
+
+
+def _smoothed(signals: Signals, cutoff: Array) -> Log:
+    """A log with motion and torque through low-passes, joint by joint, and without velocities."""
+    channels, dt = signals.channels, signals.log.dt
+    filters = [signal.butter(_ORDER, hz, fs=1 / dt, output="sos") if np.isfinite(hz) else None for hz in cutoff]
+
+    def read(name: str, part: slice) -> Array:
+        x = channels.signal(name, part)
+        for row, sections in zip(x, filters if name in ("q", "tau") else [], strict=False):
+            if sections is not None and np.isfinite(row).all():
+                row[:] = signal.sosfiltfilt(sections, row)
+        return x
+
+    return _even_log(signals, channels.parts(), [name for name in signals.log.signals if name != "v"], read)
+
+
+def _simulated(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Log:
+    """The model under the logged command, from the measured state at the beginning of each stretch."""
+    log, signals = run.signals.log, run.signals
+    if not signals.command.joints.all():
+        signals = Signals(under_controller(log), signals.joints, experiment.config)
+    mechanism = experiment.equation.mechanism(experiment.model, theta)
+    found: dict[tuple[str, int], Array] = {}
+    windows = _windows(run)
+    try:
+        for some in simulate(mechanism, signals, windows, lambda share: progress(f"simulating {log.path.name}", share)):
+            if some.lost.any():
+                raise ModelError(mechanism.model.robot.path, "runs away under the logged command; check the controller")
+            for w, part in enumerate(some.windows):
+                length = part.stop - part.start
+                found["q", part.start], found["tau", part.start] = some.q[:, w, :length], some.tau[:, w, :length]
+    except ModelError as error:
+        raise ModelError(error.where, f"{error.what}, {_INSTEAD}") from None
+    return _even_log(run.signals, windows, ["q", "tau"], lambda name, part: found[name, part.start])
+
+
+def _windows(run: Run) -> list[slice]:
+    """What to simulate: the training part, from the beginning of each stretch, and what derivatives at its end need."""
+    windows = []
+    for part in run.train:
+        usable = next(s for s in run.signals.ranges if s.start <= part.start < s.stop)
+        stretch = next(s for s in run.signals.channels.parts() if s.start <= part.start < s.stop)
+        windows.append(slice(stretch.start, part.stop + stretch.stop - usable.stop))
+    return windows
+
+
+def _even_log(signals: Signals, parts: list[slice], names: list[str], read: Callable[[str, slice], Array]) -> Log:
+    """A log of the model's joints with the samples of another one, on its even clock; NaN beside the parts."""
+    log = signals.log
+    t, found = log.t.copy(), {name: np.full((len(log), len(signals.joints)), np.nan) for name in names}
+    for part in parts:
+        t[part] = signals.channels.times(part)[0] + log.dt * np.arange(part.stop - part.start)
+        for name, x in found.items():
+            x[part] = read(name, part).T
+    return Log(log.path, signals.joints, t, found, tuple(parts), log.dt)

@@ -1,0 +1,1 @@
+"""Identification row by row, along with the robot."""

@@ -1,0 +1,204 @@
+"""Least squares with forgetting and a bounded gain, within the sets of a problem, sample by sample.
+
+After every sample, w_j (m,) its row on x in joint j's equation and tau_j its torque,
+
+    Lambda_j ← gamma Lambda_j + w_j w_jᵀ,  eta_j ← gamma eta_j + w_j tau_j,
+    x = argmin over the sets of ½ xᵀ (Σ_j Lambda_j / sigma_j² + M) x − (Σ_j eta_j / sigma_j² + M prior)ᵀ x,
+
+which is the projection of the unconstrained estimate onto the sets (Remark 5) in the metric of the information;
+`Barrier` follows it. The gain, the inverse of the matrix, is bounded by M⁻¹: a deviation from the prior by a body's own
+mass and size, or a friction as large as what the joint carries, weighs as much as one standard error of the data. M
+does not fade, so what is no longer excited returns to the prior rather than drift.
+
+A joint's noise sigma_j is what the predictions one sample ahead were lately wrong by: no future is in it, and no fit to
+the samples that it judges. It weighs all that is remembered alike. As long as the parameters do not fit, their error
+counts as noise, so that few samples are not believed more than they deserve.
+
+Letters: m variables x of the problem, theta = T x the p coefficients, nv joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.reduction import empty
+from idtool.estimation.problem.barrier import Barrier
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.model import Model
+from idtool.robot.sets import ConstraintSet
+
+Array = NDArray[np.float64]
+
+_GAP = 0.1  # that half the squared distance in standard errors may be above its least
+_EARLY = 4.0  # the noise forgets the start, when the parameters were the prior's, with this power of the time
+_LEAST_NOISE = 1e-2  # of a joint's torque
+_GRAVITY = 9.81  # m/s²: what a joint carries, it carries on earth
+
+
+class RecursiveFit:
+    """The estimate and what it follows from.
+
+    Attributes
+    ----------
+    problem
+        What x is, and what it fulfils.
+    T
+        theta = T x, shape (p, m).
+    units
+        Typical size of each coefficient, shape (p,).
+    squares, predicted
+        Sum of the squared errors of the predictions, each made before the sample was used [(N·m)² or N²], and their
+        number; shape (nv,).
+    samples
+        How many were used.
+
+    Parameters
+    ----------
+    equation
+        The torque equation.
+    model
+        Its bodies.
+    sets
+        One set a body.
+    kind
+        Of prior. A divergence's second-order form takes its place; without one, the Euclidean: the gain is bounded.
+    known
+        What is known otherwise.
+
+    Raises
+    ------
+    SolverError
+        If nothing fulfils the sets and what is known exactly.
+    """
+
+    def __init__(
+        self, equation: LinearModel, model: Model, sets: Sequence[ConstraintSet], kind: str, known: Knowledge
+    ) -> None:
+        data, noise = empty(equation.active()), np.ones(len(equation.joints))
+        chosen = Regularization(kind="pullback" if kind in ("pullback", "entropic") else "euclidean", weight=1.0)
+        self.problem, facts = (
+            build_problem(equation, model.bodies, data, sets, prior, noise, known)
+            for prior in (chosen, Regularization(kind="none"))
+        )
+        self.T: Array = (self.problem.K * self.problem.scale) @ self.problem.S
+        self.units = units(equation, model)
+        self._facts, whole = _normal(facts), _normal(self.problem)
+        free = np.array([c.scale is None for c in equation.coefficients]) / self.units
+        rows, pull = free[:, None] * self.T, free * equation.prior
+        self._prior = (whole[0] - self._facts[0] + rows.T @ rows, whole[1] - self._facts[1] + rows.T @ pull)
+        self._explaining = np.linalg.lstsq(self.T, np.where(free > 0, 0.0, equation.prior), rcond=None)[0]
+        nv = len(equation.joints)
+        self._joints = [_Information.of(self.T[active]) for active in equation.active()]
+        self._measured, self._explained = np.zeros(nv), np.zeros(nv)
+        self._noise, self._power = np.zeros(nv), np.zeros(nv)
+        self.squares, self.predicted, self.samples = np.zeros(nv), np.zeros(nv, dtype=np.intp), 0
+        self._barrier = Barrier(self.problem, *self.normal(), _GAP)
+
+    @property
+    def theta(self) -> Array:
+        """The coefficients as they are estimated now, shape (p,)."""
+        return np.asarray(self.T @ self._barrier.x)
+
+    @property
+    def noise(self) -> Array:
+        """sigma, shape (nv,) [N·m or N]; 1 where nothing is known of it yet."""
+        sigma = np.sqrt(np.maximum(self._noise, _LEAST_NOISE**2 * self._power))
+        return np.where(sigma > 0, sigma, 1.0)
+
+    def normal(self) -> tuple[Array, Array]:
+        """The matrix, shape (m, m), and the vector, shape (m,), of the function that x minimises."""
+        weight = self.noise**-2.0
+        # A prior that only holds a place is weaker by as much as the bodies turn out to be heavier.
+        explained = float(weight @ self._explained)
+        grown = max(float(weight @ self._measured) / explained, 1.0) if explained > 0 else 1.0
+        P, q = (prior / grown + fact for prior, fact in zip(self._prior, self._facts, strict=True))
+        for joint, w in zip(self._joints, weight, strict=True):
+            P[joint.own[:, None], joint.own] += w * joint.matrix
+            q[joint.own] += w * joint.vector
+        return P, q
+
+    def update(
+        self, W: Array, tau: Array, defined: NDArray[np.bool_], gamma: float, lately: float, worth: float
+    ) -> None:
+        """Take in a sample.
+
+        Parameters
+        ----------
+        W, tau
+            Rows on x, shape (nv, m), and torque, shape (nv,) [N·m or N].
+        defined
+            Which of them hold, shape (nv,).
+        gamma
+            Share of their weight that earlier samples keep.
+        lately
+            Share that a sample has in the noise.
+        worth
+            Independent samples that this one is worth.
+        """
+        error = np.where(defined, tau - W @ self._barrier.x, 0.0)
+        self.squares += error**2
+        self.predicted += defined
+        self.samples += 1
+        mean = defined / np.maximum(self.predicted, 1)
+        self._power += mean * (tau**2 - self._power)
+        share = np.clip(_EARLY * mean, lately, 1.0)
+        self._noise += np.where(defined, share, 0.0) * (error**2 - self._noise)
+        self._measured += defined * tau**2
+        self._explained += defined * np.square(W @ self._explaining)
+        for joint, row, torque, holds in zip(self._joints, W, tau, defined, strict=True):
+            joint.update(row, torque, gamma, worth * float(holds))
+        self._barrier.move(*self.normal())
+
+
+@dataclass(frozen=True)
+class _Information:
+    """What one joint's equation says: Lambda_j and eta_j on those variables that it depends on."""
+
+    own: NDArray[np.intp]
+    matrix: Array
+    vector: Array
+
+    @classmethod
+    def of(cls, rows: Array) -> _Information:
+        """Nothing yet, of an equation whose coefficients are ``rows`` · x."""
+        own = np.flatnonzero(rows.any(axis=0))
+        return cls(own, np.zeros((len(own), len(own))), np.zeros(len(own)))
+
+    def update(self, row: Array, torque: float, gamma: float, worth: float) -> None:
+        self.matrix[:] *= gamma
+        self.vector[:] *= gamma
+        if worth:
+            own = row[self.own]
+            self.matrix[:] += worth * own[:, None] * own
+            self.vector[:] += worth * torque * own
+
+
+def units(equation: LinearModel, model: Model) -> Array:
+    """Typical size of every coefficient, shape (p,): an inertia parameter's own; any other's as a torque.
+
+    That is the weight of the bodies that its joint moves, times their size where it turns: for friction of a rad/s or
+    m/s, for a spring of a rad or m.
+    """
+    coefficients = equation.coefficients
+    mass, moment = (
+        np.array([c.scale or 0.0 for c in coefficients[k : SIZE * len(model.bodies) : SIZE]]) for k in (0, 1)
+    )
+    turning = np.array([joint.kind != "prismatic" for joint in model.joints])
+    carried = _GRAVITY * np.where(turning, moment @ model.support(), mass @ model.support())
+    load = {name: float(x) for name, x in zip(equation.joints, carried, strict=True) if x > 0}
+    typical = max(load.values(), default=1.0)
+    return np.array([c.scale or load.get(c.owner, typical) for c in coefficients])
+
+
+def _normal(problem: Problem) -> tuple[Array, Array]:
+    """The quadratic part of a problem's cost in x, shapes (m, m) and (m,)."""
+    rows = problem.A @ problem.S
+    return rows.T @ rows, rows.T @ problem.b

@@ -1,0 +1,1 @@
+"""The optimization problem, its solvers, and what proves their solution."""

@@ -1,0 +1,106 @@
+"""The optimization problem as cvxpy takes it, for every solver that cvxpy has installed.
+
+cvxpy is imported where it is needed, for it takes a second.
+"""
+
+from __future__ import annotations
+
+import warnings
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import SolverError
+from idtool.estimation.problem.conic import APART, Solution, infeasible
+from idtool.estimation.problem.parts import Matrix
+from idtool.estimation.problem.problem import Problem
+
+Array = NDArray[np.float64]
+
+MATRIX_SOLVERS = ("CLARABEL", "SCS", "MOSEK", "CVXOPT", "COPT", "SDPA")  # cvxpy's that take matrix inequalities
+# Of a first-order method: the optimum is refined from there. Of all others, cvxpy's own.
+_SETTINGS: dict[str, dict[str, float]] = {"SCS": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 20_000}}
+
+
+def check_backend(name: str) -> None:
+    """Raise a `SolverError` if cvxpy has no solver of that name, which names those it has."""
+    installed = _cvxpy().installed_solvers()
+    if name not in installed:
+        raise SolverError("solver.backend", f"{name} is not installed; use one of {', '.join(installed)}")
+
+
+def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
+    """Solve by one of cvxpy's solvers, from a start near which the step is small.
+
+    Parameters
+    ----------
+    problem
+        From `problem.build_problem`.
+    start
+        Any x, shape (m,); see `conic.solve_conic`.
+    backend
+        The solver, as cvxpy names it.
+
+    Raises
+    ------
+    SolverError
+        If the problem is infeasible, or the solver is none for it or gives up.
+    """
+    if not all(np.isfinite(numbers).all() for numbers in (problem.A, problem.b, problem.E, problem.e, start)):
+        raise SolverError("solver", "was given numbers that are not finite; check units and magnitudes")
+    cp = _cvxpy()
+    check_backend(backend)
+    step = cp.Variable(problem.variables)
+    x = start + step
+    z = problem.S @ x
+    residual = problem.A @ problem.S @ step + (problem.A @ problem.S @ start - problem.b)
+    cost = cp.sum_squares(residual)
+    for term in problem.log_dets:
+        X = _matrix(cp, term.G, z[term.own])
+        cost += term.weight * (cp.trace(X) - cp.log_det(X))
+    inequalities = [_inequality(cp, inequality, x) for inequality in problem.inequalities]
+    bounds = [x[problem.bounded] >= problem.bounds] if len(problem.bounded) else []
+    facts = [problem.E @ z == problem.e] if len(problem.e) else []
+    programme = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *facts])
+    _run(cp, programme, backend)
+    if "infeasible" in programme.status:
+        raise infeasible(problem)
+    if step.value is None:
+        raise SolverError("solver.backend", f"{backend} found no solution ({programme.status}); use another")
+    duals = [np.asarray(inequality.dual_value, dtype=np.float64) for inequality in inequalities]
+    multipliers = np.asarray(bounds[0].dual_value, dtype=np.float64) if bounds else np.zeros(0)
+    iterations = programme.solver_stats.num_iters or 0
+    return Solution(start + np.asarray(step.value), duals, multipliers, str(programme.status), int(iterations))
+
+
+def _run(cp: ModuleType, programme: Any, backend: str) -> None:
+    with warnings.catch_warnings(action="ignore"):  # of inaccurate solutions: what is found is refined and checked
+        try:
+            programme.solve(solver=backend, **_SETTINGS.get(backend, {}))
+        except cp.error.SolverError as error:
+            if backend in MATRIX_SOLVERS:
+                raise SolverError("solver.backend", f"{backend} gave up ({error}); use another") from None
+            able = [name for name in cp.installed_solvers() if name in MATRIX_SOLVERS]
+            what = f"{backend} does not take matrix inequalities; use one of {', '.join(able)}"
+            raise SolverError("solver.backend", what) from None
+
+
+def _inequality(cp: ModuleType, inequality: Matrix, x: Any) -> Any:
+    interior = max(inequality.interior, APART) if inequality.interior else 0.0
+    if inequality.G.ndim == 2:
+        return inequality.G.T @ x[inequality.own] >= interior
+    return _matrix(cp, inequality.G, x[inequality.own]) >> interior * np.eye(inequality.G.shape[-1])
+
+
+def _matrix(cp: ModuleType, G: Array, x: Any) -> Any:
+    """Σ_k x_k G_k."""
+    return cp.reshape(G.reshape(len(G), -1).T @ x, G.shape[1:], order="C")
+
+
+def _cvxpy() -> ModuleType:
+    with warnings.catch_warnings(action="ignore"):  # of solvers that are installed, and broken
+        import cvxpy
+    module: ModuleType = cvxpy
+    return module

@@ -1,0 +1,182 @@
+"""How far a body may stray from its prior: the distances d(pi, pî) of (27), each without units.
+
+- euclidean: ‖pi − pî‖² in units of the body's own mass and size, or as in the paper in SI units;
+- entropic: −log det J + log det Ĵ + Tr(Ĵ⁻¹ J) − 4, the log-det Bregman divergence (Lee, Wensing & Park 2020);
+- pullback: its second-order form at the prior, ½ Tr(Ĵ⁻¹ δJ Ĵ⁻¹ δJ).
+
+The last two do not depend on units and frames. They need a prior that a body can have; where it has not, the nearest
+that is well inside takes its place.
+
+A mass is known better than an inertia: it has been on scales, or follows from volume and material, whereas an inertia
+needs to know where inside it is. Relative deviations of the mass therefore count mass_precision² times as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.metric import pullback
+
+Array = NDArray[np.float64]
+
+_INNER = 1e-3  # least second moment of a prior about its centre of mass, in units of its mass and typical size
+
+
+@dataclass(frozen=True)
+class LogDet:
+    """weight · (−log det X + Tr X − n), X = Σ_k z[first + k] G_k.
+
+    Attributes
+    ----------
+    first
+        Index in z of the first of the ten.
+    G
+        Symmetric matrices, shape (10, 4, 4); X = 1 at the prior.
+    weight
+        Of the divergence.
+    """
+
+    first: int
+    G: Array
+    weight: float
+
+    @property
+    def own(self) -> slice:
+        """The ten among z."""
+        return slice(self.first, self.first + SIZE)
+
+    @property
+    def slope(self) -> Array:
+        """Its linear part, weight · Tr G, shape (10,)."""
+        return np.asarray(self.weight * np.trace(self.G, axis1=1, axis2=2))
+
+    @property
+    def offset(self) -> float:
+        """Its constant part, −weight · n."""
+        return -self.weight * len(self.G[0])
+
+    def matrix(self, z: Array) -> Array:
+        """X, shape (4, 4)."""
+        return np.asarray(np.tensordot(z[self.own], self.G, axes=1))
+
+    def value(self, z: Array) -> float:
+        """The term; infinite where X is not positive definite."""
+        X = self.matrix(z)
+        eigenvalues = np.linalg.eigvalsh(X)
+        if eigenvalues[0] <= 0:
+            return np.inf
+        return float(self.weight * (eigenvalues - 1 - np.log(eigenvalues)).sum())
+
+    def gradient(self, z: Array) -> Array:
+        """Its derivative with respect to the ten, shape (10,)."""
+        X = self.matrix(z)
+        return np.asarray(self.weight * np.einsum("kij,ji->k", self.G, np.eye(len(X)) - np.linalg.inv(X)))
+
+    def root(self, z: Array) -> Array:
+        """A matrix whose square, root.T @ root, is the second derivative, shape (16, 10)."""
+        X = self.matrix(z)
+        inverse = np.linalg.inv(np.linalg.cholesky(X))
+        return np.asarray(np.sqrt(self.weight) * (inverse @ self.G @ inverse.T).reshape(SIZE, -1).T)
+
+
+def reference(pi: Array, scales: Array) -> Array:
+    """The parameters pi, or where no body can have them or only just, what is next to them well inside; shape (10,).
+
+    Mass and centre of mass stay, so this does not depend on the frame.
+
+    Parameters
+    ----------
+    pi
+        A body's prior, shape (10,).
+    scales
+        Units of its parameters, shape (10,).
+    """
+    unit = float(scales[1] / scales[0])
+    if pi[0] <= 0:
+        return from_mass_com_inertia(float(scales[0]), np.zeros(3), unit**2 * float(scales[0]) * np.eye(3))
+    mass, com, inertia = mass_com_inertia(pi)
+    moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)  # of Sigma_C
+    least = _INNER * mass * unit**2
+    if moments[0] >= least:
+        return pi
+    covariance = (axes * np.maximum(moments, least)) @ axes.T
+    return from_mass_com_inertia(mass, com, np.trace(covariance) * np.eye(3) - covariance)
+
+
+def moved_priors(model: LinearModel, bodies: Sequence[Body], regularization: Regularization) -> tuple[str, ...]:
+    """Names of the bodies whose distance is not from the prior itself but from its `reference`."""
+    if regularization.kind not in ("entropic", "pullback"):
+        return ()
+    scales = np.array([c.scale or 0.0 for c in model.coefficients[: SIZE * len(bodies)]]).reshape(-1, SIZE)
+    pairs = zip(bodies, scales, strict=True)
+    return tuple(body.name for body, own in pairs if not np.array_equal(reference(body.pi, own), body.pi))
+
+
+def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regularization, units: Array) -> Array:
+    """The distance as least squares, ‖rows · [theta; −1]‖²; shape (rows, p + 1), none for a divergence.
+
+    Parameters
+    ----------
+    model
+        The torque equation; its first coefficients are the bodies' parameters.
+    bodies
+        The bodies.
+    regularization
+        The prior's kind and weight.
+    units
+        Units of theta, shape (p,).
+    """
+    pull, prior = np.sqrt(regularization.number), model.prior
+    p, inertial = len(prior), SIZE * len(bodies)
+    L = np.zeros((inertial, p))
+    if regularization.kind == "euclidean":
+        np.fill_diagonal(L, pull / (units[:inertial] if regularization.units == "relative" else 1.0))
+    elif regularization.kind == "pullback":
+        prior = prior.copy()
+        for i, body in enumerate(bodies):
+            own = slice(SIZE * i, SIZE * (i + 1))
+            prior[own] = reference(body.pi, units[own])
+            M = units[own, None] * pullback(prior[own]) * units[own]
+            L[own, own] = pull * np.linalg.cholesky(M).T / units[own]
+    masses = _mass_rows(bodies, regularization, units, p)
+    return np.column_stack([np.concatenate([L, masses]), np.concatenate([L @ prior, masses @ model.prior])])
+
+
+def _mass_rows(bodies: Sequence[Body], regularization: Regularization, units: Array, p: int) -> Array:
+    """What masses count beyond their share in the distance, shape (bodies, p)."""
+    rows = np.zeros((len(bodies), p))
+    if regularization.kind == "none" or regularization.units == "si":
+        return rows
+    share = 1.0 if regularization.kind == "euclidean" else 0.5  # of a mass's relative deviation squared, in d
+    beyond = share * (regularization.masses_known_better**2 - 1)
+    for i in range(len(bodies)):
+        rows[i, SIZE * i] = np.sqrt(regularization.number * beyond) / units[SIZE * i]
+    return rows
+
+
+def log_dets(
+    model: LinearModel, bodies: Sequence[Body], regularization: Regularization, known: Knowledge, scale: Array
+) -> tuple[LogDet, ...]:
+    """The divergences of all bodies, copies too, from their priors in terms of z in units of ``scale``, shape (p',)."""
+    if regularization.kind != "entropic" or not regularization.number:
+        return ()
+    terms = []
+    for i, body in enumerate(bodies):
+        rows = known.K[SIZE * i : SIZE * (i + 1)]
+        first = int(np.flatnonzero(rows.any(axis=0))[0])
+        own = slice(first, first + SIZE)
+        units = np.array([c.scale for c in model.coefficients[SIZE * i : SIZE * (i + 1)]])
+        J = pseudo_inertia(reference(body.pi, units))
+        inverse = np.linalg.inv(np.linalg.cholesky(J))
+        G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ BASIS @ inverse.T, axes=1)
+        terms.append(LogDet(first, G, regularization.number))
+    return tuple(terms)

@@ -1,0 +1,368 @@
+"""Fits for a range of prior weights, and the weight that `auto` takes: the largest that the data do not object to.
+
+Every weight is tried on blocks of time that were not fitted. The data object to a weight
+
+- where its error on them is more than one standard error above the best weight's (Breiman et al. 1984), or
+- where it moves the fit by more than three and a half standard errors from what fits best. Residuals of real robots
+  are mostly what the model lacks, not noise, and samples of them are far from independent. So they count as many as
+  there would be samples of white noise whose mean square is as uncertain as the validation error.
+
+They never object to the weight with the least error on what was left out.
+
+All of it runs on R-factors: no log is read again. Each point is the minimiser of a barrier, tracked from the last one.
+
+Letters as in `problem`; W weights; F folds; B blocks of time; G (p' + 1, p' + 1) the Gram matrix of [A, b].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.weights import weighted_rows
+from idtool.estimation.problem.barrier import Barrier
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.robot.body import Body
+from idtool.robot.config import Regularization
+from idtool.robot.inertia import SIZE
+from idtool.robot.sets import ConstraintSet
+
+Array = NDArray[np.float64]
+
+WEIGHTS = 10.0 ** np.append(np.arange(1, -4.1, -0.5), -5)  # from the firmest
+_VALIDATED = np.append(np.arange(0, len(WEIGHTS) - 1, 2), len(WEIGHTS) - 1)  # indices of whole decades
+_FOLDS = 5
+_BLOCK_SECONDS = 1.0  # less where logs are short; a residual's correlation seldom lasts longer
+_LAGS = 3  # blocks over which errors may still be correlated
+_MOST_MOVED = 3.5  # standard errors by which a prior may move the fit
+_GAP = 1e-4  # of the cost, by which a point of the path may miss its minimum
+_LEAST_COST = 1e-4  # below which that is no smaller
+_ROUNDING = 1e-12  # of the torque's square: what is less of the residual's says nothing
+_ASSUMED_ERROR = 0.3  # relative standard error of the prior's inertias where logs are too short to ask
+
+_REASONS = {
+    "validation": "with more, blocks of time that were left out would be predicted worse by over one standard error",
+    "significance": f"with more, the fit would be moved by over {_MOST_MOVED:g} standard errors from what the data say",
+    "range": "it is the largest that is tried",
+    "untested": "the logs are too short to leave out a part, so the URDF's inertias are trusted to "
+    f"{100 * _ASSUMED_ERROR:g} %",
+}
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """Figures of the fit with one weight of the prior.
+
+    Attributes
+    ----------
+    weight
+        The weight.
+    train_error, validation_error
+        Root mean square residual on all data, and of each block of time under a fit to the others, in units of the
+        joints' noise; the latter is interpolated between decades, and NaN where logs are too short.
+    total_mass
+        Of all bodies [kg].
+    distance
+        Distance from the prior, Σ d(pi, pî) of (27) in Wensing, Kim & Slotine (2018).
+    """
+
+    weight: float
+    train_error: float
+    validation_error: float
+    total_mass: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class RegularizationPath:
+    """The fits along the weights, and the choice.
+
+    Attributes
+    ----------
+    points
+        From the smallest weight to the largest.
+    chosen
+        The fit with the chosen weight.
+    weaker, stronger
+        The fits with a tenth of the chosen weight, and with ten times it.
+    best
+        The weight with the least validation error.
+    standard_error
+        Standard error of the best weight's validation error squared; NaN where logs are too short.
+    limit
+        Why the weight is not larger: ``validation``, ``significance``, ``range`` (it is the largest tried) or
+        ``untested`` (logs are too short to leave out a part).
+    """
+
+    points: tuple[PathPoint, ...]
+    chosen: PathPoint
+    weaker: PathPoint
+    stronger: PathPoint
+    best: float
+    standard_error: float
+    limit: str
+
+    @property
+    def weight(self) -> float:
+        """The chosen weight."""
+        return self.chosen.weight
+
+    @property
+    def reason(self) -> str:
+        """Why it is not larger, in words."""
+        return _REASONS[self.limit]
+
+
+def regularization_path(
+    model: LinearModel,
+    bodies: Sequence[Body],
+    data: Sequence[Blocks],
+    sets: Sequence[ConstraintSet],
+    regularization: Regularization,
+    known: Knowledge,
+    noise: Array,
+) -> RegularizationPath:
+    """Fit with every weight of the path, and choose the largest that the data do not object to.
+
+    Parameters
+    ----------
+    model
+        The torque equation; its first coefficients are the bodies' parameters.
+    bodies
+        The bodies.
+    data
+        The logs in blocks.
+    sets
+        One set a body.
+    regularization
+        The prior's kind.
+    known
+        What is known otherwise.
+    noise
+        The joints' residual noise, shape (nv,) [N·m or N].
+
+    Raises
+    ------
+    SolverError
+        If nothing fulfils the sets and what is known exactly.
+    """
+    total = together([log.total for log in data])
+    tracker = _Tracker(model, bodies, total, sets, regularization, known, noise)
+    fits = tracker.solve(tracker.data_gram, WEIGHTS)
+    blocks = _blocks(data)
+    if len(blocks) < _FOLDS:
+        unknown = np.full(len(WEIGHTS), np.nan)
+        weight = assumed_weight(total)
+        return tracker.path(fits, unknown, weight, best_weight=np.nan, standard_error=np.nan, limit="untested")
+    sums, rows = tracker.validation_errors(blocks, fits)
+    validated = sums.sum(axis=1) / rows.sum()
+    best_validated = int(np.argmin(validated))
+    standard_error = _standard_error(sums[best_validated] / rows, rows)
+    softness = -np.log(WEIGHTS)  # which increases
+    validation = np.interp(softness, softness[_VALIDATED], validated)
+    best = int(_VALIDATED[best_validated])
+    train = tracker.mean_squares(tracker.data_gram, fits)
+    weight, limit = _largest_accepted(train, validation, best, standard_error)
+    return tracker.path(fits, validation, weight, float(WEIGHTS[best]), standard_error, limit)
+
+
+def _largest_accepted(train: Array, validation: Array, best: int, standard_error: float) -> tuple[float, str]:
+    """The largest weight that no criterion objects to, interpolated between those tried, and the one that objects next.
+
+    Parameters
+    ----------
+    train, validation
+        Mean squared residuals of each weight on all data and on what was left out, shape (W,).
+    best
+        Index of the weight with the least of the latter.
+    standard_error
+        Of that.
+    """
+    effective_samples = 2 / (standard_error / validation[best]) ** 2  # a mean square's relative variance is 2 / n
+    ratios = {  # above 1 the data object
+        "validation": validation / (validation[best] + standard_error),
+        "significance": train / (train.min() * (1 + _MOST_MOVED**2 / effective_samples)),
+    }
+    for here in range(best, 0, -1):
+        firmer = here - 1
+        crossings = {  # as a share of the way to the firmer weight, in its logarithm
+            name: float(np.clip((1 - ratio[here]) / (ratio[firmer] - ratio[here]), 0, 1))
+            for name, ratio in ratios.items()
+            if ratio[firmer] > 1
+        }
+        if crossings:
+            limit = min(crossings, key=lambda name: crossings[name])
+            factor = WEIGHTS[firmer] / WEIGHTS[here]
+            return float(WEIGHTS[here] * factor ** crossings[limit]), limit
+    return float(WEIGHTS[0]), "range"
+
+
+def assumed_weight(total: Reduction) -> float:
+    """The weight that a prior with an assumed relative error has, were noise all that the model lacks.
+
+    Of n samples of white noise, the likelihood weighs a squared error of the noise's size by 1 / n beside the mean
+    squared residual, and half a squared relative error e² / 2 of an inertia by 2 / (n e²).
+    """
+    samples = float(np.mean([factor.independent for factor in total]))
+    weight = 2 / (max(samples, 1.0) * _ASSUMED_ERROR**2)
+    return float(np.clip(weight, WEIGHTS[-1], WEIGHTS[0]))
+
+
+def _blocks(data: Sequence[Blocks]) -> list[Reduction]:
+    """The logs cut into blocks of a second, in the order of time; of short logs so many that every fold has two."""
+    seconds = sum(len(log) * log.seconds for log in data)
+    block_seconds = min(_BLOCK_SECONDS, seconds / (2 * _FOLDS))
+    blocks: list[Reduction] = []
+    for log in data:
+        blocks += log.joined(max(round(block_seconds / log.seconds), 1)).parts
+    return [block for block in blocks if any(factor.rows for factor in block)]
+
+
+def _standard_error(means: Array, rows: Array) -> float:
+    """Standard error of the weighted mean of errors that are correlated over a few blocks (Newey & West 1987)."""
+    share = rows / rows.sum()
+    deviations = share * (means - share @ means)
+    uncorrelated = float(deviations @ deviations)
+    variance = uncorrelated
+    for lag in range(1, min(_LAGS, len(deviations) - 1) + 1):
+        taper = 1 - lag / (_LAGS + 1)
+        covariance = float(deviations[lag:] @ deviations[:-lag])
+        variance += 2 * taper * covariance
+    return float(np.sqrt(max(variance, uncorrelated)))
+
+
+class _Tracker:
+    """The fits of all weights and folds, each tracked from a near one.
+
+    Attributes
+    ----------
+    model, noise
+        The torque equation, and what its rows are measured in.
+    problem
+        The problem at the weight 1, for its constraints and log-dets.
+    body_count
+        How many bodies there are.
+    data_gram
+        Gram matrix of all data, per sample.
+
+    Parameters
+    ----------
+    As of `regularization_path`; ``total`` is the data of all logs together.
+    """
+
+    def __init__(
+        self,
+        model: LinearModel,
+        bodies: Sequence[Body],
+        total: Reduction,
+        sets: Sequence[ConstraintSet],
+        regularization: Regularization,
+        known: Knowledge,
+        noise: Array,
+    ) -> None:
+        def problem_with(weight: float) -> Problem:
+            return build_problem(model, bodies, total, sets, regularization.weighing(weight), noise, known)
+
+        without_prior, self.problem = problem_with(0.0), problem_with(1.0)
+        self.model, self.noise, self.body_count = model, noise, len(bodies)
+        self.data_gram = self._gram_of_data(total)
+        gram_without_prior = _gram_of_problem(without_prior)
+        self._known_gram = gram_without_prior - self.data_gram  # of what is known otherwise
+        self._prior_gram = _gram_of_problem(self.problem) - gram_without_prior  # at the weight 1
+        gap = _GAP * max(without_prior.constant, _LEAST_COST)
+        prior = model.prior[known.free] / self.problem.scale
+        start = np.asarray(np.linalg.lstsq(self.problem.S, prior, rcond=None)[0])
+        self._barrier = Barrier(self.problem, *self._quadratic(self.data_gram, float(WEIGHTS[0])), gap, start)
+
+    def solve(self, data_gram: Array, weights: Array, starts: Array | None = None) -> Array:
+        """The x of each weight, from the largest, shape (W, m); each from its own start or from the one before."""
+        x = np.zeros((len(weights), self.problem.variables))
+        for i, weight in enumerate(weights.tolist()):
+            P, q = self._quadratic(data_gram, weight)
+            x[i] = self._barrier.move(P, q, weight, None if starts is None else starts[i])
+        return x
+
+    def _gram_of_data(self, data: Reduction) -> Array:
+        """The Gram matrix of data, in units of the noise and per sample."""
+        rows = weighted_rows(self.model, data, self.noise)
+        A = rows[:, :-1] @ self.problem.K * self.problem.scale
+        stacked = np.column_stack([A, rows[:, -1]])
+        return np.asarray(stacked.T @ stacked)
+
+    def _quadratic(self, data_gram: Array, weight: float) -> tuple[Array, Array]:
+        """The quadratic part ½ xᵀ P x − qᵀ x of the cost at a weight: P, shape (m, m), and q, shape (m,)."""
+        S = self.problem.S
+        gram = data_gram + self._known_gram + weight * self._prior_gram
+        AtA, Atb = gram[:-1, :-1], gram[:-1, -1]
+        return 2 * S.T @ AtA @ S, 2 * S.T @ Atb
+
+    def mean_squares(self, gram: Array, x: Array) -> Array:
+        """Mean squared residuals in units of the noise, of several x, shape (W, m) to (W,)."""
+        v = np.column_stack([x @ self.problem.S.T, np.full(len(x), -1.0)])  # [A, b] v is the residual
+        squares = ((v @ gram) * v).sum(axis=1)
+        rounding = _ROUNDING * gram[-1, -1]
+        return np.asarray(np.maximum(squares, rounding) / len(self.noise))
+
+    def validation_errors(self, blocks: Sequence[Reduction], x: Array) -> tuple[Array, Array]:
+        """Sums of squared residuals of each block under the fit to the other folds, shape (V, B), and its rows (B,).
+
+        V weights are tried, those of whole decades; rows count all joints' samples. The fits to all blocks, shape
+        (W, m), are where the search begins.
+        """
+        rows = np.array([sum(factor.rows for factor in block) for block in blocks], dtype=float)
+        grams = np.array([self._gram_of_data(block) for block in blocks])
+        weights, starts = WEIGHTS[_VALIDATED], x[_VALIDATED]
+        sums = np.zeros((len(weights), len(blocks)))
+        fold_of = np.arange(len(blocks)) % _FOLDS
+        for fold in range(_FOLDS):
+            training_rows = rows * (fold_of != fold)
+            training_gram = np.average(grams, axis=0, weights=training_rows)
+            fits = self.solve(training_gram, weights, starts)
+            for i in np.flatnonzero(fold_of == fold).tolist():
+                sums[:, i] = self.mean_squares(grams[i], fits) * rows[i]
+        return sums, rows
+
+    def path(
+        self, x: Array, validation: Array, weight: float, best_weight: float, standard_error: float, limit: str
+    ) -> RegularizationPath:
+        """The result: a point for each weight, from the smallest, and the chosen one with its neighbours."""
+        points = [self._point(*each) for each in zip(WEIGHTS, x, validation, strict=True)]
+        reported = weight * np.array([10.0, 1.0, 0.1])
+        apart = np.abs(np.log(WEIGHTS) - np.log(reported)[:, None])
+        fits = self.solve(self.data_gram, reported, starts=x[apart.argmin(axis=1)])
+        softness = -np.log(WEIGHTS)
+        errors = np.interp(-np.log(reported), softness, validation, left=np.nan, right=np.nan)
+        stronger, chosen, weaker = (self._point(*each) for each in zip(reported, fits, errors, strict=True))
+        return RegularizationPath(tuple(points[::-1]), chosen, weaker, stronger, best_weight, standard_error, limit)
+
+    def _point(self, weight: float, x: Array, validation: float) -> PathPoint:
+        """The figures of the fit x with a weight, and its mean squared error on what was left out."""
+        z = self.problem.S @ x
+        v = np.append(z, -1.0)
+        quadratic = float(v @ self._prior_gram @ v)
+        log_dets = sum(term.value(z) for term in self.problem.log_dets)
+        parameters = self.problem.theta(z)
+        masses = parameters[: SIZE * self.body_count : SIZE]  # a body's first parameter
+        train = float(self.mean_squares(self.data_gram, x[None])[0])
+        return PathPoint(
+            weight=float(weight),
+            train_error=float(np.sqrt(train)),
+            validation_error=float(np.sqrt(validation)),
+            total_mass=float(masses.sum()),
+            distance=quadratic + log_dets,
+        )
+
+
+def _gram_of_problem(problem: Problem) -> Array:
+    """The Gram matrix of the rows of a problem's quadratic part, with what least squares leave of b in the corner."""
+    rows = np.zeros((len(problem.b) + 1, len(problem.b) + 1))
+    rows[:-1] = np.column_stack([problem.A, problem.b])
+    rows[-1, -1] = np.sqrt(problem.constant)
+    return np.asarray(rows.T @ rows)

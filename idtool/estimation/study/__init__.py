@@ -1,0 +1,1 @@
+"""Constraint sets, priors and estimators side by side on the same data."""

@@ -1,0 +1,232 @@
+"""The validation error against the number of training samples, for several constraint sets: the paper's Fig. 5.
+
+The log is read once: its samples' rows go into a pool of bounded size, and a draw of n samples is the R-factor of n of
+them, merged from that of fewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import SolverError
+from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.problem import Problem
+from idtool.robot.inertia import SIZE, pseudo_inertia
+
+Array = NDArray[np.float64]
+
+_POOL = 4096  # samples that draws are taken from, at random from all: a log of any length fits into memory
+_MORE = 4  # times as many draws of few samples
+_STEPS = (1, 3)  # times a power of ten: the counts
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Rows of single samples.
+
+    Attributes
+    ----------
+    blocks
+        Per joint, columns and torque in the band, shape (m_j + 1, samples).
+    kept
+        Per joint, whether the sample counts, shape (samples,).
+    worth
+        How many independent ones each sample is worth, shape (samples,).
+    whole
+        Whether these are all samples.
+    """
+
+    blocks: list[Array]
+    kept: list[NDArray[np.bool_]]
+    worth: Array
+    whole: bool = True
+
+    def reduction(self, chosen: NDArray[np.intp]) -> Reduction:
+        """The R-factors of some of the samples."""
+        factors = []
+        for block, kept in zip(self.blocks, self.kept, strict=True):
+            own = chosen[kept[chosen]]
+            factors.append(replace(Factor.of(block[:, own]), independent=float(self.worth[own].sum())))
+        return tuple(factors)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a constraint set makes of few and of many samples; each shape (counts,), over the draws.
+
+    Attributes
+    ----------
+    median, lower, upper
+        Median and quartiles of the RMS validation error over all joints [N·m or N].
+    violation
+        Median of the worst body's violation of realizability: the least eigenvalue of its pseudo-inertia, in units of
+        its typical mass and size, where that is negative.
+    advantage, advantage_error
+        Mean over the draws of log(error of the first set / this set's), both from the same samples, and its standard
+        error: pairs show what the spread of the draws hides. NaN where less than two draws were solved.
+    unsolved
+        Draws that the solver gave up on.
+    """
+
+    median: Array
+    lower: Array
+    upper: Array
+    violation: Array
+    advantage: Array
+    advantage_error: Array
+    unsolved: int
+
+
+def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress) -> tuple[Reduction, Pool]:
+    """The training data as R-factors, and samples drawn from it at random; one pass over the logs.
+
+    Raises
+    ------
+    LogError
+        If nothing is left to fit a joint to.
+    """
+    total = empty(experiment.equation.active())
+    pool: Pool | None = None
+    keys, samples = np.zeros(0), 0
+    for run in experiment.runs:
+        stage = f"reading {run.signals.log.path.name}"
+        for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
+            blocks, kept = experiment.equation.rows(batch)
+            everything = np.arange(blocks[0].shape[1])
+            worth = np.full(len(everything), 1 / run.signals.low_pass.redundancy)
+            new = Pool(blocks, kept, worth)
+            total = merge(total, new.reduction(everything))
+            samples += len(everything)
+            # Every sample draws a random key; the pool is those with the least ones.
+            keys = np.concatenate([keys, rng.random(len(everything))])
+            if pool is not None:
+                blocks = [np.concatenate(pair, axis=1) for pair in zip(pool.blocks, blocks, strict=True)]
+                kept = [np.concatenate(pair) for pair in zip(pool.kept, kept, strict=True)]
+                worth = np.concatenate([pool.worth, worth])
+            least = np.argsort(keys)[:_POOL]
+            keys = keys[least]
+            chosen = [block[:, least] for block in blocks], [k[least] for k in kept]
+            pool = Pool(*chosen, worth[least], samples <= _POOL)
+    experiment.checked(total)
+    if pool is None:
+        raise AssertionError  # ruled out by the check
+    return total, pool
+
+
+def held_out(experiment: Experiment, progress: Progress) -> Reduction:
+    """The held-out data as R-factors, every sample counting for every joint."""
+    total = empty(experiment.equation.active())
+    for run in experiment.runs:
+        for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
+            blocks, _ = experiment.equation.rows(batch)
+            total = merge(total, tuple(Factor.of(block) for block in blocks))
+    return total
+
+
+def counts(samples: int) -> list[int]:
+    """1, 3, 10, 30, … up to a number of samples, and that number."""
+    powers = range(len(str(samples)))
+    return [*(c for k in powers for s in _STEPS if (c := s * 10**k) < samples), samples]
+
+
+def learn(
+    pool: Pool,
+    total: Reduction,
+    validation: Reduction,
+    active: Sequence[NDArray[np.intp]],
+    state: dict[str, Callable[[Reduction], Problem]],
+    draws: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[list[int], dict[str, Curve]]:
+    """The curves of several constraint sets, all from the same draws.
+
+    Parameters
+    ----------
+    pool
+        Samples to draw from, each draw's larger counts around its smaller ones.
+    total
+        All training data, at the end of each curve.
+    validation
+        The data that the error is on.
+    active
+        Per joint, its coefficients.
+    state
+        By set, what states the problem for a reduction.
+    draws
+        How many; four times as many where there are fewer samples than parameters, where errors spread widely.
+    rng
+        Source of the draws.
+    progress
+        Told how far it has come.
+
+    Returns
+    -------
+    The counts of samples, and a curve a set.
+    """
+    steps = counts(pool.blocks[0].shape[1])
+    few = sum(count < int(np.max(np.concatenate(active))) for count in steps)
+    results = {name: np.full((_MORE * draws, len(steps), 2), np.nan) for name in state}
+    for draw in range(_MORE * draws):
+        order = rng.permutation(steps[-1])
+        data, first = empty(active), 0
+        for k, count in enumerate(steps[: few if draw >= draws else None]):
+            data, first = merge(data, pool.reduction(order[first:count])), count
+            for name, problem in state.items():
+                results[name][draw, k] = _outcome(problem(data), validation, active)
+        progress("drawing samples", (draw + 1) / (_MORE * draws))
+    curves = {
+        name: [result[: _MORE * draws if k < few else draws, k] for k in range(len(steps))]
+        for name, result in results.items()
+    }
+    if not pool.whole:
+        steps = [*steps, max(factor.rows for factor in total)]
+        for name, problem in state.items():
+            curves[name].append(np.array([_outcome(problem(total), validation, active)]))
+    against = next(iter(curves.values()))
+    return steps, {name: _curve(columns, against) for name, columns in curves.items()}
+
+
+def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
+    """RMS validation error over all joints, and the worst violation of realizability; NaN where not solved."""
+    try:
+        x, _ = solve(problem)
+    except SolverError:
+        return np.nan, np.nan
+    z = problem.S @ x
+    return rms(validation, active, problem.theta(z))[-1], violation(problem, z)
+
+
+def rms(data: Reduction, active: Sequence[NDArray[np.intp]], theta: Array) -> Array:
+    """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
+    squares = [f.squares(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
+    return np.asarray(np.sqrt([*map(float, squares), float(np.mean(squares))]))
+
+
+def violation(problem: Problem, z: Array) -> float:
+    """How far the worst body is from full consistency, in units of its typical mass and size; 0 where all can be."""
+    inertial = np.setdiff1d(np.arange(len(z)), problem.others)
+    least = np.linalg.eigvalsh(pseudo_inertia(z[inertial].reshape(-1, SIZE)))[:, 0]
+    return max(-float(least.min()), 0.0)
+
+
+def _curve(columns: Sequence[Array], first: Sequence[Array]) -> Curve:
+    """What the errors and violations of a set and of the first one, shape (draws, 2) for each count, come to."""
+    solved = [column[~np.isnan(column[:, 0])] for column in columns]
+    quartiles = [np.quantile(c[:, 0], [0.25, 0.5, 0.75]) if len(c) else np.full(3, np.nan) for c in solved]
+    lower, median, upper = np.transpose(quartiles)
+    worst = np.array([np.median(c[:, 1]) if len(c) else np.nan for c in solved])
+    advantage, error = np.full((2, len(columns)), np.nan)
+    for k, (own, other) in enumerate(zip(columns, first, strict=True)):
+        ratio = np.log(other[:, 0] / own[:, 0])
+        ratio = ratio[~np.isnan(ratio)]
+        if len(ratio) > 1:
+            advantage[k], error[k] = ratio.mean(), ratio.std(ddof=1) / np.sqrt(len(ratio))
+    unsolved = sum(len(c) - len(s) for c, s in zip(columns, solved, strict=True))
+    return Curve(median, lower, upper, worst, advantage, error, unsolved)

@@ -1,0 +1,243 @@
+"""Every constraint set and every estimator side by side on the same data (contract, section 4).
+
+The paper's sets with solve times and violations of realizability, its Fig. 5 and Remark 5. The logs are read once; all
+else are small problems on R-factors.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import ConfigError, SolverError
+from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.weights import free_noise, weighted_rows
+from idtool.estimation.evaluation.validation import Evaluation, evaluate
+from idtool.estimation.online.adapt import adapt, convergence, time_to
+from idtool.estimation.problem.certificate import Certificate
+from idtool.estimation.problem.identify import solve, solve_locally
+from idtool.estimation.problem.local import LOCAL
+from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.study.learning import Curve, gather, held_out, learn
+from idtool.robot.config import WEAK
+from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
+
+Array = NDArray[np.float64]
+
+CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
+PRIORS = ("euclidean", "pullback", "entropic")
+DRAWS = 40
+_FORGETTING = np.inf  # the parameters of a log do not change
+_REPEATS = 3  # of a solution, for its time
+_PATIENCE = 1.0  # s, for all of them
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One way to identify the model.
+
+    Attributes
+    ----------
+    sets
+        The constraint set of each body.
+    theta
+        The coefficients, SI, shape (p,).
+    certificate
+        The check of the solution.
+    seconds
+        Median wall time of the solution.
+    least
+        Least eigenvalue of each body's pseudo-inertia, in units of its typical mass and size, shape (bodies,).
+    """
+
+    sets: tuple[ConstraintSet, ...]
+    theta: Array
+    certificate: Certificate
+    seconds: float
+    least: Array
+
+
+@dataclass(frozen=True)
+class Online:
+    """The adaptive estimator's parameter error over time, relative to that of the prior.
+
+    Attributes
+    ----------
+    t
+        Seconds of log, shape (T,).
+    error
+        By set, shape (T,) each.
+    settled
+        By set, when the error falls below a tenth for good [s]; None: never.
+    """
+
+    t: Array
+    error: dict[str, Array]
+    settled: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What the data make of every constraint set and estimator.
+
+    Attributes
+    ----------
+    experiment
+        Model and data.
+    sets, estimators
+        Outcomes by name: constraint sets with the configuration's prior; priors and local solvers.
+    train, validation
+        Errors of all these models under their names; the first one's curves are for drawing.
+    counts, curves, draws
+        The validation error against numbers of samples.
+    online
+        Remark 5.
+    warnings
+        What a user should know, a plain sentence each.
+    seconds
+        Wall time of everything.
+    """
+
+    experiment: Experiment
+    sets: dict[str, Outcome]
+    estimators: dict[str, Outcome]
+    train: Evaluation
+    validation: Evaluation
+    counts: list[int]
+    curves: dict[str, Curve]
+    draws: int
+    online: Online
+    warnings: tuple[str, ...]
+    seconds: float
+
+
+def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Study:
+    """Identify in every way.
+
+    Parameters
+    ----------
+    experiment
+        Model and data, some of it held out.
+    progress
+        Told the stage and how far it has come.
+    draws
+        Random draws of samples for each count; four times as many where there are fewer samples than parameters.
+
+    Raises
+    ------
+    ConfigError
+        If nothing is held out.
+    LogError
+        If nothing is left to fit a joint to.
+    """
+    started = time.perf_counter()
+    experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
+    validation = held_out(experiment, progress)
+    if not validation[0].rows:
+        raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
+    rng = np.random.default_rng(experiment.config.seed)
+    equation = experiment.equation
+    total, pool = gather(experiment, rng, progress)
+    noise = free_noise(equation, total, experiment.known)
+    warnings = [*experiment.warnings, *(delay.warnings if delay else ())]
+    names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
+    state = {name: _stating(experiment, name, noise) for name in names}
+    problems = {name: state[name](total) for name in names}
+    ways = {name: partial(_solved, experiment, name, p, partial(solve, p)) for name, p in problems.items()}
+    sets = _outcomes(ways, warnings, progress)
+    estimators = _outcomes(_estimators(experiment, total, noise), warnings, progress)
+    theta = {**{f"set {k}": o.theta for k, o in sets.items()}, **{k: o.theta for k, o in estimators.items()}}
+    tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
+    models = {"identified": sets[tightest].theta, "prior": equation.prior, **theta}
+    evaluations = [evaluate(experiment, models, held, progress, angles=held) for held in (False, True)]
+    drawn = {name: state[name] for name in CURVES if name in state}
+    counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)
+    unsolved = {name: curve.unsolved for name, curve in curves.items() if curve.unsolved}
+    if unsolved:
+        warnings.append(f"draws that the solver gave up on: {', '.join(f'{n} {k}' for n, k in unsolved.items())}")
+    rows = weighted_rows(equation, total, noise)[:, :-1]
+    online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)
+    return Study(
+        *(experiment, sets, estimators, evaluations[0], evaluations[1], counts, curves, draws, online),
+        *(tuple(warnings), time.perf_counter() - started),
+    )
+
+
+def _weakly_regularized(experiment: Experiment) -> Experiment:
+    """The same with a number for the prior's weight: what an automatic one chooses would hide what a set does."""
+    regularization = experiment.config.regularization.or_weak()
+    return replace(experiment, config=experiment.config.model_copy(update={"regularization": regularization}))
+
+
+def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduction], Problem]:
+    """What states the problem of a constraint set for a reduction."""
+    equation, bodies, config = experiment.equation, experiment.model.bodies, experiment.config
+    sets = [choose_set(body, name) for body in bodies]
+
+    def state(data: Reduction) -> Problem:
+        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.known)
+
+    return state
+
+
+def _solved(
+    experiment: Experiment, name: str, problem: Problem, attempt: Callable[[], tuple[Array, Certificate]]
+) -> Outcome:
+    seconds: list[float] = []
+    while len(seconds) < _REPEATS and sum(seconds) < _PATIENCE:
+        started = time.perf_counter()
+        x, certificate = attempt()
+        seconds.append(time.perf_counter() - started)
+    theta = problem.theta(problem.S @ x)
+    sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
+    units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
+    J = pseudo_inertia((theta[: len(units)] / units).reshape(-1, SIZE))
+    least = np.asarray(np.linalg.eigvalsh(J)[:, 0], dtype=float)
+    return Outcome(sets, theta, certificate, float(np.median(seconds)), least)
+
+
+def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str], progress: Progress) -> dict[str, Outcome]:
+    """What comes of every way that works; of the others, why not."""
+    found = {}
+    for done, (name, way) in enumerate(ways.items()):
+        progress(f"solving {name}", done / len(ways))
+        try:
+            found[name] = way()
+        except SolverError as error:
+            warnings.append(f"{name}: {error}")
+    return found
+
+
+def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], Outcome]]:
+    """Every prior on the ellipsoids, and the local solvers on the set that they know."""
+    equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
+    weighted = given.model_copy(update={"weight": given.number or WEAK.number, "units": "relative"})
+    ways: dict[str, Callable[[], Outcome]] = {}
+    for name in (*PRIORS, *LOCAL):
+        kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})
+        chosen = "full" if name in LOCAL else "ellipsoid"
+        sets = [choose_set(body, chosen) for body in bodies]
+        problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)
+        start = equation.prior[experiment.known.free] / problem.scale
+        attempt = partial(solve_locally, problem, name, start) if name in LOCAL else partial(solve, problem)
+        ways[name] = partial(_solved, experiment, chosen, problem, attempt)
+    return ways
+
+
+def _online(experiment: Experiment, names: list[str], target: Array, rows: Array, progress: Progress) -> Online:
+    """Remark 5: how soon the adaptive estimator comes to what the data say in the end."""
+    t: Array = np.zeros(0)
+    error: dict[str, Array] = {}
+    for name in names:
+        sets = [choose_set(body, name) for body in experiment.model.bodies]
+        adaptation = adapt(experiment, sets, _FORGETTING, progress=progress)
+        t, error[name] = adaptation.t, convergence(adaptation, target, rows)
+    return Online(t, error, {name: time_to(t, e) for name, e in error.items()})

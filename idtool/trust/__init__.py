@@ -1,5 +1,0 @@
-"""How far to trust a fit: standard errors, what each number rests on, logs against each other, bias, prediction."""
-
-from idtool.trust.inquiry import Trust, trust
-
-__all__ = ["Trust", "trust"]
