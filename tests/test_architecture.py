@@ -34,7 +34,7 @@ ORDER = (
     "diagnosis_words",
     "diagnosis_report",
     "pages",
-    "starting",
+    "setup",
     "api",
     "terminal",
     "cli",

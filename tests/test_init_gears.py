@@ -16,8 +16,8 @@ from idtool.robot.config import Config
 from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.starting.bounds import find_bounds
-from idtool.starting.gears import gear_ratios, rotor_links, rotor_template, solid_ellipsoid
+from idtool.setup.bounds import find_bounds
+from idtool.setup.gears import gear_ratios, rotor_links, rotor_template, solid_ellipsoid
 
 Read = Callable[[str | bytes], Robot]
 

@@ -18,7 +18,7 @@ from starts import arm, as_csv, as_states, robot
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.starting.recorded import Recorded, recorded
+from idtool.setup.recorded import Recorded, recorded
 
 MIMIC = (
     '<link name="finger"/><joint name="close" type="revolute"><parent link="tool"/><child link="finger"/>'

@@ -12,10 +12,10 @@ import pytest
 from imposed import silent
 
 from idtool.data.logs import Log, make_log
-from idtool.starting import seen
-from idtool.starting.bench import Verdict
-from idtool.starting.seen import shortened
-from idtool.starting.trials import Found, Terms, try_out
+from idtool.setup import seen
+from idtool.setup.bench import Verdict
+from idtool.setup.seen import shortened
+from idtool.setup.trials import Found, Terms, try_out
 
 Errors = Callable[[Terms], Sequence[float]]  # mean square per joint, of the parts to fit or of the held-out ones
 

@@ -15,7 +15,7 @@ from idtool.cli.options import JsonOption, LogsArgument, QuietOption, UrdfArgume
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from idtool.starting import Start
+    from idtool.setup import Start
 
 
 @app.command("init", rich_help_panel=FIRST, epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
@@ -39,7 +39,7 @@ def init_command(
     from idtool.common.safe_yaml import read_yaml
     from idtool.data.description import robot_and_logs
     from idtool.report import HEADER
-    from idtool.starting import start
+    from idtool.setup import start
     from idtool.terminal import Terminal
     from idtool.terminal.init import show_start
 

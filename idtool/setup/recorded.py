@@ -17,8 +17,8 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Joint, Robot
-from idtool.starting.doubts import doubts
-from idtool.starting.seen import Seen, find_topic, see
+from idtool.setup.doubts import doubts
+from idtool.setup.seen import Seen, find_topic, see
 
 _LEAST_BAND = 5.0  # Hz: below it, friction at reversals is blurred into everything else
 # Torque that is computed from a command holds kp times the noise of q, which at ω looks like an inertia of kp / ω².

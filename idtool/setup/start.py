@@ -13,14 +13,14 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.starting import sections, terms
-from idtool.starting.bounds import find_bounds, search_paths
-from idtool.starting.draft import Draft
-from idtool.starting.gears import gear_ratios, rotor_links
-from idtool.starting.recorded import recorded
-from idtool.starting.records import Left, Section, Start
-from idtool.starting.text import one_line, written
-from idtool.starting.trials import Workshop, try_out
+from idtool.setup import sections, terms
+from idtool.setup.bounds import find_bounds, search_paths
+from idtool.setup.draft import Draft
+from idtool.setup.gears import gear_ratios, rotor_links
+from idtool.setup.recorded import recorded
+from idtool.setup.records import Left, Section, Start
+from idtool.setup.text import one_line, written
+from idtool.setup.trials import Workshop, try_out
 
 _SECTIONS: Mapping[str, Callable[[Draft], Section | None]] = {
     "joints": sections.joints,

@@ -1,6 +1,6 @@
 """A first configuration: all that URDF and logs tell, each piece with a word on where it came from."""
 
-from idtool.starting.records import Left, Section, Start, Trial
-from idtool.starting.start import start
+from idtool.setup.records import Left, Section, Start, Trial
+from idtool.setup.start import start
 
 __all__ = ["Left", "Section", "Start", "Trial", "start"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from idtool.common.names import some
 from idtool.robot.urdf.reading import Joint, Robot
-from idtool.starting.seen import Seen
+from idtool.setup.seen import Seen
 
 _FAR = 0.5  # of a joint's range: further beyond its limits than a zero that is off takes it
 

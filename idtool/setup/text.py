@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from idtool.common.outputs import as_yaml
-from idtool.starting.records import Section
+from idtool.setup.records import Section
 
 _WIDTH = 116  # characters of a line, less those of a comment's sign
 

@@ -21,8 +21,8 @@ from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
 from idtool.robot.config import Config, parse_config
 from idtool.robot.urdf.reading import Robot
-from idtool.starting.bench import Bench, Verdict
-from idtool.starting.records import Trial
+from idtool.setup.bench import Bench, Verdict
+from idtool.setup.records import Trial
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
-from idtool.starting.bounds import Bounds
-from idtool.starting.recorded import Recorded
-from idtool.starting.trials import Found
+from idtool.setup.bounds import Bounds
+from idtool.setup.recorded import Recorded
+from idtool.setup.trials import Found
 
 _UNITS = {  # of a turning joint, and of a sliding one
     "torque": ("N·m", "N"),

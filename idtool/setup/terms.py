@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import some
-from idtool.starting.bounds import search_paths
-from idtool.starting.draft import Draft
-from idtool.starting.gears import rotor_template, solid_ellipsoid
-from idtool.starting.records import Section
-from idtool.starting.sections import errors
-from idtool.starting.trials import Found
+from idtool.setup.bounds import search_paths
+from idtool.setup.draft import Draft
+from idtool.setup.gears import rotor_template, solid_ellipsoid
+from idtool.setup.records import Section
+from idtool.setup.sections import errors
+from idtool.setup.trials import Found
 
 
 def rotors(draft: Draft) -> Section:

@@ -6,10 +6,10 @@ from typing import Any
 
 from idtool.common.names import some
 from idtool.robot.config import Config
-from idtool.starting.draft import Draft
-from idtool.starting.records import Section, Trial
-from idtool.starting.seen import MOST
-from idtool.starting.trials import HOLDOUT
+from idtool.setup.draft import Draft
+from idtool.setup.records import Section, Trial
+from idtool.setup.seen import MOST
+from idtool.setup.trials import HOLDOUT
 
 HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MOST} samples, where there are more)"
 
