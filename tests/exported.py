@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import inertial, joint
 
-from idtool.export import Export, Identified, Part, identified
+from idtool.reporting.export import Export, Identified, Part, identified
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

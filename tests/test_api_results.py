@@ -304,7 +304,7 @@ def test_progress_is_told_and_silent_by_default(out: Path, capsys: pytest.Captur
 
 
 def test_figures_show_the_pages_curves(result: idtool.FitResult) -> None:
-    from idtool.pages import curves
+    from idtool.reporting.pages import curves
 
     figure = result.plot()
     (view,) = curves(result._fit.validation, "identified", dict.fromkeys(JOINTS, "N·m"))["logs"]

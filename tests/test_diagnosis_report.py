@@ -20,10 +20,10 @@ from rich.console import Console
 from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step
 from idtool.diagnosis.words import doubted
-from idtool.diagnosis_report import diagnosis_report, gap_closed
 from idtool.estimation.fit import Fit
-from idtool.terminal import Terminal
-from idtool.terminal.diagnosis import show_diagnosis
+from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
+from idtool.reporting.terminal import Terminal
+from idtool.reporting.terminal.diagnosis import show_diagnosis
 
 STEP = (
     *("effect", "joint", "link", "parameters", "standard_error", "where", "evidence"),

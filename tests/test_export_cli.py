@@ -14,7 +14,7 @@ from exported import EXACT, InMujoco
 from robots import chain, link
 
 from idtool.dynamics.simulation.dynamics import Dynamics
-from idtool.export import identified, to_drake, to_mujoco
+from idtool.reporting.export import identified, to_drake, to_mujoco
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

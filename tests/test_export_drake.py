@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, random_urdf
 
-from idtool.export import Export, to_drake, to_mujoco
+from idtool.reporting.export import Export, to_drake, to_mujoco
 from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]

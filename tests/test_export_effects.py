@@ -14,7 +14,7 @@ from reference import Reference
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import JointTerm, known_effects
 from idtool.dynamics.mechanism import Gear, Mechanism, TorqueSensor
-from idtool.export import Export, to_drake, to_mujoco
+from idtool.reporting.export import Export, to_drake, to_mujoco
 from idtool.robot.inertia import from_mass_com_inertia
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from reference import Reference
 from robots import chain, link
 
 from idtool.common.exceptions import ModelError
-from idtool.export import to_drake, to_mujoco
+from idtool.reporting.export import to_drake, to_mujoco
 from idtool.robot.urdf.reading import read_robot
 
 

@@ -16,7 +16,7 @@ from reference import Reference
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.simulation.integrate import Rollouts
-from idtool.export import Identified, to_mujoco
+from idtool.reporting.export import Identified, to_mujoco
 
 Array = NDArray[np.float64]
 

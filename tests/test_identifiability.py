@@ -20,11 +20,11 @@ from idtool.estimation.problem.identify import Estimate, identify
 from idtool.estimation.uncertainty.base import BaseParameters
 from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination, identifiability
 from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
+from idtool.reporting.trust_report import basis_text, combination_name
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.trust_report import basis_text, combination_name
 
 Array = NDArray[np.float64]
 Robots = Callable[[str], Robot]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete
 
-from idtool.pages import adapt_page
-from idtool.pages.adapt import settling_time
-from idtool.pages.charts import significant, thinned
+from idtool.reporting.pages import adapt_page
+from idtool.reporting.pages.adapt import settling_time
+from idtool.reporting.pages.charts import significant, thinned
 
 JOINTS = (SCRIPT, SLIDE)
 BODIES = (BODY, "thigh", "shank")

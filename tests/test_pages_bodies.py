@@ -13,8 +13,8 @@ import pytest
 from pages import BODY, SCRIPT, Page, body_of
 
 import idtool
-from idtool.pages.base import render
-from idtool.pages.bodies import body_views
+from idtool.reporting.pages.base import render
+from idtool.reporting.pages.bodies import body_views
 from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.shapes import known_shapes
 

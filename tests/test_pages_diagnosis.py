@@ -14,10 +14,10 @@ from pages import SCRIPT, Page, complete, evaluation_of
 from replays import experiment_of, replay_of
 
 from idtool.diagnosis.records import Diagnosis, Level, Where
-from idtool.diagnosis_report import diagnosis_report
 from idtool.estimation.fit import Fit
-from idtool.pages import diagnosis_page, number
-from idtool.pages.diagnosis import parameter_texts
+from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.pages import diagnosis_page, number
+from idtool.reporting.pages.diagnosis import parameter_texts
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import jinja2
 import pytest
 
 import idtool
-from idtool.pages import by_unit, metres, number, percent, with_error
+from idtool.reporting.pages import by_unit, metres, number, percent, with_error
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from replays import experiment_of, replay_of
 
 from idtool.estimation.evaluation.replay import Departure, Replay
 from idtool.estimation.evaluation.simulation_report import simulation_report
-from idtool.pages import validation_page
-from idtool.report import validation_report
+from idtool.reporting.pages import validation_page
+from idtool.reporting.report import validation_report
 
 Array = NDArray[np.float64]
 

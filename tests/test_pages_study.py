@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, complete, evaluation_of, study_of
 
-from idtool.pages import study_page
-from idtool.pages.study import Learning, learning
+from idtool.reporting.pages import study_page
+from idtool.reporting.pages.study import Learning, learning
 
 JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")

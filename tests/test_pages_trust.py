@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, basis_of, trust_of
 
-from idtool.pages import by_unit
-from idtool.pages.base import render
-from idtool.pages.trust import BASE, BIAS, LOGS, RESTS, between, trust_view, with_trust
+from idtool.reporting.pages import by_unit
+from idtool.reporting.pages.base import render
+from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, between, trust_view, with_trust
 
 JOINTS = "Joints", "friction.html"
 SECTIONS = (("Found", "trust_findings.html"), JOINTS, RESTS, BASE, LOGS, BIAS)

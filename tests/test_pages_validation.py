@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pages import Page, complete, evaluation_of
 
 from idtool.estimation.evaluation.validation import Evaluation
-from idtool.pages import merged, rounded, validation_page
-from idtool.report import validation_report
+from idtool.reporting.pages import merged, rounded, validation_page
+from idtool.reporting.report import validation_report
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from commands import LEG, VALIDATE_CSV, idtool
 from numpy.typing import NDArray
 
 from idtool.estimation.evaluation.envelope import Trace
-from idtool.rerun_recording import Take, rerun_recording, take
+from idtool.reporting.rerun_recording import Take, rerun_recording, take
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import read_robot
 

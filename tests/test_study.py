@@ -21,10 +21,10 @@ from idtool.estimation.fit import fit
 from idtool.estimation.problem.certificate import GAP
 from idtool.estimation.study import study as module
 from idtool.estimation.study.study import Study, study
+from idtool.reporting.study_report import study_report
 from idtool.robot.config import WEAK, parse_config, read_config
 from idtool.robot.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
 from idtool.robot.urdf.reading import read_robot
-from idtool.study_report import study_report
 
 Array = NDArray[np.float64]
 

@@ -19,12 +19,12 @@ from rich.console import Console
 from idtool.cli.export import _show as show_export
 from idtool.diagnosis.faults import Fault
 from idtool.diagnosis.records import Diagnosis
-from idtool.diagnosis_report import diagnosis_report
-from idtool.export import Export, Part
-from idtool.pages import diagnosis_page
-from idtool.terminal import Terminal
-from idtool.terminal.diagnosis import show_diagnosis
-from idtool.terminal.simulation import show_simulation
+from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.export import Export, Part
+from idtool.reporting.pages import diagnosis_page
+from idtool.reporting.terminal import Terminal
+from idtool.reporting.terminal.diagnosis import show_diagnosis
+from idtool.reporting.terminal.simulation import show_simulation
 
 CODE = re.compile(r"\x1b\[([\d;?]*)([a-zA-Z])")
 COLOURS = {str(code) for code in (*range(30, 50), *range(90, 108))}

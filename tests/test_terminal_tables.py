@@ -17,15 +17,15 @@ from commands import LEG, csv_text, idtool, sample_table
 from diagnoses import candidate, diagnosis_of, faulty, fits, step_of
 from rich.text import Text
 
-from idtool.diagnosis_report import diagnosis_report
 from idtool.estimation.regression import Outcome
-from idtool.terminal import Terminal
-from idtool.terminal.base import new_table
-from idtool.terminal.diagnosis import show_diagnosis
-from idtool.terminal.init import show_start
-from idtool.terminal.study import show_study
-from idtool.terminal.tables import Table, Words
-from idtool.terminal.validation import show_regression
+from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.terminal import Terminal
+from idtool.reporting.terminal.base import new_table
+from idtool.reporting.terminal.diagnosis import show_diagnosis
+from idtool.reporting.terminal.init import show_start
+from idtool.reporting.terminal.study import show_study
+from idtool.reporting.terminal.tables import Table, Words
+from idtool.reporting.terminal.validation import show_regression
 
 NAMES = {"abad": "left_shoulder_pitch_joint", "hip": "panda_joint3", "knee": "FL_calf_joint"}
 WIDTHS = (60, 80, 200)

@@ -14,7 +14,7 @@ from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import fit
 from idtool.estimation.uncertainty import Trust, scatter
 from idtool.estimation.uncertainty.uncertainty import Directions, Uncertainty
-from idtool.report import fit_report
+from idtool.reporting.report import fit_report
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

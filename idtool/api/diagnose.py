@@ -17,9 +17,9 @@ from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes,
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.records import Diagnosis
-from idtool.diagnosis_report import diagnosis_report
-from idtool.diagnosis_words import on
-from idtool.report import model_config
+from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.diagnosis_words import on
+from idtool.reporting.report import model_config
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -118,7 +118,7 @@ class DiagnosisResult(Saved):
         return self._write(folder, made_by, (SETTINGS, IDENTIFIED) if report_only else ())
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.pages import diagnosis_page
+        from idtool.reporting.pages import diagnosis_page
 
         last = self._diagnosis.last
         urdf = last.experiment.model.robot.path.name
@@ -139,7 +139,7 @@ class DiagnosisResult(Saved):
     def plot(self) -> Figure:
         """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""
         from idtool.api.plots import gap_figure
-        from idtool.pages.residuals import gap_views
+        from idtool.reporting.pages.residuals import gap_views
 
         return gap_figure(gap_views(self._report))
 

@@ -19,13 +19,13 @@ from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as identify
 from idtool.estimation.identified import Method
-from idtool.report import fit_report, model_config
+from idtool.reporting.report import fit_report, model_config
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.records import Recorded
-    from idtool.pages.fit import Maps
+    from idtool.reporting.pages.fit import Maps
 
 
 _SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")  # what no model mends
@@ -69,7 +69,7 @@ class FitResult(Saved):
         return Model.identified(self._fit)
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.pages import fit_page
+        from idtool.reporting.pages import fit_page
 
         urdf = self._fit.experiment.model.robot.path.name
         header = f"Identified by idtool from {urdf}; with identified.urdf it is the identified model."
@@ -99,7 +99,7 @@ class FitResult(Saved):
             If there are not so many.
         """
         from idtool.api.plots import torque_figure
-        from idtool.pages import curves
+        from idtool.reporting.pages import curves
 
         evaluation = self._fit.train if self.rms.validation is None else self._fit.validation
         return torque_figure(curves(evaluation, "identified", self._report["units"]), log)

@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 
 from idtool.api.records import Array
 from idtool.estimation.evaluation.envelope import Envelope
-from idtool.pages.curves import drawn
+from idtool.reporting.pages.curves import drawn
 
 _MOST_VALUES = 80_000  # that all curves of a figure hold together
 _JOINT = 300  # px, of a joint's plots
@@ -39,7 +39,7 @@ def torque_figure(view: Mapping[str, Any], log: int) -> go.Figure:
     Parameters
     ----------
     view
-        From `idtool.pages.curves`.
+        From `idtool.reporting.pages.curves`.
     log
         Which of its logs.
 
@@ -85,7 +85,7 @@ def gap_figure(view: Mapping[str, Any]) -> go.Figure:
     Parameters
     ----------
     view
-        From `idtool.pages.residuals.gap_views`.
+        From `idtool.reporting.pages.residuals.gap_views`.
     """
     joints, names = view["joints"], view["names"]
     kinds = ["torque", *(["rollout"] if any(joint["rollout"] for joint in joints) else [])]

@@ -13,7 +13,7 @@ from idtool.common.outputs import write_all
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
-from idtool.rerun_recording import rerun_recording, take
+from idtool.reporting.rerun_recording import rerun_recording, take
 from idtool.robot.model import Model
 
 _MEASURED = {"measured": "torque/measured", "residual": "torque/residual", "q": "position/measured"}

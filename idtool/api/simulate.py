@@ -27,7 +27,7 @@ from idtool.estimation.evaluation.simulated_log import (
     under_controller,
 )
 from idtool.estimation.evaluation.simulation_report import POSITION_UNITS
-from idtool.report import HEADER
+from idtool.reporting.report import HEADER
 from idtool.robot.config import Config
 from idtool.robot.model import Model as RobotModel
 

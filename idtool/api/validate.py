@@ -19,7 +19,7 @@ from idtool.estimation.dataset.experiment import Experiment, coefficients_of, so
 from idtool.estimation.evaluation.replay import Replay, replay
 from idtool.estimation.evaluation.simulation_report import simulation_notes, simulation_report
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
-from idtool.report import validation_report
+from idtool.reporting.report import validation_report
 from idtool.robot.model import Model as RobotModel
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class ValidationResult(Saved):
     _made_by: str
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.pages import validation_page
+        from idtool.reporting.pages import validation_page
 
         bodies = (self._model, self._models)
         page = validation_page(self._evaluation, dict(self._report), made_by, self._rollouts, bodies)
@@ -105,7 +105,7 @@ class ValidationResult(Saved):
             If there are not so many.
         """
         from idtool.api.plots import torque_figure
-        from idtool.pages import curves
+        from idtool.reporting.pages import curves
 
         return torque_figure(curves(self._evaluation, "model", self._report["units"]), log)
 

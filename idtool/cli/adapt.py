@@ -40,10 +40,10 @@ def adapt_command(
     from idtool.estimation.command_delay import with_delay
     from idtool.estimation.identified import choose_sets
     from idtool.estimation.online.adapt import adapt, adapt_report
-    from idtool.pages import adapt_page
-    from idtool.report import HEADER
-    from idtool.terminal import Terminal
-    from idtool.terminal.adapt import show_adaptation
+    from idtool.reporting.pages import adapt_page
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.adapt import show_adaptation
 
     terminal = Terminal(quiet, as_json)
     folder = folder_for(urdf, out)

@@ -52,8 +52,8 @@ def diagnose_command(
     """Find where model and data disagree, name the missing effect, add it, and show the gap shrink."""
     from idtool.api.diagnose import diagnose
     from idtool.api.model import Model
-    from idtool.terminal import Terminal
-    from idtool.terminal.diagnosis import show_diagnosis
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.diagnosis import show_diagnosis
 
     terminal, folder = Terminal(quiet, as_json), folder_for(urdf, out)
     with terminal.progress() as progress:

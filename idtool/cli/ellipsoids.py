@@ -12,9 +12,9 @@ from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgume
 from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
+    from idtool.reporting.terminal import Terminal
     from idtool.robot.config import Config
     from idtool.robot.urdf.reading import Robot
-    from idtool.terminal import Terminal
 
 
 @app.command(
@@ -42,7 +42,7 @@ def ellipsoids_command(
     """Write bounding ellipsoids of the links' meshes and primitives, or check the links' inertias."""
     from idtool.api.model import Model
     from idtool.common.outputs import check_file
-    from idtool.terminal import Terminal
+    from idtool.reporting.terminal import Terminal
 
     if repair is not None and not check:
         raise ConfigError("--repair", "goes with --check; give both")
@@ -63,7 +63,7 @@ def ellipsoids_command(
 def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) -> None:
     """Bounding ellipsoids as YAML."""
     from idtool.common.outputs import as_yaml, write_all
-    from idtool.report import HEADER
+    from idtool.reporting.report import HEADER
     from idtool.robot.bounding import as_config, bounding_ellipsoids
 
     found, reasons = bounding_ellipsoids(robot, margin)
@@ -84,8 +84,8 @@ def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None
     """Links whose inertia no body can have."""
     from idtool.common.outputs import write_all
     from idtool.estimation.problem.check import check, check_report, nearest_bodies, repaired
-    from idtool.report import HEADER
-    from idtool.terminal.check import show_check
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal.check import show_check
 
     checks = check(robot, config)
     nearest = nearest_bodies(checks) if repair else {}

@@ -72,10 +72,10 @@ def excite_command(
     from idtool.common.provenance import provenance
     from idtool.estimation.dataset.experiment import sources_of
     from idtool.excitation.design import Wishes, design
-    from idtool.excite_report import excite_report
-    from idtool.report import HEADER
-    from idtool.terminal import Terminal
-    from idtool.terminal.excite import show_excitation
+    from idtool.reporting.excite_report import excite_report
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / "excitation.mcap"
@@ -196,7 +196,7 @@ def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
     from idtool.common.interrupt import held_back
     from idtool.common.outputs import write_all
     from idtool.data.logs import write_log
-    from idtool.pages.excite import excite_page
+    from idtool.reporting.pages.excite import excite_page
 
     page = excite_page(report, command())
     with held_back():

@@ -12,8 +12,8 @@ from idtool.cli.options import JsonOption, QuietOption, finish
 from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
-    from idtool.export import Export, Part
-    from idtool.terminal import Terminal
+    from idtool.reporting.export import Export, Part
+    from idtool.reporting.terminal import Terminal
 
 
 @app.command("export", rich_help_panel=USE, epilog="Example: idtool export leg_idtool --to mujoco")
@@ -37,10 +37,10 @@ def export_command(
 ) -> None:
     """Write the identified model for a simulator, and tell what the simulator cannot carry."""
     from idtool.common.outputs import check_file, write_all
-    from idtool.export import read_identified, to_drake, to_mujoco
-    from idtool.export.identified import CONFIG, URDF
-    from idtool.report import HEADER
-    from idtool.terminal import Terminal
+    from idtool.reporting.export import read_identified, to_drake, to_mujoco
+    from idtool.reporting.export.identified import CONFIG, URDF
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal import Terminal
 
     if rotor_bodies and to != "mujoco":
         raise ConfigError("--rotor-bodies", f"is for mujoco; leave it out for {to}")

@@ -46,8 +46,8 @@ def fit_command(
     from idtool.api.data import experiment_of
     from idtool.api.fit import fit_experiment
     from idtool.api.model import Model
-    from idtool.terminal import Terminal
-    from idtool.terminal.fit import show_fit
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.fit import show_fit
 
     terminal = Terminal(quiet, as_json)
     folder = folder_for(urdf, out)

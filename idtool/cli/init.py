@@ -38,10 +38,10 @@ def init_command(
     from idtool.common.outputs import write_all
     from idtool.common.safe_yaml import read_yaml
     from idtool.data.description import robot_and_logs
-    from idtool.report import HEADER
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.init import show_start
     from idtool.setup import start
-    from idtool.terminal import Terminal
-    from idtool.terminal.init import show_start
 
     terminal = Terminal(quiet, as_json)
     beside = urdf.with_name(f"{stem(urdf)}.yaml")  # where the other commands look for it

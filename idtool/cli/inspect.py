@@ -23,10 +23,10 @@ def inspect_command(
     """Tell what is in a log, what is wrong with it, and what that means for the fit."""
     from idtool.data.inspection import inspect_log
     from idtool.data.logs import read_log
-    from idtool.report import HEADER
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.inspection import show_inspection
     from idtool.robot.config import Config, read_config
-    from idtool.terminal import Terminal
-    from idtool.terminal.inspection import show_inspection
 
     terminal = Terminal(quiet, as_json)
     options = (read_config(config) if config else Config()).log

@@ -17,7 +17,7 @@ from idtool.common.names import stem
 
 if TYPE_CHECKING:
     from idtool.estimation.dataset.experiment import Experiment
-    from idtool.terminal import Terminal
+    from idtool.reporting.terminal import Terminal
 
 
 def named(path: Path | None) -> Path | None:
@@ -40,7 +40,7 @@ def some_log(context: typer.Context, given: Any) -> Any:
 def _recordable(file: Path | None) -> Path | None:
     """The file, where it can be made: asked before the work is done."""
     if file is not None:
-        from idtool.rerun_recording import library
+        from idtool.reporting.rerun_recording import library
 
         library()
     return file

@@ -20,7 +20,7 @@ from idtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from idtool.terminal import Terminal
+    from idtool.reporting.terminal import Terminal
 
 
 LogArgument = Annotated[
@@ -77,7 +77,7 @@ def simulate_command(
     from idtool.api.model import Model
     from idtool.api.simulate import FILE, simulate
     from idtool.common.outputs import check_log
-    from idtool.terminal import Terminal
+    from idtool.reporting.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / FILE

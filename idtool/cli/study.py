@@ -40,11 +40,11 @@ def study_command(
     from idtool.common.outputs import as_json as dump
     from idtool.common.outputs import write_all
     from idtool.estimation.study.study import study
-    from idtool.pages import study_page
-    from idtool.report import HEADER
-    from idtool.study_report import study_report
-    from idtool.terminal import Terminal
-    from idtool.terminal.study import show_study
+    from idtool.reporting.pages import study_page
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.study_report import study_report
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.study import show_study
 
     terminal = Terminal(quiet, as_json)
     folder = folder_for(urdf, out)

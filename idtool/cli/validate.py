@@ -24,7 +24,7 @@ from idtool.cli.options import (
 from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
-    from idtool.terminal import Terminal
+    from idtool.reporting.terminal import Terminal
 
 
 @app.command(
@@ -55,8 +55,8 @@ def validate_command(
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
     from idtool.api.validate import prior_model, validate_experiment
-    from idtool.terminal import Terminal
-    from idtool.terminal.validation import show_validation
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.validation import show_validation
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
@@ -82,8 +82,8 @@ def _regression(terminal: Terminal, options: bool) -> None:
     if options:
         raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
     from idtool.estimation.regression import find_manifest, read_manifest, run_case
-    from idtool.report import HEADER
-    from idtool.terminal.validation import show_regression
+    from idtool.reporting.report import HEADER
+    from idtool.reporting.terminal.validation import show_regression
 
     manifest = find_manifest()
     outcomes = []

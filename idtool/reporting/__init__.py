@@ -1,0 +1,1 @@
+"""Results as JSON, HTML, terminal output and files for simulators."""

@@ -1,0 +1,197 @@
+"""A diagnosis → plain data for diagnosis.json (contract, section 5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step
+from idtool.reporting.diagnosis_words import next_steps, summary
+from idtool.reporting.report import fit_report
+
+_LITTLE = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
+_WORSE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
+_MODEL = ("samples", "band_hz", "friction", "friction_intervals", "rotors", "bodies", "known", "solver")
+_TORQUE, _ANGLE, _STIFFNESS = ("N·m", "N"), ("rad", "m"), ("N·m/rad", "N/m")
+_UNITS: dict[str, tuple[str, str]] = {  # of a parameter on a revolute and on a prismatic joint
+    "viscous": ("N·m·s/rad", "N·s/m"),
+    "coulomb": _TORQUE,
+    "stribeck": _TORQUE,
+    "velocity": ("rad/s", "m/s"),
+    "drag": ("N·m·s²/rad²", "N·s²/m²"),
+    "amplitude": _TORQUE,
+    "displacement": _ANGLE,
+    "offset": _TORQUE,
+    "level": _TORQUE,
+    "bend": ("1/(N·m)", "1/N"),
+    "periods": ("per turn", "per 2π m"),
+    "phase": ("rad", "rad"),
+    "stiffness": _STIFFNESS,
+    "rest_position": _ANGLE,
+    "position": _ANGLE,
+    "inertia": ("kg·m²", "kg"),
+    "width": _ANGLE,
+    "delay": ("s", "s"),
+    "gravity": ("m/s²", "m/s²"),
+    "mass": ("kg", "kg"),
+    "com": ("m", "m"),
+    "windows": ("s", "s"),
+    "wrench": ("N and N·m", "N and N·m"),
+    "time_constant": ("s", "s"),
+}
+_ACROSS = {(False, True): "m", (True, False): "1/m"}  # torque of a joint over that of another, by which is prismatic
+
+
+def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> dict[str, Any]:
+    """The content of diagnosis.json.
+
+    Parameters
+    ----------
+    diagnosis
+        The result.
+    inertia
+        ``refit`` or ``fixed``: whether the inertia was identified anew at every step or taken from the URDF.
+    """
+    model = fit_report(diagnosis.last)
+    units = model["units"]
+    report = {
+        **{key: model[key] for key in ("idtool", "schema", "versions", "inputs", "urdf", "logs", "joints", "units")},
+        "inertia": inertia,
+        "verdict": diagnosis.verdict,
+        "before": _level(diagnosis.before),
+        "after": _level(diagnosis.after),
+        "noise_floor": plain(diagnosis.floor),
+        "gap_closed": _closed(diagnosis),
+        "rollout_worse": _worse(diagnosis.before, diagnosis.after),
+        "steps": [_step(step, units) for step in diagnosis.steps],
+        "removed": list(diagnosis.removed),
+        "data_faults": [asdict(fault) for fault in diagnosis.faults],
+        **{key: model[key] for key in _MODEL},
+        "residual_maps": {
+            "before": {joint: _residual(one) for joint, one in diagnosis.maps_before.items()},
+            "after": {joint: _residual(one) for joint, one in diagnosis.maps_after.items()},
+        },
+        "warnings": list(dict.fromkeys([*diagnosis.last.warnings, *diagnosis.warnings])),
+        "seconds": diagnosis.seconds,
+    }
+    return {**report, "summary": summary(report), "next": next_steps(report)}
+
+
+def plain(value: Any) -> Any:
+    """Numbers, arrays and what holds them as plain data; None for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def gap_closed(
+    before: Mapping[str, float], after: Mapping[str, float], floor: Mapping[str, float]
+) -> dict[str, float | None]:
+    """(before − after) / (before − floor) by name, at most 1; None where there was next to no gap.
+
+    Below zero, the gap has grown.
+    """
+    gaps = {name: value - floor[name] for name, value in before.items()}
+    return {
+        name: min((before[name] - after[name]) / gap, 1.0) if gap > _LITTLE * before[name] else None
+        for name, gap in gaps.items()
+    }
+
+
+def _closed(diagnosis: Diagnosis) -> dict[str, float | None]:
+    """``gap_closed``; None of it where model and data do not disagree."""
+    before, after = _torque(diagnosis.before), _torque(diagnosis.after)
+    if diagnosis.verdict == "no_disagreement":
+        return dict.fromkeys(before)
+    return gap_closed(before, after, diagnosis.floor)
+
+
+def _torque(level: Level) -> Mapping[str, float]:
+    """Torque errors on what was held out, else on the training data."""
+    return level.train if level.validation is None else level.validation
+
+
+def _level(level: Level) -> dict[str, Any]:
+    return {part: plain(getattr(level, part)) for part in ("train", "validation", "simulation")}
+
+
+def _worse(before: Level, after: Level) -> list[str]:
+    """Joints, and ``overall``, whose rollouts a change has made worse although the torque of all has become better.
+
+    An error that is not finite is that of rollouts that ran away.
+    """
+    if before.simulation is None or after.simulation is None or _torque(after)["overall"] >= _torque(before)["overall"]:
+        return []
+    return [
+        name
+        for name, error in after.simulation.items()
+        if math.isfinite(before.simulation[name]) and not error <= (1 + _WORSE) * before.simulation[name]
+    ]
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "effect": candidate.effect,
+        "joint": candidate.joint,
+        "link": candidate.link,
+        "score": plain(candidate.score),
+        "standard_error": plain(candidate.standard_error),
+        "parameters": candidate.parameters,
+        "reason": candidate.reason,
+    }
+
+
+def _step(step: Step, units: Mapping[str, str]) -> dict[str, Any]:
+    """One entry of ``steps``."""
+    chosen, where = step.chosen, step.where
+    return {
+        "effect": chosen.effect,
+        "joint": chosen.joint,
+        "link": chosen.link,
+        "parameters": plain(step.parameters),
+        "standard_error": plain(step.standard_error),
+        "units": {name: _unit(step, name, units) for name in step.parameters},
+        "where": {"joints": list(where.joints), "windows": plain(where.windows), "region": where.region},
+        "evidence": {
+            "score": plain(chosen.score),
+            "standard_error": plain(chosen.standard_error),
+            "significance": plain(step.significance),
+            "pair": step.pair,
+            "separate": step.separate,
+            "simulation_before": plain(step.before.simulation),
+            "simulation_after": plain(step.after.simulation),
+            "rollout_worse": _worse(step.before, step.after),
+            "sentence": step.sentence,
+            "doubt": step.doubt,
+        },
+        "validation_rms_before": plain(_torque(step.before)),
+        "validation_rms_after": plain(_torque(step.after)),
+        "alternatives": [_candidate(one) for one in step.alternatives],
+        "rejected": [_candidate(one) for one in step.rejected],
+    }
+
+
+def _unit(step: Step, name: str, units: Mapping[str, str]) -> str | None:
+    """The unit of an effect's parameter; None where it has none."""
+    effect, prismatic = step.chosen.effect, units.get(step.chosen.joint or "") == "N"
+    if effect == "encoder_offset":
+        return _ANGLE[prismatic]
+    if effect == "payload" and name == "inertia":
+        return "kg·m²"
+    if effect == "transmission_coupling" and name == "coefficient":
+        return _ACROSS.get((prismatic, units.get(str(step.parameters["source"])) == "N"))
+    return _UNITS[name][prismatic] if name in _UNITS else None
+
+
+def _residual(residual: Residual) -> dict[str, Any]:
+    return plain({name: getattr(residual, name) for name in residual.__dataclass_fields__})  # type: ignore[no-any-return]

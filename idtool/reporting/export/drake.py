@@ -1,0 +1,192 @@
+"""The identified model as a URDF for Drake, whose rotors are inertia on single joints.
+
+The identified URDF's text is kept but for what Drake reads otherwise: rotors that are no links of the URDF are dead
+weight of the link that carries them, joints that do not move are fixed, and every moving joint has a transmission with
+the rotor's inertia and gear ratio, as the parser's documentation gives them (drake:rotor_inertia, drake:gear_ratio).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idtool.reporting.export.base import Export, Part
+from idtool.reporting.export.existence import can_exist, refused
+from idtool.reporting.export.identified import NOTHING, Identified
+from idtool.reporting.export.rotors import Rotor, rotors_of
+from idtool.reporting.export.spans import Span, edited, quoted, root_span, value_place
+from idtool.reporting.export.transmissions import transmissions
+from idtool.robot.inertia import SIZE
+from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.writing import JointDynamics, rewrite
+
+Array = NDArray[np.float64]
+
+FILE = "drake.urdf"
+
+_EARTH = (0.0, 0.0, -9.81)  # m/s², Drake's own
+_ROUNDING = 1e-12  # relative
+
+
+def to_drake(identified: Identified) -> Export:
+    """The identified model as a URDF with Drake's rotor inertias and gear ratios.
+
+    Raises
+    ------
+    ModelError
+        If a body has an inertia that no body can have: Drake would put another in its place.
+    """
+    rotors = rotors_of(identified)
+    moving = {body.name for body in identified.model.bodies if body.kind == "link"}
+    fixed = [j for j in identified.robot.joints.values() if j.kind != "fixed" and j.child not in moving]
+    text = rewrite(identified.robot.text, _links(identified, rotors), _dynamics(identified))
+    root = root_span(text)
+    edits: list[tuple[int, int, bytes]] = []
+    spans = {span.attributes["name"]: span for span in root.named("joint")}
+    for joint in fixed:
+        edits += _fixing(text, spans[joint.name], joint, identified.value(joint))
+    edits += transmissions(text, root, _gears(identified, rotors))
+    if "xmlns:drake" not in root.attributes:
+        after = root.start + len(b"<robot")
+        edits.append((after, after, b' xmlns:drake="http://drake.mit.edu"'))
+    carried, not_carried = _told(identified, rotors, fixed)
+    return Export(FILE, edited(text, edits), tuple(carried), tuple(not_carried))
+
+
+def _links(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, Array | None]:
+    """New parameters of links, in their frames: with what the URDF does not know of in the body that they carry."""
+    robot, model = identified.robot, identified.model
+    more = {-1: np.zeros(SIZE)}
+    for i, body in enumerate(model.bodies):
+        if body.kind == "link":
+            known = [member.pi_in_body for member in body.members if member.link in robot.links]
+            more[i] = identified.pi[i] - sum(known, np.zeros(SIZE))
+    for rotor in rotors:
+        if rotor.body.name not in robot.links:
+            more[rotor.body.mount.body] += rotor.pi
+    links: dict[str, Array | None] = {}
+    for i, pi in more.items():
+        link = robot.root if i < 0 else model.bodies[i].name
+        if link == "world":  # Drake's own, which has no mass
+            continue
+        own = robot.links[link]
+        own = np.zeros(SIZE) if own is None else own
+        if (np.abs(pi) > _ROUNDING * max(1.0, float(np.abs(own).max()))).any():
+            links[link] = own + pi
+        if i >= 0:
+            links |= _together(identified, i, own + pi)
+    return links
+
+
+def _together(identified: Identified, index: int, own: Array) -> dict[str, Array | None]:
+    """Where one of a body's links cannot exist by itself, all its mass in the link that carries the others.
+
+    Parameters
+    ----------
+    identified
+        The model.
+    index
+        Of the body.
+    own
+        New parameters of the carrying link, shape (10,).
+    """
+    body, robot = identified.model.bodies[index], identified.robot
+    others = [member for member in body.members[1:] if member.link in robot.links]
+    if all(can_exist(pi) for pi in (own, *(member.pi for member in others))):
+        return {}
+    whole = own + sum((member.pi_in_body for member in others), np.zeros(SIZE))
+    if not can_exist(whole):
+        raise refused(robot, body.name)
+    return {body.name: whole, **{member.link: None for member in others}}
+
+
+def _dynamics(identified: Identified) -> dict[str, JointDynamics]:
+    """Damping where it is not the URDF's."""
+    damping = dict.fromkeys(identified.robot.joints, 0.0)
+    for term in identified.terms:
+        if term.effect == "viscous_friction":
+            damping[term.joint] += term.coefficient
+    moving = {body.name for body in identified.model.bodies}
+    joints = [j for j in identified.robot.joints.values() if j.child in moving and j.damping != damping[j.name]]
+    return {j.name: JointDynamics(damping=damping[j.name]) for j in joints}
+
+
+def _fixing(text: bytes, span: Span, joint: Joint, value: float) -> list[tuple[int, int, bytes]]:
+    """The edits that make a joint a fixed one, at its value."""
+    edits = [(*value_place(text, span, "type"), quoted("fixed"))]
+    edits += [(child.start, child.stop, b"") for child in span.named("mimic")]
+    if value:
+        R, p = joint.R, joint.p
+        if joint.kind == "prismatic":
+            p = p + R @ joint.axis * value
+        else:
+            R = R @ Rotation.from_rotvec(joint.axis * value).as_matrix()
+        xyz, rpy = (" ".join(repr(float(x)) for x in values) for values in (p, Rotation.from_matrix(R).as_euler("xyz")))
+        origin = f'<origin xyz="{xyz}" rpy="{rpy}"/>'.encode()
+        old = next(span.named("origin"), None)
+        edits.append((old.start, old.stop, origin) if old else (span.opened, span.opened, origin))
+    return edits
+
+
+def _gears(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, tuple[float, float]]:
+    """Rotor inertia [kg·m²] and gear ratio by joint; inertia times ratio² is all that reflects there."""
+    gears = {}
+    for j, name in enumerate(identified.model.names):
+        shares = [(rotor.inertia * float(rotor.ratios[j]) ** 2, float(rotor.ratios[j])) for rotor in rotors]
+        total = sum(share for share, _ in shares) + float(identified.mechanism.armature[j])
+        ratio = max(shares, default=(0.0, 1.0), key=lambda share: share[0])[1] or 1.0
+        gears[name] = (total / ratio**2, ratio)
+    return gears
+
+
+def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[Joint]) -> tuple[list[Part], list[Part]]:
+    """What is carried and what is not."""
+    robot, model = identified.robot, identified.model
+    links = {body.name: pi for body, pi in zip(model.bodies, identified.pi, strict=True) if body.kind == "link"}
+    carried = [
+        Part("inertial", link, "mass with all that is fixed to it", float(pi[0]), "kg") for link, pi in links.items()
+    ]
+    carried += identified.inertias
+    lacking = [*identified.others, *(replace(part, detail=NOTHING) for part in identified.offsets)]
+    for term in identified.terms:
+        if term.effect == "viscous_friction":
+            carried.append(term.part("damping"))
+        else:
+            lacking.append(term.unused)
+    lacking = list(dict.fromkeys(lacking))  # an effect of several terms is one
+    for rotor in rotors:
+        carried += [
+            rotor.part(f"reflected inertia on {name}", rotor.inertia * float(ratio) ** 2)
+            for name, ratio in zip(model.names, rotor.ratios, strict=True)
+            if ratio
+        ]
+        lacking += _lacking(identified, rotor)
+    carried += [Part("locked_joint", joint.name, f"fixed at {identified.value(joint):g}") for joint in fixed]
+    for joint in robot.joints.values():
+        if joint.name in model.names and not joint.effort > 0:
+            lacking.append(
+                Part("actuator", joint.name, "has an effort limit of 0; Drake leaves it out, rotors and all")
+            )
+        if joint.mimic is not None and joint.child in links:
+            lacking.append(Part("mimic", joint.name, "Drake holds it in a discrete plant only"))
+    if tuple(identified.gravity) != _EARTH:
+        values = ", ".join(f"{x:.6g}" for x in identified.gravity)
+        lacking.append(Part("gravity", robot.root, f"is the plant's; set its gravity vector to [{values}]"))
+    if robot.root != "world":
+        lacking.append(Part("fixed_base", robot.root, "is free in Drake; weld it to the world"))
+    return carried, lacking
+
+
+def _lacking(identified: Identified, rotor: Rotor) -> list[Part]:
+    """What reflected inertia leaves out of a rotor."""
+    found = []
+    entries = [abs(a * b) for a, b in combinations(rotor.ratios, 2)]
+    if any(entries):
+        found.append(rotor.part("its coupling of joints in the mass matrix", rotor.inertia * float(max(entries))))
+    if rotor.carrier is None or rotor.carrier.any():
+        found.append(rotor.coupling())
+    return [*found, *rotor.imbalance(identified.gravity)]

@@ -1,0 +1,188 @@
+"""`Identified`: the model that `idtool fit` wrote, taken apart for simulators that have a place for each part.
+
+Every effect is asked for its forward form, the one that idtool itself simulates: inertias, gravity and position offsets
+need no word about which effect they come from; torque on joints is told apart by the effect's id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.exceptions import ModelError
+from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects
+from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.regressor import LinearModel
+from idtool.reporting.export.base import Part
+from idtool.robot.config import Config, read_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Joint, Robot, read_robot
+
+Array = NDArray[np.float64]
+
+URDF, CONFIG = "identified.urdf", "model.yaml"
+NOTHING = "the simulator has nothing like it"
+
+
+@dataclass(frozen=True)
+class Term:
+    """A torque on a joint: a coefficient times a function of the motion.
+
+    Attributes
+    ----------
+    effect
+        The effect's id.
+    joint
+        Name of the joint.
+    coefficient
+        SI.
+    shape
+        The function's other parameters, SI.
+    amount
+        The effect's first parameter and its unit.
+    """
+
+    effect: str
+    joint: str
+    coefficient: float
+    shape: Mapping[str, float]
+    amount: tuple[float, str] | tuple[()]
+
+    def part(self, detail: str) -> Part:
+        """What to say of it."""
+        return Part(self.effect, self.joint, detail, *self.amount)
+
+    @property
+    def unused(self) -> Part:
+        """What to say of it where nothing carries it."""
+        return self.part(NOTHING)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """An identified model.
+
+    Attributes
+    ----------
+    robot, config, model
+        The URDF, the configuration, and the tree of bodies that they make.
+    mechanism
+        The model run forwards.
+    terms
+        Torque on joints that is a function of the state.
+    inertias
+        Effects that are in the mechanism's ``pi``, ``armature`` or ``gravity``.
+    offsets
+        Effects that are in its ``position_offset``.
+    others
+        Effects that are none of this.
+    """
+
+    robot: Robot
+    config: Config
+    model: Model
+    mechanism: Mechanism
+    terms: tuple[Term, ...]
+    inertias: tuple[Part, ...]
+    offsets: tuple[Part, ...]
+    others: tuple[Part, ...]
+
+    @property
+    def pi(self) -> Array:
+        """Inertia parameters of the model's bodies, shape (bodies, 10)."""
+        return self.mechanism.pi
+
+    @property
+    def gravity(self) -> Array:
+        """In the root link's frame, shape (3,) [m/s²]."""
+        return self.mechanism.gravity
+
+    def value(self, joint: Joint) -> float:
+        """Position of a joint that does not move [rad or m]: its own or what it follows."""
+        scale, value = 1.0, 0.0
+        while joint.mimic is not None:
+            scale, value = scale * joint.mimic.multiplier, value + scale * joint.mimic.offset
+            joint = self.robot.joints[joint.mimic.joint]
+        return value + scale * self.config.locked_joints.get(joint.name, 0.0)
+
+
+def read_identified(folder: Path) -> Identified:
+    """The model in a folder that `idtool fit` wrote.
+
+    Raises
+    ------
+    IdtoolError
+        If one of its two files is missing or cannot be used.
+    """
+    for name in (URDF, CONFIG):
+        if not (folder / name).is_file():
+            raise ModelError(folder / name, "is missing; give the folder that idtool fit wrote to")
+    return identified(read_robot(folder / URDF), read_config(folder / CONFIG))
+
+
+def identified(robot: Robot, config: Config) -> Identified:
+    """The identified model of a URDF and a configuration.
+
+    Raises
+    ------
+    IdtoolError
+        If they do not go together.
+    """
+    free = [name for name in robot.joints if name not in config.locked_joints]
+    model = build_model(robot, config, config.joints or free)
+    equation = LinearModel(model.names, build_effects(model, config))
+    model = next(effect.model for effect in equation.effects if isinstance(effect, RigidBodies))
+    sorts = _Sorts(model)
+    for effect in equation.effects:
+        if isinstance(effect, NamedEffect):
+            sorts.add(effect)
+    mechanism = equation.mechanism(model, equation.prior)
+    return Identified(
+        robot=robot,
+        config=config,
+        model=model,
+        mechanism=mechanism,
+        terms=tuple(sorts.terms),
+        inertias=tuple(sorts.inertias),
+        offsets=tuple(sorts.offsets),
+        others=tuple(sorts.others),
+    )
+
+
+@dataclass
+class _Sorts:
+    """Effects by the form that they have when the model is run forwards."""
+
+    model: Model
+    terms: list[Term] = field(default_factory=list)
+    inertias: list[Part] = field(default_factory=list)
+    offsets: list[Part] = field(default_factory=list)
+    others: list[Part] = field(default_factory=list)
+
+    def add(self, effect: NamedEffect) -> None:
+        theta = np.array([c.prior for c in effect.coefficients])
+        alone = Mechanism(self.model)
+        effect.join(theta, alone)
+        whose = effect.id, next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
+        parameters = effect.parameters(theta, np.full((len(theta), len(theta)), np.inf))
+        amounts = [(value, c.unit) for (value, _), c in zip(parameters.values(), effect.coefficients, strict=False)]
+        amount = amounts[0] if amounts else ()
+        for term, value in (*alone.smooth, *alone.dry):
+            if value:
+                self.terms.append(Term(*whose, value, {name: float(x) for name, x in term.shape.items()}, amount))
+        inertias = {
+            "in the inertials": alone.pi.any() or effect.alter(self.model) is not self.model,
+            "armature": alone.armature.any(),
+            "gravity": (alone.gravity != self.model.gravity).any(),
+        }
+        self.inertias += [Part(*whose, detail, *amount) for detail, is_there in inertias.items() if is_there]
+        if alone.position_offset.any():
+            self.offsets.append(Part(*whose, "ref of the joint", *amount))
+        if alone.sensors or alone.torque_late.any():
+            self.others.append(Part(*whose, "it is the sensors', not the robot's", *amount))
+        elif alone.gears or alone.torques or any(value for _, value in alone.loops):
+            self.others.append(Part(*whose, NOTHING, *amount))

@@ -1,0 +1,116 @@
+"""The URDF's links as MuJoCo's bodies, in the links' frames and under their names, with joints and actuators.
+
+A link on a fixed or locked joint is a body without mass of its own: its mass is part of the body that carries it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idtool.reporting.export.base import Part
+from idtool.reporting.export.motors import add_motor
+from idtool.reporting.export.primitives import primitives
+from idtool.reporting.export.scene import Scene, quaternion, text
+from idtool.robot.urdf.reading import Joint
+
+Array = NDArray[np.float64]
+
+_WORLD = "world"  # MuJoCo's name for what stands still
+_FAR = 1e10  # rad or m: MuJoCo has no limit on one side only
+
+
+def add_links(scene: Scene, world: etree._Element) -> None:
+    """Put all links into the world, with joints, inertials, geometry and actuators."""
+    robot = scene.identified.robot
+    scene.bodies[robot.root] = world
+    geoms = _geoms(scene)
+    if robot.root != _WORLD:
+        scene.bodies[robot.root] = etree.SubElement(world, "body", name=robot.root)
+        scene.add_inertial(robot.root, scene.pi[-1], moves=False)
+    lumped = {member.link for body in scene.identified.model.bodies for member in body.members}
+    _draw(scene, robot.root, geoms)
+    for joint in robot.joints.values():
+        link = joint.child
+        _add_body(scene, joint)
+        if link in scene.moving:
+            scene.add_inertial(link, scene.pi[scene.moving[link]], moves=True)
+            _add_joint(scene, joint)
+        elif link not in lumped and link not in scene.identified.config.rotors:  # it is fixed to the root
+            scene.add_inertial(link, scene.own(link), moves=False)
+        _draw(scene, link, geoms)
+
+
+def _add_body(scene: Scene, joint: Joint) -> None:
+    """The body of a joint's child; a joint that is locked is built into its place."""
+    R, p, name = joint.R, joint.p, joint.child
+    if joint.kind != "fixed" and joint.child not in scene.moving:
+        value = scene.identified.value(joint)
+        scene.carried.append(Part("locked_joint", joint.name, f"fixed at {value:g}"))
+        if joint.kind == "prismatic":
+            p = p + R @ joint.axis * value
+        else:
+            R = R @ Rotation.from_rotvec(joint.axis * value).as_matrix()
+    if name == _WORLD:
+        while name in scene.identified.robot.links:
+            name += "_"
+        scene.not_carried.append(
+            Part("name", joint.child, f"is MuJoCo's word for what stands still; the body is {name}")
+        )
+    scene.bodies[joint.child] = etree.SubElement(
+        scene.bodies[joint.parent], "body", name=name, pos=text(p), quat=quaternion(R)
+    )
+
+
+def _add_joint(scene: Scene, joint: Joint) -> None:
+    """A joint that moves, with its limits and what drives it."""
+    kind = "slide" if joint.kind == "prismatic" else "hinge"
+    element = etree.SubElement(scene.bodies[joint.child], "joint", name=joint.name, type=kind, axis=text(joint.axis))
+    if joint.lower < joint.upper and not math.isinf(joint.upper - joint.lower):
+        limits = text([max(joint.lower, -_FAR), min(joint.upper, _FAR)])
+        element.set("limited", "true")
+        element.set("range", limits)
+        scene.carried.append(Part("joint_limit", joint.name, f"range {joint.lower:g} to {joint.upper:g}"))
+    if joint.mimic is not None:
+        _add_follower(scene, joint)
+        return
+    for name, value in scene.forces[joint.name].attributes().items():
+        element.set(name, value)
+    add_motor(scene, joint)
+
+
+def _add_follower(scene: Scene, joint: Joint) -> None:
+    """Hold a mimic joint to the joint at the head of its chain."""
+    model = scene.identified.model
+    body = model.bodies[scene.moving[joint.child]]
+    head = int(np.flatnonzero(body.ratios)[0])
+    law = text([body.offset, body.ratios[head], 0.0, 0.0, 0.0])
+    etree.SubElement(scene.equalities, "joint", joint1=joint.name, joint2=model.names[head], polycoef=law)
+    how = f"a stiff constraint holds it to {model.names[head]}; it has a coordinate of its own"
+    scene.carried.append(Part("mimic", joint.name, how))
+
+
+def _geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
+    """The geoms of every link; says what stays behind."""
+    geoms: dict[str, list[dict[str, str]]] = {}
+    lacking: dict[str, None] = {}
+    for link, geom in primitives(scene.identified.robot):
+        if geom is None:
+            lacking[link] = None
+        else:
+            geoms.setdefault(link, []).append(geom)
+    if geoms:
+        scene.carried.append(Part("geometry", ", ".join(geoms), "primitives, which touch nothing"))
+    if lacking:
+        scene.not_carried.append(Part("geometry", ", ".join(lacking), "meshes and what else is no primitive"))
+    return geoms
+
+
+def _draw(scene: Scene, link: str, geoms: Mapping[str, list[dict[str, str]]]) -> None:
+    for geom in geoms.get(link, ()):
+        etree.SubElement(scene.bodies[link], "geom", geom)

@@ -1,0 +1,152 @@
+"""Rotors as simulators have them: inertia on joints, and dead weight in the link that carries the motor.
+
+A rotor of inertia I about its axis turns at s + w: s = ratios · v against its stator, w with the link that carries it.
+Its energy ½ I (s + w)² makes a coupling of the joint with the carrier's own rotation, I s w, a gear ratio smaller than
+the reflected inertia ½ I s². Where the axes stand so that w, like s, is a constant combination of joint velocities,
+the whole is a constant part of the mass matrix, I c cᵀ with c v = s + w; else that holds for s alone.
+
+Letters: nv joints, pi inertia parameters (10,), v joint velocities (nv,).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.reporting.export.base import Part
+from idtool.reporting.export.existence import refused
+from idtool.reporting.export.identified import Identified
+from idtool.robot.body import Body
+from idtool.robot.inertia import six, symmetric, transformation
+from idtool.robot.kinematics import body_motions
+
+Array = NDArray[np.float64]
+
+_POSES = 256  # in which w is looked at; a function of the pose that is the same in all of them is constant
+_CONSTANT = 1e-3  # of w per unit of joint velocity, in all poses: angles written as 1.571 are meant to be right ones
+_ROUNDING = 1e-9  # relative
+_LEAST = 1e-12  # kg, kg·m²
+
+
+@dataclass(frozen=True, eq=False)
+class Rotor:
+    """A rotor, averaged over its own angle.
+
+    Attributes
+    ----------
+    body
+        How it is mounted and driven.
+    own
+        Its parameters in its own frame, shape (10,).
+    inertia
+        About its axis [kg·m²].
+    carrier
+        w = carrier · v where that does not depend on the pose, shape (nv,); None where it does.
+    swing
+        The largest coefficient of w found in any pose.
+    pi
+        Parameters in the frame of the body that carries it, shape (10,).
+    without_spin
+        The same without the inertia about its axis: a rod's.
+    unbalance
+        What averaging leaves out: first moment across the axis [kg·m], and the largest change of the inertia [kg·m²].
+    """
+
+    body: Body
+    own: Array
+    inertia: float
+    carrier: Array | None
+    swing: float
+    pi: Array
+    without_spin: Array
+    unbalance: tuple[float, float]
+
+    @property
+    def ratios(self) -> Array:
+        """Rotor angle per joint angle, shape (nv,)."""
+        return self.body.ratios
+
+    @property
+    def largest_ratio(self) -> float:
+        """Rotor angle per joint angle, of the joint that moves it most."""
+        return float(np.abs(self.ratios).max())
+
+    def part(self, detail: str, value: float, unit: str = "kg·m²") -> Part:
+        """What to say of it."""
+        return Part("rotor", self.body.name, detail, value, unit)
+
+    def coupling(self) -> Part:
+        """What to say where the coupling with the carrier's rotation is left out."""
+        size = self.inertia * self.largest_ratio * self.swing
+        return self.part("its coupling with its carrier's rotation in the mass matrix", size)
+
+    def imbalance(self, gravity: Array) -> list[Part]:
+        """What to say of what averaging leaves out, if it is more than rounding."""
+        mass, size = max(self.pi[0], _LEAST), max(float(np.trace(symmetric(self.pi[4:]))), _LEAST)
+        moment, change = self.unbalance
+        torque = moment * self.largest_ratio * float(np.linalg.norm(gravity))
+        found = []
+        if moment > _ROUNDING * np.sqrt(mass * size):
+            found.append(self.part("its unbalance, as torque under gravity", torque, "N·m"))
+        if change > _ROUNDING * size:
+            found.append(self.part("the part of its inertia that changes with its angle", change))
+        return found
+
+
+def rotors_of(identified: Identified) -> tuple[Rotor, ...]:
+    """The model's rotors.
+
+    Raises
+    ------
+    ModelError
+        If one has a negative inertia about its axis.
+    """
+    model = identified.model
+    if all(body.kind == "link" for body in model.bodies):
+        return ()
+    q = np.random.default_rng(0).uniform(-3, 3, (len(model.joints), _POSES))
+    motions = body_motions(model, q, np.zeros_like(q), np.zeros_like(q))
+    found = []
+    for body, pi, motion in zip(model.bodies, identified.pi, motions, strict=True):
+        if body.kind == "rotor":
+            if body.axis @ symmetric(pi[4:]) @ body.axis < 0:
+                raise refused(identified.robot, f"rotor {body.name}")
+            turning = np.zeros((len(q), _POSES))
+            turning[motion.coordinates] = np.tensordot(body.axis, motion.S_w, axes=1)
+            found.append(_averaged(body, pi, turning - body.ratios[:, None]))
+    return tuple(found)
+
+
+def _averaged(body: Body, pi: Array, w: Array) -> Rotor:
+    """A rotor from its parameters in its own frame and the coefficients of w in some poses, shape (nv, poses)."""
+    a = body.axis
+    h, inertia = pi[1:4], symmetric(pi[4:])
+    axial = float(a @ inertia @ a)
+    across = 0.5 * (np.trace(inertia) - axial)
+    along = np.outer(a, a)
+    mean = _pi(pi[0], a * (a @ h), axial * along + across * (np.eye(3) - along))
+    spun = _pi(0.0, np.zeros(3), axial * along)
+    constant = w.mean(axis=1)
+    constant[np.abs(constant) < _CONSTANT] = 0.0
+    is_constant = np.abs(w - constant[:, None]).max() < _CONSTANT
+    to_carrier = transformation(body.mount.R, body.mount.p)
+    return Rotor(
+        body=body,
+        own=pi,
+        inertia=axial,
+        carrier=constant if is_constant else None,
+        swing=float(np.abs(w).max()),
+        pi=to_carrier @ mean,
+        without_spin=to_carrier @ (mean - spun),
+        unbalance=(
+            float(np.linalg.norm(h - a * (a @ h))),
+            float(np.abs(np.linalg.eigvalsh(inertia - symmetric(mean[4:]))).max()),
+        ),
+    )
+
+
+def _pi(mass: float, h: Array, inertia: Array) -> Array:
+    """Parameters from mass, first moment and inertia about the origin, shape (10,)."""
+    return np.concatenate([[mass], h, six(inertia)])

@@ -1,0 +1,125 @@
+"""`Scene`: a MuJoCo model while it is written, and how MJCF spells things."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idtool.reporting.export.base import Part
+from idtool.reporting.export.existence import can_exist, refused, slack
+from idtool.reporting.export.identified import Identified
+from idtool.reporting.export.joints import Forces
+from idtool.robot.inertia import SIZE, mass_com_inertia, six
+
+Array = NDArray[np.float64]
+
+LEAST = 1e-12  # kg, kg·m²: what MuJoCo takes for a body that can move, and by how much triangle inequalities must hold
+
+
+@dataclass
+class Scene:
+    """A MuJoCo model while it is written.
+
+    Attributes
+    ----------
+    identified
+        What it is written from.
+    moving
+        Index in the model of every link that moves.
+    pi
+        Parameters that are written, by index in the model, shape (10,) each; −1 is the root link.
+    forces
+        Attributes of the model's joints.
+    bodies
+        Link or rotor name to its body's element.
+    tendons, equalities, actuators
+        Sections.
+    constants
+        Actuators that take no control.
+    carried, not_carried
+        What the user is told.
+    """
+
+    identified: Identified
+    moving: dict[str, int] = field(init=False)
+    pi: dict[int, Array] = field(init=False)
+    forces: Forces = field(init=False)
+    bodies: dict[str, etree._Element] = field(default_factory=dict)
+    tendons: etree._Element = field(default_factory=lambda: etree.Element("tendon"))
+    equalities: etree._Element = field(default_factory=lambda: etree.Element("equality"))
+    actuators: etree._Element = field(default_factory=lambda: etree.Element("actuator"))
+    constants: list[etree._Element] = field(default_factory=list)
+    carried: list[Part] = field(default_factory=list)
+    not_carried: list[Part] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        bodies = self.identified.model.bodies
+        self.moving = {body.name: i for i, body in enumerate(bodies) if body.kind == "link"}
+        self.pi = {i: self.identified.pi[i].copy() for i in self.moving.values()}
+        self.pi[-1] = self.own(self.identified.robot.root)
+        self.forces = Forces(self.identified.model.names)
+
+    def own(self, link: str) -> Array:
+        """A link's parameters in the URDF, shape (10,)."""
+        pi = self.identified.robot.links[link]
+        return np.zeros(SIZE) if pi is None else pi.copy()
+
+    def carrier(self, index: int) -> str:
+        """The link whose frame is that of a body of the model, −1 being the root."""
+        return self.identified.robot.root if index < 0 else self.identified.model.bodies[index].name
+
+    def add_tendon(
+        self, name: str, coefficients: Mapping[str, float], attributes: Mapping[str, str] | None = None
+    ) -> str:
+        """Add a tendon whose length is a combination of joint positions; returns its name, which nothing else bears."""
+        while any(tendon.get("name") == name for tendon in self.tendons):
+            name += "_"
+        tendon = etree.SubElement(self.tendons, "fixed", {"name": name, **(attributes or {})})
+        for joint, coefficient in coefficients.items():
+            etree.SubElement(tendon, "joint", joint=joint, coef=repr(float(coefficient)))
+        return name
+
+    def add_inertial(self, name: str, pi: Array, moves: bool) -> None:
+        """Give a body its inertial; what stands still needs none.
+
+        Raises
+        ------
+        ModelError
+            If it moves and its inertia is none that a body can have.
+        """
+        if not moves and not pi[0] > 0:
+            return
+        if not can_exist(pi):
+            if moves:
+                raise refused(self.identified.robot, name)
+            return
+        mass, com, inertia = mass_com_inertia(pi)
+        if not mass:
+            self.not_carried.append(Part("inertial", name, "MuJoCo refuses a body without mass; it has", LEAST, "kg"))
+        if moves:
+            self.carried.append(Part("inertial", name, "mass with all that is fixed to it", mass, "kg"))
+        inertia = inertia + max(0.0, LEAST - slack(inertia)) * np.eye(3)
+        xx, xy, yy, xz, yz, zz = six(inertia)
+        full = text([xx, yy, zz, xy, xz, yz])
+        etree.SubElement(self.bodies[name], "inertial", pos=text(com), mass=repr(max(mass, LEAST)), fullinertia=full)
+
+
+def text(values: Array | list[float]) -> str:
+    """Numbers as an attribute, to the last digit."""
+    return " ".join(repr(float(x)) for x in values)
+
+
+def quaternion(R: Array) -> str:
+    """A rotation (3, 3) as an attribute, the real part first."""
+    return text(Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True))
+
+
+def comment(lines: list[str]) -> etree._Comment:
+    """Lines as a comment; two hyphens in a row, which a name may have, would end it."""
+    said = "\n".join(["", *lines, ""]).replace("--", "- -").replace("--", "- -")
+    return etree.Comment(said)

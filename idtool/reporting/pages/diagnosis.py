@@ -1,0 +1,199 @@
+"""diagnosis.html: what the model lacks, how sure that is, and the gap closing step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from idtool.diagnosis.records import Diagnosis
+from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.simulation_report import simulation_report
+from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units
+from idtool.reporting.pages.base import render
+from idtool.reporting.pages.bodies import body_views
+from idtool.reporting.pages.curves import drawn
+from idtool.reporting.pages.figures import by_unit, number, with_error
+from idtool.reporting.pages.residuals import gap_views, residual_views
+from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
+from idtool.reporting.pages.simulation import simulation_text, simulation_view
+from idtool.reporting.pages.trust import trust_view
+
+_STEPS, _SIMULATION = ("The steps", "diagnosis_steps.html"), ("Simulation", "diagnosis_simulation.html")
+_SECTIONS = (
+    ("What was found", "diagnosis_findings.html"),
+    ("The gap, step by step", "diagnosis_gap.html"),
+    _STEPS,
+    ("Where the torque error lives", "residuals.html"),
+    ("Measured and predicted torque", "diagnosis_torques.html"),
+    _SIMULATION,
+    ("Friction", "friction.html"),
+    ("Bodies", "bodies.html"),
+    ROBOT,
+    ("How this was made", "origin.html"),
+)
+_NAMES, _MODELS = ("before", "after"), "the model given and of that with the effects"
+_MOST_VALUES = 50_000  # that all curves of torque hold together: some 400 kB of text
+_MOST_ROWS = 30  # candidates of a step that are listed
+_VERDICTS = {
+    "no_disagreement": ("good", "No disagreement"),
+    "explained": ("good", "Explained"),
+    "partly_explained": ("note", "Partly explained"),
+    "unexplained": ("bad", "Unexplained"),
+}
+
+
+def diagnosis_page(diagnosis: Diagnosis, report: Mapping[str, Any], command: str) -> str:
+    """diagnosis.html.
+
+    Parameters
+    ----------
+    diagnosis
+        The result.
+    report
+        The content of diagnosis.json.
+    command
+        The command line that made it.
+    """
+    units = report["units"]
+    simulated = _side_by_side(diagnosis)
+    report = {**report, "simulation": simulation_report(simulated, "identified", diagnosis.last.experiment)}
+    held_out = report["before"]["validation"] is not None
+    views = body_views(report["bodies"])["bodies"]
+    last, first = (fit.validation if held_out else fit.train for fit in (diagnosis.last, diagnosis.first))
+    robot = robot_view(diagnosis.last.experiment.model, views, last.traces)
+    needs = {_STEPS: "steps", _SIMULATION: "simulation"}
+    return render(
+        f"{Path(report['urdf']).stem}: what the model lacks",
+        with_robot([section for section in _SECTIONS if section not in needs or report[needs[section]]], robot),
+        ["torques.js", "lines.js", "positions.js", "diagnosis.js", "residuals.js", "solids.js", "robot.js"],
+        {
+            **_torques(last.traces, first.traces, units),
+            **simulation_view(simulated, report, "identified"),
+            **robot,
+            "gap": gap_views(report),
+            "residuals": residual_views(diagnosis.maps_before, diagnosis.maps_after, units, _NAMES, _MODELS),
+        },
+        report=report,
+        groups=by_unit(units),
+        position_unit=position_units(units),
+        verdict=_VERDICTS[report["verdict"]],
+        cards=[_card(i, step) for i, step in enumerate(report["steps"], 1)],
+        held_out=held_out,
+        worst=_worst(report),
+        **{"position_groups": by_unit(position_units(units)), **simulation_text(report), **trust_view(report)},
+        where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
+        command=command,
+    )
+
+
+def _worst(report: Mapping[str, Any]) -> str | None:
+    """The joint that is the farthest from the noise floor before, in units of that."""
+    before, floor = report["before"]["validation"] or report["before"]["train"], report["noise_floor"]
+    return max(report["joints"], key=lambda joint: before[joint] / (floor[joint] or 1.0), default=None)
+
+
+def parameter_texts(step: Mapping[str, Any]) -> list[str]:
+    """An effect's parameters, each with its standard error and unit.
+
+    Parameters
+    ----------
+    step
+        An entry of ``steps`` of diagnosis.json.
+    """
+    errors, units = step["standard_error"], step["units"]
+    texts = {name: _value(value, errors.get(name)) for name, value in step["parameters"].items()}
+    return [f"{name} {text} {units.get(name) or ''}".rstrip() for name, text in texts.items()]
+
+
+def _value(value: Any, error: Any) -> str:
+    """A parameter; one of several numbers has them in brackets."""
+    if isinstance(value, list):
+        errors = error if isinstance(error, list) and len(error) == len(value) else [None] * len(value)
+        return f"[{', '.join(_value(x, e) for x, e in zip(value, errors, strict=True))}]"
+    if isinstance(value, bool | str) or value is None:
+        return "–" if value is None else str(value)
+    return number(value, 4) if error is None else " ± ".join(with_error(value, error))
+
+
+def _card(index: int, step: Mapping[str, Any]) -> dict[str, Any]:
+    """A step, as its template reads it."""
+    known = step["effect"] != UNKNOWN
+    return {
+        **step,
+        "index": index,
+        "known": known,
+        "title": f"{_title(step['effect'])} on {on(step)}" if known else f"Unknown, on {on(step)}",
+        "sentence": _closed(step["evidence"]["sentence"]),
+        "separate": _closed(step["evidence"]["separate"]),
+        "texts": parameter_texts(step),
+        "windows": [f"{number(a, 4)} to {number(b, 4)} s" for a, b in step["where"]["windows"]],
+        "near": _rows(step["alternatives"]),
+        "others": _rows(step["rejected"][:_MOST_ROWS]),
+        "hidden": max(len(step["rejected"]) - _MOST_ROWS, 0),
+    }
+
+
+def _closed(sentence: str) -> str:
+    """A sentence with its full stop."""
+    return sentence if sentence[-1:] in ("", ".", "!", "?") else f"{sentence}."
+
+
+def _title(effect: str) -> str:
+    name = effect_name(effect)
+    return name[:1].upper() + name[1:]
+
+
+def _rows(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, int, str]]:
+    return [
+        (
+            effect_name(found["effect"]),
+            on(found),
+            score_text(found["score"], found["standard_error"]),
+            found["parameters"],
+            found["reason"],
+        )
+        for found in candidates
+    ]
+
+
+def score_text(score: float | None, error: float | None) -> str:
+    """A share of the disagreement in percent, with its standard error."""
+    if score is None:
+        return "–"
+    return f"{100 * score:.1f} %" if error is None else f"{100 * score:.1f} ± {100 * error:.1f} %"
+
+
+def _torques(last: Sequence[Trace], first: Sequence[Trace], units: Mapping[str, str]) -> dict[str, Any]:
+    """Measured torque and that of the last model; that of the first one as ``prior``, where it is at the same times."""
+    names = {"measured": "measured", "predicted": "identified", "residual": "residual", "prior": "first"}
+    traces = []
+    for own, former in zip(last, first, strict=True):
+        curves = {name: own.curves[name] for name in ("measured", "identified", "residual")}
+        if len(own.t) == len(former.t):
+            curves["first"] = former.curves["identified"]
+        traces.append(replace(own, curves=curves))
+    return drawn(traces, names, units, _MOST_VALUES)
+
+
+def _side_by_side(diagnosis: Diagnosis) -> Replay | None:
+    """Rollouts of the last model and, as ``prior``, of the first one, where both were run over the same windows."""
+    last, first = diagnosis.last.simulation, diagnosis.first.simulation
+    if last is None or "identified" in last.failed:
+        return None
+    keep = ("identified", "baseline")
+    departures = {name: last.departures[name] for name in keep}
+    lost, traces = {"identified": last.lost["identified"]}, [_only(t, ("measured", "identified")) for t in last.traces]
+    if first is not None and "identified" not in first.failed and first.windows == last.windows:
+        departures["prior"], lost["prior"] = first.departures["identified"], first.lost["identified"]
+        traces = [
+            replace(own, curves={**own.curves, "prior": former.curves["identified"]})
+            for own, former in zip(traces, first.traces, strict=True)
+        ]
+    return replace(last, departures=departures, lost=lost, traces=tuple(traces), failed={})
+
+
+def _only(trace: Trace, names: Sequence[str]) -> Trace:
+    return replace(trace, curves={name: trace.curves[name] for name in names})

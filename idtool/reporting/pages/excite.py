@@ -1,0 +1,73 @@
+"""excitation.html: a designed trajectory against its limits, and what it will tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from idtool.reporting.pages.base import render
+from idtool.reporting.pages.charts import line, numbers, over_time, panel
+
+_SECTIONS = (
+    ("What to expect", "excite_findings.html"),
+    ("Trajectory", "excite_trajectory.html"),
+    ("Limits", "excite_limits.html"),
+    ("Expected standard errors", "excite_errors.html"),
+    ("How this was made", "origin.html"),
+)
+_SIGNALS = (("q", "position"), ("v", "velocity"), ("a", "acceleration"), ("tau", "effort"))
+
+
+def excite_page(report: dict[str, Any], command: str) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    report
+        What `excite --json` prints.
+    command
+        The command line that made it.
+    """
+    return render(
+        f"{Path(report['urdf']).stem}: exciting trajectory",
+        _SECTIONS,
+        ["lines.js"],
+        {"charts": charts(report)},
+        report=report,
+        gain=_gain(report),
+        command=command,
+    )
+
+
+def charts(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What `lines.js` draws: a chart a joint, its motion and predicted torque with the limits."""
+    t = numbers(report["curves"]["t"])
+    return {
+        f"joint {i}": over_time(joint, t, _panels(report, joint, len(t))) for i, joint in enumerate(report["joints"])
+    }
+
+
+def _panels(report: Mapping[str, Any], joint: str, count: int) -> list[dict[str, Any]]:
+    limits, curves = report["limits"][joint], report["curves"]["joints"][joint]
+    panels = []
+    for signal, quantity in _SIGNALS:
+        limit = limits[quantity]
+        ends = limit if isinstance(limit, list) else [] if limit is None else [-limit, limit]
+        lines = [line(quantity if quantity != "effort" else "predicted torque", curves[signal], 0)]
+        lines += [line("limit", [end] * count, 1) for end in ends]
+        panels.append(panel(f"{signal} [{unit_of(signal, report['units'][joint])}]", lines))
+    return panels
+
+
+def unit_of(signal: str, torque: str) -> str:
+    """Unit of a joint's q, v, a or tau, told by the unit of its torque."""
+    way = "m" if torque == "N" else "rad"
+    return {"q": way, "v": f"{way}/s", "a": f"{way}/s²"}.get(signal, torque)
+
+
+def _gain(report: Mapping[str, Any]) -> float | None:
+    """How many times smaller the criterion is than of a random motion."""
+    kind = report["criterion"]
+    before, after = report["criteria"]["random"][kind], report["criteria"]["design"][kind]
+    return before / after if before and after else None

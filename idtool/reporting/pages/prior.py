@@ -1,0 +1,34 @@
+"""How firmly the prior holds the bodies, of report.html: the error against the weight, and what other weights give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from idtool.reporting.pages.charts import chart, line, panel
+
+PRIOR = ("How firmly the prior holds", "prior.html")
+
+
+def prior_view(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What the template and `lines.js` read of it.
+
+    Parameters
+    ----------
+    report
+        The content of report.json.
+    """
+    automatic = report["regularization"]["automatic"]
+    points = automatic["path"]
+    of = {name: [point[name] for point in points] for name in points[0]}
+    errors = [line("data that were fitted", of["train_error"], 0)]
+    if automatic["standard_error"] is not None:
+        errors.append(line("blocks of time left out", of["validation_error"], 1))
+    panels = [
+        panel("error / noise", errors, log=True),
+        panel("total mass [kg]", [line("total mass", of["total_mass"], 2)], log=True),
+        panel("distance", [line("distance", of["distance"], 3)], log=True),
+    ]
+    return {
+        "charts": {"prior": chart("Fits with other weights", of["weight"], "weight of the prior", panels, log=True)}
+    }

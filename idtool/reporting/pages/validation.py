@@ -1,0 +1,70 @@
+"""validation.html."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.validation import Evaluation
+from idtool.reporting.pages.base import render
+from idtool.reporting.pages.bodies import bodies_of, body_views
+from idtool.reporting.pages.curves import curves
+from idtool.reporting.pages.figures import by_unit
+from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
+from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
+from idtool.robot.model import Model
+
+Array = NDArray[np.float64]
+
+_SECTIONS = (
+    ("What was found", "validation_findings.html"),
+    ("Torque error", "validation_errors.html"),
+    ("Measured and predicted torque", "torques.html"),
+    SIMULATION,
+    ROBOT,
+    ("How this was made", "origin.html"),
+)
+
+
+def validation_page(
+    evaluation: Evaluation,
+    report: dict[str, Any],
+    command: str,
+    replay: Replay | None = None,
+    bodies: tuple[Model, Mapping[str, Array]] | None = None,
+) -> str:
+    """validation.html.
+
+    Parameters
+    ----------
+    evaluation
+        Errors and curves of ``model`` and, where one was given, ``prior``.
+    report
+        The content of validation.json.
+    command
+        The command line that made it.
+    replay
+        The same models run forwards, if they were.
+    bodies
+        The tree of bodies, and coefficients of the same models, shape (p,) each: the robot is drawn.
+    """
+    units = report["units"]
+    robot: dict[str, Any] = {"robot": None}
+    if bodies:
+        views = body_views(bodies_of(bodies[0], bodies[1]["model"], bodies[1].get("prior")))["bodies"]
+        robot = robot_view(bodies[0], views, evaluation.traces, "model's")
+    return render(
+        "Validation of a dynamics model",
+        with_robot(with_simulation(_SECTIONS, report), robot),
+        ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js"],
+        {**curves(evaluation, "model", units, position=False), **simulation_view(replay, report, "model"), **robot},
+        report=report,
+        groups=by_unit(units),
+        **simulation_text(report),
+        where="On the validation logs",
+        command=command,
+    )

@@ -1,0 +1,303 @@
+"""Results → plain data for JSON, configuration and pages. Keys are the contract's (sections 3 and 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool import __version__
+from idtool.common.provenance import Source, provenance
+from idtool.dynamics.effects import NamedEffect, named_effect, plain
+from idtool.estimation.dataset.knowledge import Fact
+from idtool.estimation.evaluation.simulation_report import simulation_report
+from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.fit import Fit
+from idtool.estimation.problem.regularization_path import PathPoint
+from idtool.estimation.problem.verdict import Verdict, judge
+from idtool.reporting.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
+from idtool.robot.body import Body
+from idtool.robot.config import Config, EffectEntry
+from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
+from idtool.robot.urdf.writing import JointDynamics
+from idtool.robot.witness import deviation_ellipsoid
+
+Array = NDArray[np.float64]
+
+HEADER = {"idtool": __version__, "schema": 1}
+_SOLVER = ("name", "status", "objective", "duality_gap", "iterations", "seconds", "violation", "parameter_error")
+_FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
+
+
+def fit_report(fit: Fit) -> dict[str, Any]:
+    """The content of report.json."""
+    experiment = fit.experiment
+    joints = experiment.equation.joints
+    validated = fit.validation.errors["identified"].samples > 0
+    return {
+        **HEADER,
+        **provenance(experiment.sources),
+        "joints": list(joints),
+        "units": experiment.model.units,
+        "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
+        "band_hz": experiment.band_hz,
+        "method": fit.method,
+        "rms": _rms(fit, joints, raw=False),
+        "rms_raw": _rms(fit, joints, raw=True),
+        "nrms": nrms(fit.validation if validated else fit.train, "identified", joints),
+        "simulation": simulation_report(fit.simulation, "identified", experiment),
+        "noise": dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
+        "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
+        "friction": {joint: friction_report(fit, joint) for joint in joints},
+        "friction_intervals": {joint: friction_intervals(fit, joint) for joint in joints},
+        "rotors": reflected_inertia(fit),
+        "controller": controller_report(fit),
+        **trust_report(fit),
+        "regularization": regularization_report(fit),
+        "known": [_known(fact, fit) for fact in experiment.known.facts],
+        "solver": {name: getattr(fit.estimate.certificate, name) for name in _SOLVER},
+        "seconds": fit.seconds,
+        "warnings": list(fit.warnings),
+        "logs": [str(run.signals.log.path) for run in experiment.runs],
+        "urdf": str(experiment.model.robot.path),
+    }
+
+
+def regularization_report(fit: Fit) -> dict[str, Any]:
+    """The prior's kind and weight, and where the weight was chosen from the data, how."""
+    prior = fit.regularization.model_dump(mode="json")
+    prior["weight"], path = fit.regularization.number, fit.path
+    prior["mass_precision"] = fit.regularization.masses_known_better
+    if path is None:
+        return {**prior, "automatic": None}
+    automatic = {
+        "limit": path.limit,
+        "reason": path.reason,
+        "best": _or_none(path.best),
+        "standard_error": _or_none(path.standard_error),
+        "chosen": _point(path.chosen),
+        "weaker": _point(path.weaker),
+        "stronger": _point(path.stronger),
+        "path": [_point(point) for point in path.points],
+    }
+    return {**prior, "automatic": automatic}
+
+
+def _point(point: PathPoint) -> dict[str, float | None]:
+    return {name: _or_none(value) for name, value in asdict(point).items()}
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _known(fact: Fact, fit: Fit) -> dict[str, Any]:
+    own = float(fact.row @ fit.estimate.theta)
+    return {"what": fact.label, "value": fact.value, "standard_error": fact.standard_error, "identified": own}
+
+
+def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> dict[str, Any]:
+    held_out = fit.validation.errors
+    validated = held_out["identified"].samples > 0
+    return {
+        "train": fit.train.errors["identified"].rms(joints, raw),
+        "validation": held_out["identified"].rms(joints, raw) if validated else None,
+        "prior_validation": held_out["prior"].rms(joints, raw) if validated else None,
+    }
+
+
+def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[str, float | None]:
+    """Root mean square in the band over the measured torque's standard deviation, by joint."""
+    rms = evaluation.errors[model].rms(joints)
+    return {name: rms[name] / spread if spread else None for name, spread in evaluation.spread.items()}
+
+
+def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
+    """One entry of ``bodies``."""
+    part = slice(SIZE * index, SIZE * (index + 1))
+    pi = fit.parameters(index)
+    mass, com, inertia = mass_com_inertia(pi)
+    errors = fit.uncertainty.standard_error[part]
+    pieces = fit.estimate.parts[index]
+    copy = fit.experiment.known.copies.get(index)
+    verdict = judge(body, pi, pieces if len(pieces) else None)
+    least = float(np.linalg.eigvalsh(pseudo_inertia(pi))[0])
+    return {
+        "kind": body.kind,
+        "mass": mass,
+        "com": com.tolist(),
+        "inertia_com": six(inertia).tolist(),
+        "pi": pi.tolist(),
+        "standard_error": [error if np.isfinite(error) else None for error in errors.tolist()],
+        "interval": intervals(fit)[part],
+        "rests_on": rests_on(fit, index),
+        "min_eig_pseudo_inertia": least,
+        "ellipsoid_margin": ellipsoid_margin(body, pi, verdict.pieces),
+        "realizable": least > 0 and not verdict.violations,
+        "identifiable": fit.uncertainty.identifiable[part].tolist(),
+        "constraints": fit.sets[index].name,
+        "copy_of": fit.experiment.model.bodies[copy[0]].name if copy else None,
+        "lumped": list(body.lumped),
+        "prior": body.pi.tolist(),
+        "ellipsoids": [ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
+        "shapes": [shape.to_dict() for shape in body.shapes],
+        "deviation_ellipsoid": deviation_ellipsoid(pi).to_dict() if mass > 0 else None,
+        "split": None if verdict.pieces is None else [{"mass": p[0], "pi": p} for p in verdict.pieces.tolist()],
+        "witness": _witness(verdict) if len(verdict.masses) else None,
+        "violations": list(verdict.violations),
+    }
+
+
+def _witness(verdict: Verdict) -> dict[str, Any]:
+    return {"masses": verdict.masses.tolist(), "points": verdict.points.tolist()}
+
+
+def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | None:
+    """Tr(J(pi) Q) [kg], of a union the least over its pieces (Thm 4, Cor. 2); None without an ellipsoid.
+
+    Parameters
+    ----------
+    body
+        The body.
+    pi
+        Its parameters, shape (10,).
+    pieces
+        What they are the sum of where its bounds are a union, shape (pieces, 10). Where nothing in the union has these
+        parameters, the margin is that of the ellipsoid they fit best.
+    """
+    if not body.ellipsoids:
+        return None
+    if pieces is None:
+        return max(float(np.trace(pseudo_inertia(pi) @ e.Q)) for e in body.ellipsoids)
+    return min(float(np.trace(pseudo_inertia(p) @ e.Q)) for p, e in zip(pieces, body.ellipsoids, strict=False))
+
+
+def _coefficient(fit: Fit, effect: str, owner: str) -> tuple[float, float | None] | None:
+    """Value and standard error of a joint's coefficient, if the model has it."""
+    if (i := _place(fit, effect, owner)) is None:
+        return None
+    error = float(fit.uncertainty.standard_error[i])
+    return float(fit.estimate.theta[i]), error if np.isfinite(error) else None
+
+
+def _place(fit: Fit, effect: str, owner: str) -> int | None:
+    """Index of a joint's coefficient, if the model has it."""
+    names = [(c.effect, c.owner) for c in fit.experiment.equation.coefficients]
+    return names.index((effect, owner)) if (effect, owner) in names else None
+
+
+def friction_report(fit: Fit, joint: str) -> dict[str, Any]:
+    """One entry of ``friction``."""
+    found = {name: _coefficient(fit, effect, joint) for name, effect in _FRICTION.items()}
+    return {
+        **{name: pair[0] if pair else None for name, pair in found.items()},
+        "standard_error": {name: pair[1] if pair else None for name, pair in found.items()},
+    }
+
+
+def friction_intervals(fit: Fit, joint: str) -> dict[str, list[float] | None]:
+    """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
+    places = {name: _place(fit, effect, joint) for name, effect in _FRICTION.items()}
+    return {name: None if place is None else intervals(fit)[place] for name, place in places.items()}
+
+
+def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
+    """Friction for the URDF."""
+    reports = {joint: friction_report(fit, joint) for joint in fit.experiment.equation.joints}
+    return {joint: JointDynamics(report["viscous"], report["coulomb"]) for joint, report in reports.items()}
+
+
+def model_config(fit: Fit) -> dict[str, Any]:
+    """The content of model.yaml: a complete configuration that with identified.urdf is the identified model."""
+    experiment = fit.experiment
+    config: Config = experiment.config
+    data: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True)
+    data["joints"] = list(experiment.equation.joints)
+    data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
+    data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.equation.joints}
+    for entry, given in zip(data.get("effects", ()), config.effects, strict=True):
+        entry["parameters"].update(_parameters(fit, given))
+    robot_links = experiment.model.robot.links
+    for i, body in enumerate(experiment.model.bodies):
+        if body.kind == "rotor":
+            data["rotors"][body.name].pop("inertial", None)
+            if body.name not in robot_links:  # else it is in the URDF
+                mass, com, inertia = rounded_inertial(fit.parameters(i))
+                inertial = {"mass": mass, "com": com.tolist(), "inertia": six(inertia).tolist()}
+                data["rotors"][body.name]["inertial"] = inertial
+    return data
+
+
+def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
+    """What was identified of an effect's parameters, as the configuration has them."""
+    equation = fit.experiment.equation
+    places = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
+    i = places[named_effect(entry, fit.experiment.model).key]
+    part = slice(*equation.offsets()[i : i + 2])
+    covariance = fit.uncertainty.covariance[part, part]
+    found = plain(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
+    return {name: _written(**pair) for name, pair in found.items()}
+
+
+def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:
+    return {name: _term(fit, effect, joint) for name, effect in _FRICTION.items()}
+
+
+def _term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:
+    """A joint's coefficient as the configuration has it; False where the model lacks it."""
+    pair = _coefficient(fit, effect, joint)
+    if pair is None:
+        return False
+    return _written(*pair)
+
+
+def _written(value: Any, standard_error: Any = None) -> dict[str, Any]:
+    """A number or a list of them, with its error, to the digits that stand in a configuration."""
+    written = {"value": rounded(value).tolist()}
+    return written if standard_error is None else written | {"standard_error": rounded(standard_error, 4).tolist()}
+
+
+def validation_report(
+    evaluation: Evaluation,
+    units: Mapping[str, str],
+    band_hz: float,
+    bounds: Mapping[str, float],
+    simulation: Mapping[str, Any] | None = None,
+    sources: Sequence[Source] = (),
+) -> dict[str, Any]:
+    """The content of validation.json.
+
+    Parameters
+    ----------
+    evaluation
+        Errors of ``model`` and, where one was given, ``prior``.
+    units
+        Unit of the torque or force, by joint.
+    band_hz
+        The low-pass's cut-off.
+    bounds
+        Largest rms in the band that is accepted, by joint or ``overall``.
+    simulation
+        From `simulation_report`.
+    sources
+        What was read.
+    """
+    joints = tuple(units)
+    rms = {model: errors.rms(joints) for model, errors in evaluation.errors.items()}
+    return {
+        **HEADER,
+        **provenance(sources),
+        "joints": list(joints),
+        "units": dict(units),
+        "samples": evaluation.errors["model"].samples,
+        "band_hz": band_hz,
+        "rms": rms,
+        "rms_raw": {model: errors.rms(joints, raw=True) for model, errors in evaluation.errors.items()},
+        "nrms": nrms(evaluation, "model", joints),
+        "simulation": simulation,
+        "bound": dict(bounds),
+        "ok": {name: rms["model"][name] <= bound for name, bound in bounds.items()},
+    }

@@ -1,0 +1,105 @@
+"""What all commands print with: lines, tables, warnings, JSON, and progress."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.text import Text
+
+from idtool.common.interrupt import as_python_has_it
+from idtool.reporting.terminal.advice import advice
+from idtool.reporting.terminal.progress import progress_bar
+from idtool.reporting.terminal.tables import Column, Table, printable
+
+_ANY_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
+STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim"}
+
+
+class Terminal:
+    """Where a command prints to.
+
+    Parameters
+    ----------
+    quiet
+        Print nothing but errors and what `json` asks for.
+    as_json
+        Print the result as JSON on standard output, everything else on standard error.
+    """
+
+    def __init__(self, quiet: bool, as_json: bool) -> None:
+        self.as_json = as_json
+        self.console = _console(quiet, sys.stderr if as_json else sys.stdout)
+        self.errors = _console(quiet, sys.stderr)
+
+    def say(self, text: str, style: str | None = None) -> None:
+        """Plain text, as a rule one line, which the terminal may break."""
+        lines = (printable(line) for line in text.split("\n"))
+        self.console.print(Text("\n".join(lines)), style=style, soft_wrap=True)
+
+    def show(self, table: Table) -> None:
+        """A table under its title, which may be wider than the table."""
+        self.say(table.title, "bold")
+        for line in table.lines(self.console.width):
+            self.console.print(line, soft_wrap=True)
+        self.say("")
+
+    def warn(self, warnings: Sequence[str]) -> None:
+        """What a user should know, at the end, and what to do about it, once for those alike."""
+        for what, alike in itertools.groupby(warnings, advice):
+            for warning in alike:
+                self.say(f"note: {warning}", "yellow")
+            for line in what:
+                self.say(f"    {line}")
+
+    def result(self, result: Mapping[str, Any]) -> None:
+        """The result as JSON, if it was asked for."""
+        if self.as_json:
+            sys.stdout.write(json.dumps(result, indent=2, allow_nan=False) + "\n")
+
+    @contextmanager
+    def progress(self) -> Iterator[Callable[[str, float], None]]:
+        """A function to be told the stage and its share done; shows a bar once that takes long."""
+        as_python_has_it()  # what is heavy is loaded
+        with progress_bar(self.errors) as tell:
+            yield tell
+
+
+def _console(quiet: bool, file: TextIO) -> Console:
+    """A console that prints what its encoding has not as question marks."""
+    if isinstance(file, io.TextIOWrapper):
+        file.reconfigure(errors="replace")
+    return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _ANY_WIDTH)
+
+
+def new_table(title: str, names: str | Sequence[str], *groups: str | Sequence[str]) -> Table:
+    """An empty table.
+
+    Parameters
+    ----------
+    title
+        What the figures are, with their unit.
+    names
+        The heading or headings of the columns that tell one row from another, flush left.
+    groups
+        The headings of the other columns: figures, unless they are `Words`. Those given together stay side by side.
+    """
+    kept, *others = ([group] if isinstance(group, str) else group for group in (names, *groups))
+    columns = [[Column(heading) for heading in group] for group in others]
+    return Table(title, [Column(heading, left=True) for heading in kept], columns)
+
+
+def units_of(report: dict[str, Any]) -> str:
+    """The units of a report's torques."""
+    return " or ".join(dict.fromkeys(report["units"].values()))
+
+
+def figure(x: float | None) -> str:
+    """A figure to four digits; a dash for none."""
+    return "-" if x is None else f"{x:.4g}"

@@ -1,0 +1,46 @@
+"""The result of `idtool inspect`."""
+
+from __future__ import annotations
+
+import itertools
+
+from idtool.data.inspection import Inspection
+from idtool.reporting.terminal.base import STYLE, Terminal, figure, new_table
+from idtool.reporting.terminal.tables import Words
+
+
+def show_inspection(terminal: Terminal, inspection: Inspection) -> None:
+    """What is in a log, and the findings."""
+    terminal.say(
+        f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "
+        f"{inspection.segments} stretches without a gap"
+    )
+    table = new_table(
+        "Joints",
+        "joint",
+        Words("signals"),
+        ("from", "to"),
+        *("v rms", "tau rms", "band Hz", "at rest", "v lag ms"),
+        Words("tau"),
+    )
+    for name, joint in inspection.joints.items():
+        q, tau, v = joint.signals.get("q"), joint.signals.get("tau"), joint.velocity
+        table.add_row(
+            name,
+            " ".join(joint.signals),
+            figure(q.minimum if q else None),
+            figure(q.maximum if q else None),
+            figure(joint.speed_rms),
+            figure(tau.rms if tau else None),
+            figure(joint.band_hz),
+            f"{joint.standstill:.0%}",
+            figure(v.lag_ms if v else None),
+            joint.torque.kind if joint.torque else "-",
+        )
+    terminal.show(table)
+    for meaning, group in itertools.groupby(inspection.findings, key=lambda finding: finding.meaning):
+        for finding in group:
+            where = f"{finding.joint}: " if finding.joint else ""
+            terminal.say(f"{finding.severity}: {where}{finding.what}", STYLE[finding.severity])
+        terminal.say(f"    {meaning}")
+    terminal.warn(inspection.warnings)

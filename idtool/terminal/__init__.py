@@ -1,5 +1,0 @@
-"""What a person sees in the terminal: one file a command."""
-
-from idtool.terminal.base import Terminal
-
-__all__ = ["Terminal"]
