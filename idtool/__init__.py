@@ -28,9 +28,7 @@ else:  # a type checker is not to take every name for a public one
     def __getattr__(name: str) -> Any:
         """A public name, imported now (PEP 562)."""
         if name == "__version__":
-            from importlib.metadata import version
-
-            value: Any = version("idtool")
+            value: Any = import_module("idtool.common.version").VERSION
         elif name in _HOMES:
             value = getattr(import_module(_HOMES[name]), name)
         else:

@@ -46,7 +46,7 @@ def test_the_import_does_not_wait_for_the_numerics() -> None:
 
 def test_functions_are_not_hidden_by_modules() -> None:
     assert {module.name for module in pkgutil.iter_modules(idtool.__path__)} & set(idtool.__all__) == set()
-    for name in ("cli", "fitting", "simulation", "validation", "api.fit", "api.validate", "api.simulate"):
+    for name in ("cli", "estimation.fit", "diagnosis.diagnose", "api.fit", "api.validate", "api.simulate"):
         import_module(f"idtool.{name}")
     assert all(map(callable, (idtool.fit, idtool.validate, idtool.simulate, idtool.diagnose)))
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from idtool.api.records import Array, ReadOnly, frozen, vector
+from idtool.api.records import ReadOnly, frozen, vector
+from idtool.common.arrays import Array
 from idtool.robot.inertia import symmetric
 
 Errors = ReadOnly[float]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from idtool.api.records import Array
+from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
 from idtool.data.logs import SIGNALS, make_log, write_log

@@ -11,7 +11,7 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from idtool.api.records import Array
+from idtool.common.arrays import Array
 from idtool.estimation.evaluation.envelope import Envelope
 from idtool.reporting.pages.curves import drawn
 
@@ -29,7 +29,7 @@ _CURVES = {
 @cache
 def _colors() -> dict[str, str]:
     """The pages' colours on white, by name."""
-    light = files("idtool").joinpath("templates/style.css").read_text(encoding="utf-8").partition("@media")[0]
+    light = files("idtool.reporting").joinpath("templates/style.css").read_text(encoding="utf-8").partition("@media")[0]
     return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", light))
 
 

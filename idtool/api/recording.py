@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from idtool.api.records import Array
+from idtool.common.arrays import Array
 from idtool.common.outputs import write_all
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.validation import Evaluation

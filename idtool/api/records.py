@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.outputs import as_json, write_all
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         RobotModel, Sequence[Sequence[Trace]], str
     ]  # robot, each log's torque and positions, what is shown
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 T_co = TypeVar("T_co", covariant=True)
 

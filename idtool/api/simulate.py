@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import LogSource, experiment_of
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Array, Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import LOG_ENDINGS, OutputError, as_json, check_log
 from idtool.data.logs import write_log

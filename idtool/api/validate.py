@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Array, Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json

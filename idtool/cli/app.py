@@ -45,9 +45,9 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from idtool import __version__
+        from idtool.common.version import VERSION
 
-        typer.echo(f"idtool {__version__}")
+        typer.echo(f"idtool {VERSION}")
         raise typer.Exit
 
 

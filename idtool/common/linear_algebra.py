@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 
 def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:

@@ -16,13 +16,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from idtool.common.arrays import Array
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
 from idtool.data.signals import BATCH, WIDE, Batch, Motion, Signals
-
-Array = NDArray[np.float64]
 
 _TAIL = 1e-14  # of the response's weight may be forgotten: rounding
 _EDGE = 0.02  # of it may be missing at the start of the data

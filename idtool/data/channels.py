@@ -11,12 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import Log
-
-Array = NDArray[np.float64]
 
 LOOKED_AT = 1 << 16  # samples from which a log is judged
 _RESAMPLED = 0.01  # rms of the stamps' jitter, in samples, above which the signals are put on an even clock
@@ -150,7 +148,7 @@ class Channels:
         bias = (v[:, 1:] + v[:, :-1]).mean(axis=1) / 2 - way
         return np.where(self.trusted & (np.abs(bias) > _BIASED), bias, 0.0)
 
-    def _judge_velocity(self) -> tuple[Array, NDArray[np.bool_]]:
+    def _judge_velocity(self) -> tuple[Array, Mask]:
         """Lag of each measured velocity [s], and whether it follows the position; shape (nv,) each.
 
         Joints whose own lag is not sure share the mean of the others', as drives of one robot filter alike. A joint

@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
 from idtool.data.channels import Channels
 from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
 from idtool.data.logs.log import Log
 from idtool.robot.config import Controller
-
-Array = NDArray[np.float64]
 
 LONGEST_DELAY = 0.05  # s: no longer one is looked for
 
@@ -37,7 +35,7 @@ class Command:
         From command to torque [s]; 0 where it is yet to be fitted.
     """
 
-    joints: NDArray[np.bool_]
+    joints: Mask
     kp: Array
     kd: Array
     delay: float

@@ -6,10 +6,9 @@ Shapes: N samples, n after decimation; the last axis is time.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array, Mask
 
 _EDGE = 0.02  # of a kernel's weight may be missing at an end of the data
 _TAIL = 1e-6  # of a kernel's weight may be cut off
@@ -89,7 +88,7 @@ class LowPass:
         ones = np.pad(np.ones(x.shape[-1]), [short])
         return self._sums(padded)[..., kept] / self._sums(ones)[kept]
 
-    def share(self, mask: NDArray[np.bool_], before: int, after: int) -> Array:
+    def share(self, mask: Mask, before: int, after: int) -> Array:
         """How much of each filtered sample's weight, by magnitude, comes from some of the samples; shape (n,)."""
         weights = np.abs(self.kernel)
         shares = signal.oaconvolve(mask.astype(float), weights / weights.sum())[self.reach :]

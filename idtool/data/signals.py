@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import some
 from idtool.data.channels import Channels
@@ -23,8 +23,6 @@ from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_
 from idtool.data.logs.log import Log
 from idtool.data.logs.times import doubtful_unit
 from idtool.robot.config import Config
-
-Array = NDArray[np.float64]
 
 BATCH = 8192  # samples
 WIDE = 5.0  # the signals' own filter, in units of the band
@@ -152,7 +150,7 @@ class Signals:
         self._say_velocity()
         self.still = self._stillness()
 
-    def _choose_velocity(self, config: Config) -> NDArray[np.bool_]:
+    def _choose_velocity(self, config: Config) -> Mask:
         missing = ~self.channels.measured
         self._say("no velocity logged, differentiated from q", missing)
         if config.velocity != "auto":
@@ -171,7 +169,7 @@ class Signals:
             noise.append(noise_above(self._kinematics(part)[1], self.every_sample))
         return np.asarray(missing | strange | (noise[1] > _QUIETER * noise[0]))
 
-    def _say(self, what: str, which: NDArray[np.bool_]) -> None:
+    def _say(self, what: str, which: Mask) -> None:
         if which.any():
             names = [name for name, chosen in zip(self.joints, which, strict=True) if chosen]
             self.warnings.append(f"{what}: {some(names)}")

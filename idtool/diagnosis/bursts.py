@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.diagnosis.course import pieces
 from idtool.diagnosis.robust import robust
 from idtool.estimation.dataset.experiment import Experiment, Progress
-
-Array = NDArray[np.float64]
 
 _SMOOTH = 9  # samples, four or more of which make a period of the band: a level is their median
 _NEAR = 10  # samples around an edge in which it is looked for, and on each side of which it is judged
@@ -80,7 +78,7 @@ def bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tu
 
 def _normalised(
     experiment: Experiment, theta: Array, progress: Progress
-) -> tuple[Array, Array, Array, NDArray[np.bool_], list[int]]:
+) -> tuple[Array, Array, Array, Mask, list[int]]:
     """What a fit leaves that does not heed bursts, in units of each joint's noise.
 
     Returns
@@ -102,7 +100,7 @@ def _normalised(
     return t, left / np.where(noise > 0, noise, 1.0)[:, None], v, kept, starts
 
 
-def _levels(r: Array, kept: NDArray[np.bool_]) -> Array:
+def _levels(r: Array, kept: Mask) -> Array:
     """Rms over the joints that count, shape (n,); where none does, the lesser of the nearest before and after."""
     count = kept.sum(axis=0)
     known = np.flatnonzero(count)
@@ -135,9 +133,9 @@ class _Stretch:
     """
 
     r: Array
-    kept: NDArray[np.bool_]
+    kept: Mask
     levels: Array
-    turns: Sequence[NDArray[np.intp]]
+    turns: Sequence[Indices]
     usual: float
     step: float
 
@@ -152,7 +150,7 @@ class _Stretch:
             if (a > 0 or b < len(self.levels)) and self._stays(a, b, height) and not self._recurs(a, b):
                 yield a, b, height**2 * (b - a)
 
-    def _runs(self, raised: NDArray[np.bool_]) -> Iterator[slice]:
+    def _runs(self, raised: Mask) -> Iterator[slice]:
         """Runs that are raised, across short gaps."""
         edges = np.flatnonzero(np.diff(raised, prepend=False, append=False)).reshape(-1, 2)
         if len(edges):
@@ -230,7 +228,7 @@ class _Stretch:
         return bool(np.mean(sizes[j, nearby].max(axis=1) > sizes[j, a] / 2) > 0.5)
 
 
-def _bridged(x: Array, kept: NDArray[np.bool_]) -> Array:
+def _bridged(x: Array, kept: Mask) -> Array:
     """Straight lines across samples that do not count."""
     known = np.flatnonzero(kept)
     return np.interp(np.arange(len(x)), known, x[known])

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.diagnosis.ground import Ground
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
@@ -20,7 +20,6 @@ from idtool.dynamics.effects import known_effects
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
-Array = NDArray[np.float64]
 Place = tuple[str, ...]
 
 SURE = 5.0  # standard errors of noise that a gain must be worth: some thousand candidates compete

@@ -12,13 +12,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
-Array = NDArray[np.float64]
 Models = Sequence[tuple[LinearModel, Array]]
 
 _MOST = 2e7  # numbers that are held
@@ -53,7 +52,7 @@ class Course:
     a: Array
     tau: Array
     left: Array
-    kept: NDArray[np.bool_]
+    kept: Mask
     starts: tuple[int, ...]
 
     @property

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from idtool.diagnosis.contest import SURE, candidate, share
 from idtool.diagnosis.faults import faults
@@ -26,8 +25,6 @@ from idtool.dynamics.effects import named_effect
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
-
-Array = NDArray[np.float64]
 
 _STRUCTURED = 0.1  # of a joint's squared residual, that a function of any form explains: it has structure
 _SMALL = 3e-3  # of a joint's rms torque: structure of less is no matter

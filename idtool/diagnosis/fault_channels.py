@@ -15,17 +15,15 @@ from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.diagnosis.fault_fit import EXPLAINED, Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.diagnosis.fault_trials import Trial, torque_order, trials
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import Joint
-
-Array = NDArray[np.float64]
 
 _SUSPICIOUS = 0.005  # u above which mistakes are looked for
 _GAIN = 1.5  # what the sum over the joints of log u has to fall by; without a mistake none of 200 logs gained 0.5
@@ -90,7 +88,7 @@ class ChannelSearch:
 
     def _mistakes(self, u: Array) -> Iterator[Fault]:
         """One mistake after the other is undone, as long as that helps; told is what makes sense in the end."""
-        found: list[tuple[NDArray[np.intp], Fault]] = []
+        found: list[tuple[Indices, Fault]] = []
         order = self._order(u)
         chosen: dict[int | None, Trial] = {None: order} if order is not None and self._helps(u, order) else {}
         for _ in range(_ROUNDS):
@@ -165,7 +163,7 @@ class ChannelSearch:
             lists.append([trial for trial in own if trial.position or self._hope(u, trial, group) > _GAIN])
         return lists
 
-    def _hope(self, u: Array, trial: Trial, group: NDArray[np.intp]) -> float:
+    def _hope(self, u: Array, trial: Trial, group: Indices) -> float:
         """The most that a mistake of the torques alone may gain."""
         least = np.maximum(self._posed.free(trial.T @ self.T), EXPLAINED)
         return float(np.log(u[group] / least[group]).sum())
@@ -220,7 +218,7 @@ class ChannelSearch:
                 yield Fault("wrong_unit", joint.name, f"{what}: set the `log.scale` of v to {1 / gain:.4g}")
 
 
-def _gain(before: Array, after: Array, which: NDArray[np.intp]) -> float:
+def _gain(before: Array, after: Array, which: Indices) -> float:
     """By how much the sum of log u falls over some of the joints; none where their mean does not fall by as much."""
     if after[which].mean() > _LESS * before[which].mean():
         return -np.inf

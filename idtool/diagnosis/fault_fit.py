@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import build_effects
@@ -28,7 +28,6 @@ from idtool.estimation.problem.identify import identify
 from idtool.robot.config import WEAK, Config, EffectEntry
 from idtool.robot.sets import choose_set
 
-Array = NDArray[np.float64]
 Change = Callable[[Motion], Motion]
 
 _PARTS, _ROWS = 8, 384  # stretches of the logs, and samples in the band of each
@@ -161,7 +160,7 @@ class Posed:
         return np.where(self.mute, EXPLAINED, np.maximum(u, EXPLAINED))
 
     @property
-    def mute(self) -> NDArray[np.bool_]:
+    def mute(self) -> Mask:
         """Joints that move too little to tell anything, shape (nv,)."""
         return np.array([factor.rows < _FEWEST * factor.R.shape[1] for factor in self.factors])
 
@@ -227,7 +226,7 @@ def _in_band(batch: Batch) -> Motion:
     return Motion(batch.t, q, v, a, tau, tau, motion.still, motion.dt * low_pass.stride)
 
 
-def _groups(support: NDArray[np.bool_]) -> tuple[NDArray[np.intp], ...]:
+def _groups(support: Mask) -> tuple[Indices, ...]:
     """Joints that share bodies, from which of the nv joints move which body, shape (bodies, nv)."""
     group = np.arange(support.shape[1])
     for moved in support:

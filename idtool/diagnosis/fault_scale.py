@@ -9,16 +9,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.data.inspection import Joint
 from idtool.diagnosis.fault_fit import Change, FaultFit
 from idtool.diagnosis.fault_record import Fault
 from idtool.estimation.dataset.reduction import Factor
-
-Array = NDArray[np.float64]
 
 _WEIGHT, _INERTIA = 0.03, 0.3  # share of a torque's power that either must make up to tell the unit
 _NONE = 1e-3  # of weight and inertia that one of them is, below which it is rounding

@@ -12,16 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.channels import Channels
 from idtool.data.inspection import Inspection, Joint, Signal, Stamps
 from idtool.data.inspection.findings import JITTER, LATE, LATE_ERRORS, LATE_PHASE, SHORT, STUCK, UNRELATED
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import Log
 from idtool.diagnosis.fault_record import Fault
-
-Array = NDArray[np.float64]
 
 _LOST = 0.002  # share of the time that is lost
 _SKIPPED = 0.01  # share of steps that took the time of two: a few are hiccups

@@ -10,15 +10,13 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.data.signals import Motion
 from idtool.diagnosis.fault_fit import Change
 from idtool.diagnosis.fault_record import Fault
 from idtool.robot.urdf.reading import Joint
-
-Array = NDArray[np.float64]
 
 _FEW = 4  # joints of which any may be turned at once
 _EXCESS = 1.5  # log10 of a torque over what the URDF says, from which it may be a thousandfold

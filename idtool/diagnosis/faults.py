@@ -24,8 +24,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.findings import DISAGREEMENT, STUCK
 from idtool.diagnosis.fault_channels import ChannelSearch
@@ -37,7 +37,6 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 
 __all__ = ["Fault", "faults"]
 
-Array = NDArray[np.float64]
 
 KINDS = (
     "wrong_unit",

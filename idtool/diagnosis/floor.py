@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import periodogram
 
+from idtool.common.arrays import Array, Mask
 from idtool.dynamics.present import PresentModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
-
-Array = NDArray[np.float64]
 
 _ABOVE = 0.3  # of the band, from where the residual's spectrum is taken for noise
 _FITS = 4
@@ -101,7 +99,7 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress, apart:
     return Floor(np.sqrt(total), noise, residual, np.array([slow for _, slow in found]))
 
 
-def _moments(e: Array, sure: NDArray[np.bool_], dt: float) -> list[Array]:
+def _moments(e: Array, sure: Mask, dt: float) -> list[Array]:
     """Periodograms of stretches in which the joint moves most of the time; where it turns round, of a straight line."""
     if not sure.any():
         return []

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
@@ -32,8 +32,6 @@ from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.identified import choose_sets
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.identify import Estimate, identify
-
-Array = NDArray[np.float64]
 
 _FOLDS = 36  # blocks of time of all logs together
 _SHORTEST = 0.4  # s of a block

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.diagnosis.records import Level
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.replay import replay
 from idtool.estimation.evaluation.validation import evaluate
-
-Array = NDArray[np.float64]
 
 MODEL = "model"
 

@@ -12,11 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from idtool.common.arrays import Array, ComplexArray, Indices, Mask
 
 SECONDS = 4.0  # that a stretch lasts of which a spectrum is taken
 _PERIODS = 300.0  # per turn, at the most
@@ -26,9 +24,7 @@ _BINS = 1 << 20  # at the most
 _SLOW = 0.25  # of the samples, of which the band must hold a ripple
 
 
-def density(
-    x: Array, kept: NDArray[np.bool_], step: Array, stretches: Sequence[slice], band: float
-) -> tuple[Array, Array]:
+def density(x: Array, kept: Mask, step: Array, stretches: Sequence[slice], band: float) -> tuple[Array, Array]:
     """Power density over frequency, one-sided.
 
     Parameters
@@ -63,7 +59,7 @@ def density(
     return np.arange(1, count + 1) / SECONDS, power / size if size else power
 
 
-def _starts(part: slice, length: int) -> NDArray[np.intp]:
+def _starts(part: slice, length: int) -> Indices:
     """Where windows begin that cover a stretch, each half over the next."""
     count = max(-(-2 * (part.stop - part.start) // length) - 1, 1)
     return np.linspace(part.start, max(part.stop - length, part.start), count).astype(np.intp)
@@ -102,7 +98,7 @@ def ripple(x: Array, q: Array, v: Array, band: float) -> tuple[Array, Array]:
     return n, _amplitude(len(x), of_count[k], of_count[2 * k], of_total[k])
 
 
-def _amplitude(n: int, one: Complex, two: Complex, with_x: Complex) -> Array:
+def _amplitude(n: int, one: ComplexArray, two: ComplexArray, with_x: ComplexArray) -> Array:
     """Of c cos + s sin + constant fitted to x, by the sums of exp(i n q), exp(2 i n q) and x exp(i n q)."""
     c, s = one.real / n, one.imag / n
     cc, ss, cs = (1 + two.real / n) / 2 - c * c, (1 - two.real / n) / 2 - s * s, two.imag / (2 * n) - c * s

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.lines import density, ripple
 from idtool.diagnosis.records import Residual
 from idtool.estimation.dataset.experiment import Experiment, Progress
-
-Array = NDArray[np.float64]
 
 _BINS = 60
 _TIMES = 120  # bins of time

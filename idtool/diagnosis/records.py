@@ -6,14 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.diagnosis.faults import Fault
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
-
-Array = NDArray[np.float64]
 
 Verdict = Literal["no_disagreement", "explained", "partly_explained", "unexplained"]
 

@@ -12,13 +12,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.diagnosis.course import Course
 from idtool.diagnosis.lines import density, ripple
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _MOST = 0.3  # by which the share of energy exceeds that of time, or the region says nothing
 _HOLDS = 0.5  # of the energy, at least

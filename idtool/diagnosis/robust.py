@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.estimation.dataset.blocks import block_rows, cut, most_blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 15
 _OUT = 3.0  # times the median: where a block does not count
@@ -38,7 +36,7 @@ class _Sums:
         How many there are, shape (F,).
     """
 
-    active: NDArray[np.intp]
+    active: Indices
     B: Array
     g: Array
     s: Array

@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch
 from idtool.diagnosis.ground import Ground
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.present import PresentModel
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
-
-Array = NDArray[np.float64]
 
 _MEMORY = 1e7  # numbers that are held at once
 _AT_ONCE = 128  # columns that are filtered together
@@ -159,7 +157,7 @@ def _summed(ground: Ground, probes: Sequence[Probe], progress: Progress, stage: 
     return sums
 
 
-def _beside(X: Array, index: NDArray[np.intp], starts: NDArray[np.intp], d: int) -> Array:
+def _beside(X: Array, index: Indices, starts: Indices, d: int) -> Array:
     """For each column the d-th of its probe's, zero where it has no such; shape as X."""
     probe = np.searchsorted(starts, index, side="right") - 1
     wanted = starts[probe] + d
@@ -168,7 +166,7 @@ def _beside(X: Array, index: NDArray[np.intp], starts: NDArray[np.intp], d: int)
     return np.asarray(X[np.minimum(at, len(index) - 1)] * there[:, None])
 
 
-def along(ground: Ground, progress: Progress, stage: str) -> Iterator[tuple[Batch, PresentModel, NDArray[np.intp]]]:
+def along(ground: Ground, progress: Progress, stage: str) -> Iterator[tuple[Batch, PresentModel, Indices]]:
     """The training data: batches, the model along each, and the block that each filtered sample is in."""
     first = 0
     for run in (run for run in ground.experiment.runs if run.train):
@@ -195,8 +193,8 @@ def _rows(ground: Ground, batch: Batch, present: PresentModel) -> tuple[list[Arr
 
 
 def _columns(
-    probes: Sequence[Probe], starts: NDArray[np.intp], batch: Batch, present: PresentModel
-) -> Iterator[tuple[int, NDArray[np.intp], Array]]:
+    probes: Sequence[Probe], starts: Indices, batch: Batch, present: PresentModel
+) -> Iterator[tuple[int, Indices, Array]]:
     """Joint, indices of coefficients, and their columns in the band, shape (i, n), some at a time."""
     waiting: dict[int, list[tuple[int, Array]]] = {}
     for start, probe in zip(starts[:-1], probes, strict=True):
@@ -209,7 +207,7 @@ def _columns(
         yield joint, *_filtered(own, batch)
 
 
-def _filtered(some: list[tuple[int, Array]], batch: Batch) -> tuple[NDArray[np.intp], Array]:
+def _filtered(some: list[tuple[int, Array]], batch: Batch) -> tuple[Indices, Array]:
     index = np.concatenate([start + np.arange(len(rows)) for start, rows in some])
     return index, batch.filter(np.concatenate([rows for _, rows in some]))
 
@@ -225,7 +223,7 @@ def _judged(ground: Ground, probes: Sequence[Probe], sums: _Sums) -> list[Found]
     return [found[i] for i in range(len(probes))]
 
 
-def _of_size(ground: Ground, probes: Sequence[Probe], index: NDArray[np.intp], sums: _Sums) -> list[Found]:
+def _of_size(ground: Ground, probes: Sequence[Probe], index: Indices, sums: _Sums) -> list[Found]:
     """The probes of k coefficients each."""
     F = ground.folds
     local = [i for i, probe in enumerate(probes) if probe.local]
@@ -272,5 +270,5 @@ def _solved(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, A
     return c, X, S
 
 
-def _allowed(probes: Sequence[Probe], c: Array) -> NDArray[np.bool_]:
+def _allowed(probes: Sequence[Probe], c: Array) -> Mask:
     return np.array([probe.allowed(own) for probe, own in zip(probes, c, strict=True)], dtype=bool)

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import IdtoolError
 from idtool.data.signals import Motion
 from idtool.diagnosis.ground import Ground, ground
@@ -29,7 +29,6 @@ from idtool.estimation.dataset.knowledge import Fact, knowledge
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import SIZE
 
-Array = NDArray[np.float64]
 Key = tuple[int, str]  # place in the configuration's effects, and name of a parameter
 
 FAILURES = (IdtoolError, np.linalg.LinAlgError)  # of a model that cannot be fitted

@@ -9,13 +9,11 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.probe import Columns, Probe
 from idtool.dynamics.effects.survey import Present, Survey
-
-Array = NDArray[np.float64]
 
 UNKNOWN = "unknown"
 _BUMPS = 14  # over a range, of a function of one variable

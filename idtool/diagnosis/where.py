@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.diagnosis.bursts import bursts
 from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.maps import residual_maps
@@ -16,7 +16,6 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 
 __all__ = ["bursts", "located", "residual_maps", "unexplained"]
 
-Array = NDArray[np.float64]
 
 _SHARE = 0.1  # of the largest relative gain: with less, a joint is not concerned
 _SURE = 3.0  # times what chance loses, that a gain must be
@@ -109,7 +108,7 @@ def _chance(saved: Array) -> Array:
     return np.asarray(np.sqrt(2 * np.square(np.minimum(blocks, 0.0)).sum(axis=1)))
 
 
-def windows_of(found: Course, energy: Array, kept: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+def windows_of(found: Course, energy: Array, kept: Mask) -> tuple[tuple[float, float], ...]:
     """Stretches of time that hold most of an energy in little of the time, [s]; none where there are no such.
 
     Parameters
@@ -139,7 +138,7 @@ def windows_of(found: Course, energy: Array, kept: NDArray[np.bool_]) -> tuple[t
     return tuple((round(first + i * cell, 3), round(min(first + j * cell, last), 3)) for i, j in worth)
 
 
-def _merged(chosen: NDArray[np.bool_], apart: int) -> NDArray[np.bool_]:
+def _merged(chosen: Mask, apart: int) -> Mask:
     """The same with the smallest gaps filled, until there are few runs, a few cells apart."""
     while True:
         edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)

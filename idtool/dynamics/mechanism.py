@@ -14,20 +14,19 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 
-Array = NDArray[np.float64]
 Evaluated = Callable[[Motion], Array]
 
 
 class Term(Protocol):
     """One coefficient times a function of the motion, on one joint; with an array of joints, on each of them."""
 
-    joint: int | NDArray[np.intp]
+    joint: int | Indices
     shape: dict[str, Any]
     friction: bool
 
@@ -35,7 +34,7 @@ class Term(Protocol):
 class Loop(Protocol):
     """Hysteresis: torque by a state in [−1, 1] that depends on the path of one joint; or of several."""
 
-    joint: int | NDArray[np.intp]
+    joint: int | Indices
     shape: dict[str, Any]
     friction: bool
 
@@ -150,7 +149,7 @@ class Mechanism:
         )
 
     @property
-    def rubbing(self) -> NDArray[np.bool_]:
+    def rubbing(self) -> Mask:
         """Which joints have dry friction, shape (nv,)."""
         rubbing = np.zeros(len(self.model.joints), dtype=bool)
         for term, coefficient in self.dry:
@@ -169,12 +168,12 @@ class Mechanism:
         total = _sum(self.dry, len(self.model.joints), "level")
         return lambda motion: np.maximum(total(motion), 0.0)
 
-    def hysteresis(self) -> list[tuple[Loop, NDArray[np.intp], Array]]:
+    def hysteresis(self) -> list[tuple[Loop, Indices, Array]]:
         """The terms that depend on the path, those of one kind together: term, k joints, coefficients (k, 1)."""
         return _gathered(self.loops)
 
 
-def _gathered(terms: Sequence[tuple[_Any, float]]) -> list[tuple[_Any, NDArray[np.intp], Array]]:
+def _gathered(terms: Sequence[tuple[_Any, float]]) -> list[tuple[_Any, Indices, Array]]:
     """Terms of one kind as one term on several joints, each once, the joints, and the coefficients as a column."""
     groups: dict[tuple[type, int], list[tuple[_Any, float]]] = {}
     for term, coefficient in sorted((pair for pair in terms if pair[1]), key=lambda pair: int(pair[0].joint)):

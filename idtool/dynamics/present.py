@@ -13,13 +13,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.robot.inertia import SIZE, symmetric
-
-Array = NDArray[np.float64]
 
 _RATE = 150.0  # Hz, of the samples at which derivatives are taken
 _STEP = 1e-5  # rad, rad/s: of a difference; the torque is linear in a
@@ -40,7 +38,7 @@ class Equation(Protocol):
     def coefficients(self) -> tuple[Coefficient, ...]:
         """The unknowns."""
 
-    def active(self) -> tuple[NDArray[np.intp], ...]:
+    def active(self) -> tuple[Indices, ...]:
         """Per joint, which of them appear in its equation."""
 
     def columns(self, motion: Motion) -> list[Array]:

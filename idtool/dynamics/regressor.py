@@ -11,9 +11,9 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects.base import Coefficient, Effect
 from idtool.dynamics.effects.survey import Present
@@ -21,13 +21,11 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.present import PresentModel
 from idtool.robot.model import Model
 
-Array = NDArray[np.float64]
-
 _UNDEFINED = 0.3  # share of a filtered sample's weight that may come from samples where a column is not defined
 _CLEAR = 0.03  # of its weight by magnitude, with which such samples do not show in it
 
 
-def _turns(v: Array) -> NDArray[np.bool_]:
+def _turns(v: Array) -> Mask:
     """Samples between which a joint turns round, however fast, shape (N,)."""
     turns = np.zeros(len(v), dtype=bool)
     at = np.flatnonzero(v[1:] * v[:-1] < 0)
@@ -96,11 +94,11 @@ class LinearModel:
         """Their values before any data, shape (p,)."""
         return np.array([c.prior for c in self.coefficients])
 
-    def offsets(self) -> NDArray[np.intp]:
+    def offsets(self) -> Indices:
         """Where each effect's coefficients begin, and p."""
         return np.cumsum([0, *(len(effect.coefficients) for effect in self.effects)])
 
-    def active(self) -> tuple[NDArray[np.intp], ...]:
+    def active(self) -> tuple[Indices, ...]:
         """Per joint, which of the p unknowns appear in its equation."""
         starts = self.offsets()[:-1]
         return tuple(
@@ -150,11 +148,11 @@ class LinearModel:
         """
         return [b if keep.all() else b[:, keep] for b, keep in zip(*self.rows(batch), strict=True)]
 
-    def rows(self, batch: Batch) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+    def rows(self, batch: Batch) -> tuple[list[Array], list[Mask]]:
         """The same with all samples, and per joint whether each counts, shape (n,)."""
         return [batch.filter(columns) for columns in self.columns(batch.motion)], self.kept(batch)
 
-    def kept(self, batch: Batch) -> list[NDArray[np.bool_]]:
+    def kept(self, batch: Batch) -> list[Mask]:
         """Per joint, whether each filtered sample counts, shape (n,)."""
         kept = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
         for joint, masks in self._undefined(batch).items():
@@ -163,7 +161,7 @@ class LinearModel:
                     kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
         return kept
 
-    def clear(self, batch: Batch, apart: float = 0.0) -> list[NDArray[np.bool_]]:
+    def clear(self, batch: Batch, apart: float = 0.0) -> list[Mask]:
         """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
 
         A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
@@ -186,9 +184,9 @@ class LinearModel:
             kept[joint] &= share <= (_CLEAR if around else max(_CLEAR, float(np.median(share))))
         return kept
 
-    def _undefined(self, batch: Batch) -> dict[int, list[NDArray[np.bool_]]]:
+    def _undefined(self, batch: Batch) -> dict[int, list[Mask]]:
         """Joints, and where a column of theirs is not defined, effect by effect, shape (N,) each."""
-        masks: dict[int, list[NDArray[np.bool_]]] = {}
+        masks: dict[int, list[Mask]] = {}
         for effect in self.effects:
             for joint, mask in effect.undefined(batch.motion).items():
                 masks.setdefault(joint, []).append(mask)

@@ -19,9 +19,9 @@ from functools import partial
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval, chebvander
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.linear_algebra import svd
 from idtool.data.command import LONGEST_DELAY
 from idtool.data.signals import Signals
@@ -33,8 +33,6 @@ from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.dataset.weights import free_noise, freedom
 from idtool.estimation.uncertainty.scatter import FEWEST
 from idtool.robot.config import Config, Uncertain
-
-Array = NDArray[np.float64]
 
 _MUCH_THE_SAME = 0.9  # correlation of two effects that are worth a word
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
@@ -293,7 +291,7 @@ class _Profile:
         """Sum of squared residuals."""
         return self._solved(delay)[1] ** 2
 
-    def viscous(self, delay: float, joints: NDArray[np.intp]) -> float:
+    def viscous(self, delay: float, joints: Indices) -> float:
         """Mean viscous friction of some joints; 0 where the model has none."""
         own = self._solved(delay)[0][np.isin(self._owners, self._joints[joints])]
         return float(own.mean()) if len(own) else 0.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.validation import Evaluation
@@ -15,8 +15,6 @@ from idtool.estimation.problem.identify import stuck_note, unfinished_note
 from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.body import Body
 from idtool.robot.inertia import SIZE, pseudo_inertia
-
-Array = NDArray[np.float64]
 
 _HEAVY = 3.0  # times its mass in the prior, of a body that is too heavy or too light
 _TOTAL = 0.3  # of the prior's total mass, that the total may differ from it

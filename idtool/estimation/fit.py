@@ -5,9 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.doubts import doubts
@@ -77,7 +75,7 @@ class Fit:
         """Standard errors."""
         return self.trust.uncertainty
 
-    def parameters(self, index: int) -> NDArray[np.float64]:
+    def parameters(self, index: int) -> Array:
         """The identified parameters of the model's body of that index, shape (10,)."""
         return self.estimate.theta[SIZE * index : SIZE * (index + 1)]
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.blocks import Blocks, together
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -24,8 +22,6 @@ from idtool.estimation.two_stage import TwoStage, two_stage
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.sets import ConstraintSet, choose_set
-
-Array = NDArray[np.float64]
 
 Method = Literal["ls", "iv"]
 

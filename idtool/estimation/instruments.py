@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
 from idtool.data.logs import Log
 from idtool.data.signals import Signals
@@ -24,7 +24,6 @@ from idtool.dynamics.simulation.simulation import simulate
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.evaluation.simulated_log import under_controller
 
-Array = NDArray[np.float64]
 Kind = Literal["closed_loop", "smoothed"]
 
 _STANDS_OUT = 30.0  # times the noise's power from which on motion is told from it
@@ -100,7 +99,7 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
 
 def instrumented_rows(
     experiment: Experiment, made: Instruments, progress: Progress
-) -> Iterator[tuple[list[Array], list[NDArray[np.bool_]]]]:
+) -> Iterator[tuple[list[Array], list[Mask]]]:
     """Rows of a log's training part beside those of its instruments, batch after batch.
 
     Parameters

@@ -51,7 +51,7 @@ def find_manifest() -> Path:
     ConfigError
         If there is neither: a wheel does not carry the sample logs, which are seven times its size.
     """
-    checkout = Path(__file__).parents[1]
+    checkout = Path(__file__).parents[2]
     for folder in (Path(), checkout):
         path = folder / "sample_logs" / "manifest.yaml"
         if path.exists():

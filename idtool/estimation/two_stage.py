@@ -20,8 +20,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.linear_algebra import svd
 from idtool.common.names import some
 from idtool.dynamics.regressor import LinearModel
@@ -32,8 +32,6 @@ from idtool.estimation.instruments import Instruments, Kind, instrumented_rows, 
 from idtool.estimation.problem.identify import solve
 from idtool.estimation.problem.problem import build_problem
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 _MOST = 4  # times that instruments are made
 _SETTLED = 0.02  # of the torque's noise: less change of the torque than that is none

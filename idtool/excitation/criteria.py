@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.common.names import nearest
@@ -29,8 +29,6 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.uncertainty.base import BaseParameters
-
-Array = NDArray[np.float64]
 
 Criterion = Literal["d", "a", "e", "condition"]
 CRITERIA: tuple[Criterion, ...] = ("d", "a", "e", "condition")
@@ -53,7 +51,7 @@ class Aim:
     """
 
     criterion: Criterion
-    favoured: NDArray[np.intp]
+    favoured: Indices
 
     def value(self, M: Array, criterion: Criterion | None = None) -> float:
         """The criterion, or another one, of an information matrix (r, r); infinite where that is singular."""
@@ -123,7 +121,7 @@ class BaseColumns:
     def __init__(self, equation: LinearModel, base: BaseParameters, known: Knowledge) -> None:
         place = np.searchsorted(known.free, base.own)
         K = known.K[:, place]  # (p, r)
-        self.own: list[NDArray[np.intp]] = []  # per joint, which of the r appear in its equation
+        self.own: list[Indices] = []  # per joint, which of the r appear in its equation
         self._shares: list[Array] = []
         for active in equation.active():
             rows = K[active]
@@ -210,7 +208,7 @@ def sizes(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
     return np.asarray(np.linalg.norm(base.B * scale, axis=1))
 
 
-def favoured(names: Sequence[str], base: BaseParameters, equation: LinearModel) -> NDArray[np.intp]:
+def favoured(names: Sequence[str], base: BaseParameters, equation: LinearModel) -> Indices:
     """Indices of the base parameters that are meant; all without a name.
 
     Parameters

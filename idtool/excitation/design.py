@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.data.logs import Log, make_log
@@ -28,8 +28,6 @@ from idtool.excitation.objective import Objective
 from idtool.excitation.patterns import PATTERNS, Part, Setting, Slow, Standstill, Trajectory
 from idtool.excitation.task import Task
 from idtool.robot.config import Config
-
-Array = NDArray[np.float64]
 
 _LONGEST = 40.0  # s of a motion that is searched for; longer ones are repeated
 _SHORTEST = 2.0  # s

@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest, some
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.patterns import Part, Samples, Trajectory
 from idtool.excitation.task import Task
-
-Array = NDArray[np.float64]
 
 _BETWEEN = 2  # instants looked at for each sample
 _RATE = 500.0  # Hz: no fewer
@@ -87,7 +85,7 @@ def _nearest(task: Task, q: Array) -> tuple[tuple[str, str], float, int]:
     return task.collision.nearest(q)
 
 
-def _held(task: Task, poses: Array) -> NDArray[np.bool_]:
+def _held(task: Task, poses: Array) -> Mask:
     """Which poses (nv, N) can be held against gravity."""
     still = np.zeros_like(poses)
     tau = task.torque(Samples(poses, still, still), np.arange(poses.shape[1], dtype=float))

@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
 from idtool.robot.config import Config
 from idtool.robot.config.limits import JointLimits
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint
-
-Array = NDArray[np.float64]
 
 TURN = math.pi  # rad to either side of zero, of a joint that has no position limits
 SPEED = {False: 3.0, True: 0.3}  # rad/s, m/s of a joint that has no velocity limit; True: prismatic

@@ -9,12 +9,10 @@ Letters: nv joints, N coarse samples, r base parameters, p coefficients; x (n,) 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns import Pattern, Samples
 from idtool.excitation.task import Task
-
-Array = NDArray[np.float64]
 
 RIDGE = 1e-6  # information that there is beforehand: a standard error of a thousand sizes
 _ROUNDED = 0.02  # of the velocity limit over which sign(v) is rounded while searching

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest
 from idtool.data.filters import LowPass
@@ -24,8 +24,6 @@ from idtool.excitation.patterns import Fourier, Samples, Setting
 from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 STILL = 3e-3  # rad/s or m/s: least velocity whose sign a fit believes
 _REST = 3.0  # times that: where a joint rests and its row is left out

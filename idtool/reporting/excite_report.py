@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.estimation.uncertainty.base import BaseParameters
 from idtool.excitation.design import Design
@@ -15,8 +15,6 @@ from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task
 from idtool.reporting.trust_report import combination_name, quantity, terms_report
 from idtool.robot.inertia import SIZE
-
-Array = NDArray[np.float64]
 
 _CURVE = 500  # instants of each curve
 _TINY = 1e-3  # of a base parameter's size: a prior that small is none to compare with

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from idtool import __version__
+from idtool.common.arrays import Array
 from idtool.common.provenance import Source, provenance
+from idtool.common.version import VERSION
 from idtool.dynamics.effects import NamedEffect, named_effect, plain
 from idtool.estimation.dataset.knowledge import Fact
 from idtool.estimation.evaluation.simulation_report import simulation_report
@@ -25,9 +25,7 @@ from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
-Array = NDArray[np.float64]
-
-HEADER = {"idtool": __version__, "schema": 1}
+HEADER = {"idtool": VERSION, "schema": 1}
 _SOLVER = ("name", "status", "objective", "duality_gap", "iterations", "seconds", "violation", "parameter_error")
 _FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
 

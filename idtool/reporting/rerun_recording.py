@@ -16,15 +16,13 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import Robot
-
-Array = NDArray[np.float64]
 
 _TIME = "log"  # the timeline's name
 _POSES = {"measured": "", "simulated": "simulated/"}  # the robots, and what is put before their frames' names

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.effects.base import Coefficient
 from idtool.estimation.fit import Fit
 from idtool.estimation.uncertainty.base import BaseParameters
@@ -15,8 +15,6 @@ from idtool.estimation.uncertainty.bias import BiasCheck
 from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination
 from idtool.estimation.uncertainty.repeatability import Repeatability
 from idtool.robot.inertia import NAMES, SIZE
-
-Array = NDArray[np.float64]
 
 _WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in NAMES[1:4]}}
 _NAMED = 4  # terms of a combination that its name holds

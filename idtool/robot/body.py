@@ -10,13 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import transformation
 from idtool.robot.shapes import Shape
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

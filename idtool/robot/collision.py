@@ -15,9 +15,9 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.names import some
 from idtool.robot.body import Frame
@@ -26,7 +26,6 @@ from idtool.robot.kinematics import body_places
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint, Robot
 
-Array = NDArray[np.float64]
 Pair = tuple[str, str]
 
 _MOST_LINKS = 1000
@@ -59,8 +58,8 @@ class SelfCollision:
     pairs: tuple[Pair, ...]
     warnings: tuple[str, ...]
     _pieces: tuple[Piece, ...]
-    _ends: NDArray[np.intp]  # pieces that make pairs, shape (2, pairs of pieces)
-    _owner: NDArray[np.intp]  # the pair of links that each is of
+    _ends: Indices  # pieces that make pairs, shape (2, pairs of pieces)
+    _owner: Indices  # the pair of links that each is of
 
     @classmethod
     def of(cls, model: Model, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
@@ -125,7 +124,7 @@ class SelfCollision:
         at = int(least.argmin())
         return self.pairs[owner[at]], float(least[at]), at
 
-    def _least(self, q: Array) -> tuple[Array, NDArray[np.intp]]:
+    def _least(self, q: Array) -> tuple[Array, Indices]:
         """The least distance in each configuration, and of which pair; shape (N,) each."""
         least, owner = np.full(q.shape[1], math.inf), np.zeros(q.shape[1], dtype=np.intp)
         for first, near, R, p in self._near(q):
@@ -164,7 +163,7 @@ class SelfCollision:
     def _distance(self) -> Distances:
         return Distances(self._pieces, self._ends)
 
-    def _always_touching(self) -> NDArray[np.bool_]:
+    def _always_touching(self) -> Mask:
         """Which pairs of links touch by the way they are made, shape (pairs,)."""
         joints = self.model.joints
         free = [_NO_LIMIT.get(joint.kind, math.pi) for joint in joints]
@@ -175,7 +174,7 @@ class SelfCollision:
         at_zero = self._touching(np.clip(0, lower, upper)[:, None])[:, 0]
         return np.asarray(at_zero | (self._touching(random).mean(axis=1) > _SHARE))
 
-    def _touching(self, q: Array) -> NDArray[np.bool_]:
+    def _touching(self, q: Array) -> Mask:
         """Which pairs of links touch in which configuration, shape (pairs, N)."""
         touching = np.zeros((len(self.pairs), q.shape[1]), dtype=bool)
         for first, near, R, p in self._near(q):
@@ -184,7 +183,7 @@ class SelfCollision:
                     touching[self._owner[k], first + n] = self._distance(k, R[:, n], p[:, n]) <= _TOUCH
         return touching
 
-    def _less(self, excluded: NDArray[np.bool_]) -> SelfCollision:
+    def _less(self, excluded: Mask) -> SelfCollision:
         """Without some of the pairs of links, shape (pairs,)."""
         if not excluded.any():
             return self

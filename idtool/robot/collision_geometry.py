@@ -16,18 +16,16 @@ from itertools import product
 import coal
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.names import some
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
 from idtool.robot.meshes import UnreadableError, numbers
 from idtool.robot.urdf.reading import Robot, parse_xml
-
-Array = NDArray[np.float64]
 
 _MOST_PIECES = 16  # of a link; more are taken as their common hull
 _MOST_VERTICES = 400  # of a hull
@@ -60,7 +58,7 @@ class Distances:
         Which of them are paired, shape (2, pairs).
     """
 
-    def __init__(self, pieces: Sequence[Piece], ends: NDArray[np.intp]) -> None:
+    def __init__(self, pieces: Sequence[Piece], ends: Indices) -> None:
         self._ends = ends.T.tolist()
         self._pieces = tuple(pieces)  # Coal keeps pointers to their shapes
         self._solvers = [coal.ComputeDistance(pieces[i].shape, pieces[j].shape) for i, j in self._ends]
@@ -180,7 +178,7 @@ def _hull(link: str, points: Array, frame: Frame) -> Piece:
     return Piece(link, shape, frame.then(np.eye(3), center), radius, beyond)
 
 
-def outermost(points: Array) -> NDArray[np.intp]:
+def outermost(points: Array) -> Indices:
     """Indices of the points that lie farthest in directions spread over all sides."""
     k = np.arange(_MOST_VERTICES) + 0.5
     turn, z = math.pi * (1 + math.sqrt(5)) * k, 1 - 2 * k / _MOST_VERTICES
@@ -188,7 +186,7 @@ def outermost(points: Array) -> NDArray[np.intp]:
     return np.unique([np.argmax(points @ direction) for direction in directions])
 
 
-def _inside(hull: ConvexHull, points: Array) -> NDArray[np.bool_]:
+def _inside(hull: ConvexHull, points: Array) -> Mask:
     """Which points a hull holds, shape (n,)."""
     inside = np.ones(len(points), dtype=bool)
     for equation in hull.equations:
@@ -207,7 +205,7 @@ def _farthest(shape: coal.Convex, points: Array) -> float:
     return farthest
 
 
-def _convex(corners: Array, faces: NDArray[np.intp]) -> coal.Convex:
+def _convex(corners: Array, faces: Indices) -> coal.Convex:
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for corner in corners:
         points.append(corner)

@@ -6,10 +6,9 @@ A plane is a row (n, d), shape (4,): its half-space holds the points x with n ·
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 _MANY = 10_000  # points, beyond which their hull may take long and have as many corners
 _THICKNESS = 1e-3  # of the hull of many points, in units of their extents: what lies nearer to a face adds no corner

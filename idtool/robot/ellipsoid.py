@@ -9,12 +9,11 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.robot.convex import principal_axes
-
-Array = NDArray[np.float64]
 
 _MORE = 32  # points beyond an ellipsoid that are heeded next
 
@@ -77,7 +76,7 @@ class Ellipsoid:
         """A length for scaling: the geometric mean of the semi-axes [m]."""
         return float(np.prod(self.semi_axes) ** (1 / 3))
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         """Whether points, shape (..., 3), lie inside, within a relative tolerance."""
         local = (np.asarray(points, dtype=float) - self.center) @ self.rotation / self.semi_axes
         return np.asarray(np.square(local).sum(axis=-1) <= 1 + tolerance)
@@ -143,7 +142,7 @@ def _thicken(points: Array, flattest: float) -> Array:
     return np.concatenate([points, *(center + sign * 0.5 * least * thin for sign in (-1, 1))])
 
 
-def _spanning(points: Array) -> NDArray[np.intp]:
+def _spanning(points: Array) -> Indices:
     """Indices of some extreme points that span three dimensions, as all of them do."""
     axes = principal_axes(points)
     core = np.zeros(0, dtype=np.intp)

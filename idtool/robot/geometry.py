@@ -14,16 +14,14 @@ from pathlib import Path
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.robot.convex import enclosing
 from idtool.robot.meshes import Mesh, UnreadableError, numbers, read_mesh, together
 from idtool.robot.urdf.reading import Robot, parse_xml
-
-Array = NDArray[np.float64]
 
 _SIDES = 32  # of the polygon around a circle, 0.5 % larger
 _DIRECTIONS = 400  # of the points around a ball, less than 1 % larger

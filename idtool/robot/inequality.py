@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.robot.inertia import BASIS, POWERS, SIZE, from_pseudo_inertia
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ Letters (paper: Wensing, Kim & Slotine, arXiv 1701.04395):
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)

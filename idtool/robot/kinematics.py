@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Indices
 from idtool.robot.body import Body
 from idtool.robot.inertia import skew
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class BodyMotion:
     acc: Array
     S_w: Array
     S_v: Array
-    coordinates: NDArray[np.intp]
+    coordinates: Indices
 
     @cached_property
     def M(self) -> Array:  # noqa: N802
@@ -108,7 +106,7 @@ def body_places(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
     return places
 
 
-def _step(body: Body, parent: BodyMotion, own: Array, coordinates: NDArray[np.intp]) -> BodyMotion:
+def _step(body: Body, parent: BodyMotion, own: Array, coordinates: Indices) -> BodyMotion:
     """A body's motion from its parent's and its own along its axis, ``own`` = phi less its offset, dphi, ddphi."""
     phi, dphi, ddphi = own
     phi = phi + body.offset

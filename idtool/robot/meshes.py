@@ -20,12 +20,10 @@ from urllib.parse import unquote
 import numpy as np
 import trimesh
 from lxml import etree
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.robot.urdf.reading import parse_xml
-
-Array = NDArray[np.float64]
 
 _MOST = 1e6  # m; what is larger is no robot
 _MOST_BYTES = 100 << 20
@@ -54,7 +52,7 @@ class Mesh:
     """
 
     points: Array
-    faces: NDArray[np.intp]
+    faces: Indices
 
     @property
     def corners(self) -> Array:

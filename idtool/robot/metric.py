@@ -9,11 +9,10 @@ sees it, itself the identity; Q the homogeneous matrix of a shape that bounds th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from idtool.common.arrays import Array
 from idtool.robot.inertia import BASIS, POWERS, SIZE, from_pseudo_inertia, pseudo_inertia
-
-Array = NDArray[np.float64]
 
 FLOOR = 1e-6  # how far inside the set a projection ends, in units of the reference: survives rounding
 _ROUNDING = 1e-12  # of the multiplier's equation

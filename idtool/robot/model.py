@@ -14,9 +14,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest, some
 from idtool.robot.body import Body, Frame, Member
@@ -27,8 +27,6 @@ from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import SIZE, from_mass_com_inertia, symmetric
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Joint, Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Model:
         """Unit of each joint's torque or force."""
         return {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in self.joints}
 
-    def support(self) -> NDArray[np.bool_]:
+    def support(self) -> Mask:
         """Which coordinates move which body, shape (bodies, nv)."""
         support = np.zeros((len(self.bodies), len(self.joints)), dtype=bool)
         for i, body in enumerate(self.bodies):

@@ -10,13 +10,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import DENSITY, Inequality
 from idtool.robot.inertia import BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
-
-Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-9  # of the body's own spread, and of its ellipsoid
 _ROUNDING = 16 * np.finfo(float).eps  # of moments about the origin, in those about the centre of mass

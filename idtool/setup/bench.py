@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError, SolverError
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -24,8 +24,6 @@ from idtool.estimation.problem.identify import identify
 from idtool.estimation.problem.prior_bodies import prior_bodies
 from idtool.estimation.problem.regularization_path import assumed_weight
 from idtool.robot.config import Config
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

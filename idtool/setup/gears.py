@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.urdf.reading import Joint, Robot, parse_xml
 
@@ -64,7 +64,7 @@ def _alike(link: str, joint: str) -> float:
     return difflib.SequenceMatcher(None, link.lower().replace("rotor", ""), joint.lower().replace("joint", "")).ratio()
 
 
-def _rpy(R: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rpy(R: Array) -> Array:
     """Roll, pitch and yaw of a rotation, shape (3,) [rad]; where only roll and yaw together matter, yaw is zero."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that it did so
@@ -101,7 +101,7 @@ def rotor_template(robot: Robot, joint: Joint, ratio: float | None, link: str | 
     }
 
 
-def solid_ellipsoid(pi: NDArray[np.float64]) -> dict[str, Any] | None:
+def solid_ellipsoid(pi: Array) -> dict[str, Any] | None:
     """The homogeneous ellipsoid that has a link's inertia parameters, shape (10,), as an entry; None: there is none.
 
     A solid ellipsoid of mass m and semi-axes a_k has second moments m a_k² / 5 along them.

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from idtool.common.names import some
 from idtool.data.logs import Log
@@ -23,8 +22,6 @@ from idtool.robot.config import Config, parse_config
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.bench import Bench, Verdict
 from idtool.setup.records import Trial
-
-Array = NDArray[np.float64]
 
 HOLDOUT = 0.3  # share at the end of every log
 _WORTH = 0.02  # share by which held-out RMS must fall: less is no reason for another parameter

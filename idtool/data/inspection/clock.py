@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.records import Gap, Sampling
 from idtool.data.logs.log import Log
-
-Array = NDArray[np.float64]
 
 _AROUND = 9  # stamps to either side of a gap
 _FEWEST = 200  # samples that tell the time, for a statement
@@ -70,7 +68,7 @@ def gaps(log: Log) -> tuple[Gap, ...]:
     return tuple(sorted(found, key=lambda gap: -gap.lost))
 
 
-def fresh_rows(log: Log, stretch: slice) -> NDArray[np.bool_]:
+def fresh_rows(log: Log, stretch: slice) -> Mask:
     """Whether a row differs from the one before in the q or v of any joint, for the rows of a stretch, shape (N,)."""
     fresh = np.zeros(stretch.stop - stretch.start, dtype=bool)
     fresh[0] = True

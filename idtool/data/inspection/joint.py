@@ -9,17 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.measures import Span, noise_level, power_band, quantisation, stale_share, stuck_share
 from idtool.data.inspection.records import Joint, Signal, Velocity
 from idtool.data.inspection.torque import torque_source
 from idtool.data.inspection.velocity import Agreement, velocity_agreement
 from idtool.data.logs.log import SIGNALS, Log
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _THINNED = 1 << 15  # samples that quantisation is read from
 _MOVES = 10.0  # range of q over its noise or resolution

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array, Mask
 
 _BLOCK = 1 << 14  # rows
 _FEWEST = 100  # samples that a share is taken of
@@ -136,7 +136,7 @@ def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: 
     return float(f[np.searchsorted(power, share * power[-1])]) if power[-1] > 0 else None
 
 
-def stale_share(x: Array, moving: NDArray[np.bool_], step: float | None, noise: float) -> float | None:
+def stale_share(x: Array, moving: Mask, step: float | None, noise: float) -> float | None:
     """Share of samples equal to the one before where the signal is on its way; None where it hardly ever is.
 
     On its way: over eight samples to either side it covers so many quantisation steps a sample that neither

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.inspection.records import Signal, TorqueSource
 
-Array = NDArray[np.float64]
 Runs = Mapping[str, Sequence[Array]]
 
 _LAW = 1e-3  # of tau's deviation: what a control law's rounding may leave

@@ -8,12 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import oaconvolve
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 _SHORTEST = 64  # samples
 _LONGEST_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
-from idtool.data.logs.log import Array, Log, make_log
+from idtool.data.logs.log import Log, make_log
 
 _BLOCK = 1 << 14  # samples looked at together
 

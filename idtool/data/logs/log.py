@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.provenance import Source
 from idtool.data.logs.times import doubtful_unit
-
-Array = NDArray[np.float64]
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
@@ -122,7 +120,7 @@ def make_log(
     return Log(path, joints, t, held, segments, dt, warnings)
 
 
-def _incomplete(t: Array, signals: Mapping[str, Array]) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+def _incomplete(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:
     """Samples that lack a value, shape (N,), and the signals that some joint has."""
     bad = ~np.isfinite(t)
     held = {}
@@ -154,7 +152,7 @@ def _steps(t: Array) -> Array:
     return np.asarray(t[i + 1] - t[i])
 
 
-def _segments(t: Array, dt: float, longest: float, bad: NDArray[np.bool_]) -> tuple[slice, ...]:
+def _segments(t: Array, dt: float, longest: float, bad: Mask) -> tuple[slice, ...]:
     """Runs without a gap: a break is time that was lost for good, not a stamp that came late."""
     edges = [np.array([0])]
     for start in range(0, len(t) - 1, _BLOCK):  # of bounded size: no array beside the log's own is as long as it
@@ -168,7 +166,7 @@ def _segments(t: Array, dt: float, longest: float, bad: NDArray[np.bool_]) -> tu
     return tuple(map(slice, breaks[:-1][whole].tolist(), breaks[1:][whole].tolist()))
 
 
-def _late(t: Array, dt: float, suspect: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _late(t: Array, dt: float, suspect: Indices) -> Mask:
     """Whether the stamps after a long step are in time with those before it, so that it lost no time."""
     count = np.arange(_RECOVERY + 1)
     before = suspect[:, None] - count

@@ -11,12 +11,13 @@ from typing import BinaryIO
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
 from idtool.data.logs.bag import MCAP, ZSTD, files_of
 from idtool.data.logs.files import records
 from idtool.data.logs.interleaved import log_of
-from idtool.data.logs.log import Array, Log
+from idtool.data.logs.log import Log
 from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.data.logs.series import Series
 from idtool.data.logs.times import in_seconds

@@ -19,6 +19,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -63,7 +64,7 @@ class Batch:
 
     buffer: bytes
     definitions: list[int]
-    messages: NDArray[np.intp]
+    messages: Indices
 
     @property
     def heads(self) -> NDArray[np.void]:

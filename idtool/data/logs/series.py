@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import LogError
-from idtool.data.logs.log import Array
 
 _MOST_JOINTS = 512  # a joint takes room in every sample, so a file must not name them without end
 _MOST_EMPTY = 16, 1 << 24  # values in the arrays for each that a sample gave, and beside those
@@ -37,7 +37,7 @@ class Samples:
         Signal to values in the log's units, each of shape (k, len(joints)).
     """
 
-    index: NDArray[np.intp]
+    index: Indices
     t: Array
     joints: tuple[str, ...]
     signals: Mapping[str, NDArray[np.floating]]
@@ -146,7 +146,7 @@ class Series:
             array.resize((size, array.shape[1]), refcheck=False)
 
 
-def _places(pieces: Sequence[Samples], start: int) -> Sequence[slice | NDArray[np.intp]]:
+def _places(pieces: Sequence[Samples], start: int) -> Sequence[slice | Indices]:
     """Rows of each piece, the samples in the order of their `index`."""
     if len(pieces) == 1:
         return [slice(start, start + len(pieces[0].t))]

@@ -14,9 +14,9 @@ from typing import BinaryIO
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import shown
-from idtool.data.logs.log import Array
 
 _PIECE_BYTES = 1 << 22
 _LONGEST_LINE = 1 << 20  # bytes

@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 _UNITS = {"ns": 1e9, "us": 1e6, "ms": 1e3}  # to the second
 _LOOKED_AT, _FEW = 1 << 14, 16  # samples

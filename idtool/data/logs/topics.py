@@ -9,6 +9,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import nearest, shown, some
 from idtool.data.logs.definitions import Definitions, kind_of, listed
@@ -177,7 +178,7 @@ class Topics:
         self._channels[channel.id] = channel.topic, decoder
 
     def _decode(
-        self, name: str, decoder: Decoder, batch: Batch, heads: NDArray[np.void], which: NDArray[np.intp]
+        self, name: str, decoder: Decoder, batch: Batch, heads: NDArray[np.void], which: Indices
     ) -> list[Samples]:
         heads = heads[which]
         starts = batch.messages[which] + HEAD.itemsize

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.signal import lfilter
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.held_effect import HeldJointEffect
 from idtool.dynamics.effects.joint_effect import Held
@@ -18,9 +18,6 @@ from idtool.dynamics.effects.probe import spread
 from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Gear, Mechanism
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _DAMPING = 0.5  # of what is critical
 _NARROW, _WIDE, _TRIED = 3e-4, 0.12, 12  # rad or m
@@ -89,7 +86,7 @@ class Backlash(HeldJointEffect):
         """See `Effect.known`."""
         return None if self._along is None else _change(motion, self.joint, self.shape, self._along(motion))
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """While teeth are apart and until the blow of their meeting has died away, for all that the joint shakes."""
         if self._along is None:
             return {}

@@ -11,14 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.survey import Present
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Effect(ABC):
     rank: int = 0
     by_torque: bool = False
     coefficients: tuple[Coefficient, ...]
-    active: tuple[NDArray[np.intp], ...]
+    active: tuple[Indices, ...]
 
     @abstractmethod
     def write(self, motion: Motion, out: Sequence[Array]) -> None:
@@ -115,7 +113,7 @@ class Effect(ABC):
         For effects whose columns depend on what a joint carries.
         """
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """Where the columns cannot be known from the motion: joint index to a mask of shape (N,)."""
         return {}
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.link_effect import LinkEffect
@@ -20,8 +20,6 @@ from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
 from idtool.robot.kinematics import cross
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _COMES = 0.005  # s in which a contact comes or goes
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.loaded_term import LoadedTerm
 from idtool.dynamics.effects.survey import Survey
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _UNITS = {(False, False): "1", (False, True): "m", (True, False): "1/m", (True, True): "1"}
 

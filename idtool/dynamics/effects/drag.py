@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import JointTerm
-
-Array = NDArray[np.float64]
 
 
 class QuadraticDrag(JointTerm):

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.joint_term import DryFriction, JointTerm, JointTerms
 from idtool.dynamics.effects.probe import spread
 from idtool.dynamics.effects.survey import Survey
-
-Array = NDArray[np.float64]
 
 _SOON, _LATE, _TRIED = 0.1, 2.0, 6  # of the log
 

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.held_effect import HeldJointEffect
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 _MOST = 0.7  # rad or m: beyond, it is another zero by intention
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.joint_term import JointTerm
@@ -14,8 +14,6 @@ from idtool.dynamics.effects.survey import Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint
-
-Array = NDArray[np.float64]
 
 _SHARES = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.32)  # of the travel that lie beyond
 

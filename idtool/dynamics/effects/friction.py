@@ -6,12 +6,10 @@ An offset is the same as a Coulomb friction that depends on the direction of mot
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import DryFriction, JointTerm
-
-Array = NDArray[np.float64]
 
 
 class ViscousFriction(JointTerm):

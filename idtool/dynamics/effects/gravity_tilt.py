@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.held_effect import HeldEffect
@@ -18,8 +18,6 @@ from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _STEEP = 0.7  # of gravity across: a base that leans more is mounted so by intention
 

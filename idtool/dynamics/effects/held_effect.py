@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.base import Coefficient
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -17,8 +17,6 @@ from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.survey import Present, Survey
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 
 class HeldEffect(NamedEffect):

@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import shown
 from idtool.dynamics.effects.named import NamedEffect, Value, check_names, joint_index, number, place
@@ -18,8 +18,6 @@ from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.survey import Survey
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _LEAST = 1e-6  # SI, of what must be above 0: the inverse square of what is smaller is not finite
 
@@ -77,7 +75,7 @@ class JointEffect(NamedEffect):
     held: tuple[Held, ...] = ()
 
     def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
-        self.joint: int | NDArray[np.intp] = joint
+        self.joint: int | Indices = joint
         self.shape: dict[str, Any] = {held.name: 0.0 for held in self.held if held.most is not None} | dict(shape or {})
         self.owner = model.joints[joint].name
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.held_effect import HeldJointEffect
@@ -18,8 +18,6 @@ from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Gear, Mechanism
 from idtool.robot.inertia import symmetric
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _DAMPING = 0.05  # of what is critical: harmonic drives and belts have a few per cent
 _BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz, below one of which torque tells the deflection
@@ -108,7 +106,7 @@ class JointElasticity(HeldJointEffect):
             x[self.joint] += change
         return replace(motion, q=q, v=v, a=a)
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """Where the deflection is not known, since its filter reaches beyond the samples."""
         edge = min(_low_pass(_BANDS[0], motion.dt).edge, len(motion.t))
         mask = np.zeros(len(motion.t), dtype=bool)

@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.base import Coefficient
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -24,8 +24,6 @@ from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _FAST = 0.1  # widths a sample above which the sign changes within it
 _SURE = 3.0  # widths of the rounded sign beyond which it is ±1 to half a percent
@@ -132,7 +130,7 @@ class DryFriction(JointTerm):
         x = motion.v[self.joint] / motion.still[self.joint]
         return mean_within(np.tanh(x), x, log_cosh) * self.level(motion)
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """Where the joint rests: friction there can be anything up to its level."""
         joint = int(self.joint)
         return {joint: np.abs(motion.v[joint]) < _SURE * motion.still[joint]}
@@ -222,7 +220,7 @@ class JointTerms(JointEffect):
         for k, term in enumerate(self.terms):
             term.join(theta[k : k + 1], mechanism)
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """See `Effect.undefined`."""
         masks = [mask for term in self.terms for mask in term.undefined(motion).values()]
         return {int(self.joint): np.logical_or.reduce(masks)} if masks else {}

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
@@ -16,8 +15,6 @@ from idtool.dynamics.effects.named import check_names, place
 from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 
 class LinkEffect(HeldEffect):

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import DryFriction
 from idtool.dynamics.effects.loaded_term import LoadedTerm
-
-Array = NDArray[np.float64]
 
 
 class LoadDependentFriction(LoadedTerm, DryFriction):

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.survey import Present, Survey
-
-Array = NDArray[np.float64]
 
 
 class LoadedTerm(JointTerm):

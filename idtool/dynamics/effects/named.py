@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown, some
 from idtool.dynamics.effects.base import Effect
@@ -21,7 +21,6 @@ from idtool.dynamics.effects.survey import Survey
 from idtool.robot.config import EffectEntry, Uncertain
 from idtool.robot.model import Model
 
-Array = NDArray[np.float64]
 Value = tuple[float, float | None]  # and its standard error; None: not known
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.link_effect import LinkEffect
@@ -31,8 +31,6 @@ from idtool.robot.inertia import (
 )
 from idtool.robot.kinematics import body_motions, cross
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # of the inertia's size
 _SEEN = 1e-9  # of the largest information, that is taken at the least

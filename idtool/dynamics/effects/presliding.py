@@ -6,16 +6,14 @@ from collections.abc import Iterator, Mapping
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.probe import spread
 from idtool.dynamics.effects.survey import Survey
 from idtool.dynamics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 _FORGETS = 4.0  # displacements along the path after which 2 % are left of where a loop began
 _SHORTEST, _LONGEST, _TRIED = 5e-4, 0.15, 8  # of the travel
@@ -73,7 +71,7 @@ class PreslidingHysteresis(JointTerm):
         states = np.array(list(accumulate(steps, lambda z, step: step[0] * z + step[1], initial=first)))
         return self.torque(states, v)
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """Until the joint has moved so far, to and fro, that it does not matter where it came from.
 
         Two states along the same path come nearer by e every displacement, in whichever direction it leads.

@@ -11,13 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.survey import Present
 from idtool.robot.config import EffectEntry
-
-Array = NDArray[np.float64]
 
 Columns = Callable[[Motion, Present], Mapping[int, Array]]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.base import Coefficient, Effect
 from idtool.dynamics.mechanism import Mechanism
@@ -14,8 +14,6 @@ from idtool.robot.body import Body
 from idtool.robot.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
 from idtool.robot.kinematics import BodyMotion, body_motions, cross
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _LIGHT = 0.1  # of the bodies' median mass
 
@@ -41,7 +39,7 @@ class RigidBodies(Effect):
         self.active = tuple(
             (np.flatnonzero(support[:, j])[:, None] * SIZE + np.arange(SIZE)).ravel() for j in range(support.shape[1])
         )
-        self._first_row: NDArray[np.intp] = (
+        self._first_row: Indices = (
             np.cumsum(support, axis=0) - support
         )  # of each body within a joint's columns, in bodies
 

@@ -6,16 +6,14 @@ from collections.abc import Iterator, Mapping
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.joint_term import JointTerm, JointTerms
 from idtool.dynamics.effects.named import Value
 from idtool.dynamics.effects.survey import Survey
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _FINE = 0.42  # of a period over the travel, between the n that are tried
 _FEWEST = 1.2  # periods over the travel: fewer pass for springs and stops

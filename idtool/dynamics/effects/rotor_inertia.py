@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.survey import Survey
 from idtool.dynamics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 class RotorInertia(JointTerm):

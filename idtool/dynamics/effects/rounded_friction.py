@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.joint_term import JointTerm, log_cosh, mean_within
 from idtool.dynamics.effects.probe import spread
 from idtool.dynamics.effects.survey import Survey
-
-Array = NDArray[np.float64]
 
 _SLOWEST = 4.0  # widths of the sign of a measured velocity
 _FASTEST, _TRIED = 0.3, 6  # of the rms speed: more would pass for viscous friction

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.survey import Present, Survey
 from idtool.robot.config import EffectEntry
-
-Array = NDArray[np.float64]
 
 
 class ParallelSpring(JointTerm):

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 
 class Present(Protocol):

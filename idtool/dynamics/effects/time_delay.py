@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.held_effect import HeldEffect
@@ -19,8 +19,6 @@ from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 WITHIN = 0.9  # samples: what is commanded acts until the next sample, so that half of one is in every log
 _SHIFT = 0.1  # s: no more than that is looked for
@@ -90,7 +88,7 @@ class TimeDelay(HeldEffect):
         """See `Effect.measured`."""
         return self._late(tau, self.delay / motion.dt)
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def undefined(self, motion: Motion) -> dict[int, Mask]:
         """Where the torque lies beyond the samples."""
         mask = np.zeros(len(motion.t), dtype=bool)
         beyond = int(np.ceil(abs(self.delay) / motion.dt))

@@ -10,15 +10,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.held_effect import HeldJointEffect, only
 from idtool.dynamics.effects.joint_effect import Held
 from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism, TorqueSensor
-
-Array = NDArray[np.float64]
 
 _LEAST, _MOST = 0.2, 5.0  # gains that are believed
 _LEVELS = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)  # of the greatest torque, where it may begin to bend

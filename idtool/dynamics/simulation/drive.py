@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.moment import Lanes
 from idtool.dynamics.simulation.windows import starts, stretch_of
-
-Array = NDArray[np.float64]
 
 _TWO_AT_ONCE = 2.5e-3  # s: samples closer than half of it are simulated two a step
 
@@ -70,14 +67,14 @@ class Drive:
                 total += gain * np.nan_to_num(self._signals.channels.signal(name, part), nan=0.0)
         return total
 
-    def measured(self, t: Array, q: Array, v: Array, lanes: Lanes) -> Array:
+    def measured(self, t: Array, q: Array, v: Array, lanes: Indices) -> Array:
         """The torque that sensors give at measured states of rollouts, shape (nv, w)."""
         tau = np.zeros_like(q) if self._torque is None else self._torque(t, lanes)
         if self._controlled:
             tau += self._command(t, lanes) - self._kp * q - self._kd * v
         return tau
 
-    def __call__(self, t: Array, q: Array, v: Array, lanes: Lanes) -> Array:
+    def __call__(self, t: Array, q: Array, v: Array, lanes: Indices) -> Array:
         """The torque that acts in true states of rollouts, shape (nv, w).
 
         Parameters
@@ -123,7 +120,7 @@ class _Lines:
         self._rate = 1 / dt
         self._first = before - (starts(signals, windows) + late) / dt
 
-    def __call__(self, t: Array, lanes: Lanes) -> Array:
+    def __call__(self, t: Array, lanes: Indices) -> Array:
         """Values, shape (nv, w), at moments, shape (w,) [s]."""
         place = t * self._rate + self._first[lanes]
         whole = place.astype(np.intp)

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
-
-Array = NDArray[np.float64]
 
 
 class Dynamics:
@@ -76,7 +74,7 @@ class Dynamics:
         return G.T @ M @ G + self._armature, (h @ G).T
 
 
-def motor_sides(mechanism: Mechanism) -> NDArray[np.intp]:
+def motor_sides(mechanism: Mechanism) -> Indices:
     """The coordinate of each joint's motor side, shape (nv,): the joint's own where it has no gear."""
     sides = np.arange(len(mechanism.model.joints))
     sides[sorted(mechanism.gears)] = len(sides) + np.arange(len(mechanism.gears))

@@ -10,16 +10,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.dynamics import Dynamics, motor_sides
 from idtool.dynamics.simulation.gears import Gears
-from idtool.dynamics.simulation.moment import Flags, Lanes, Moment, solve
+from idtool.dynamics.simulation.moment import Moment, solve
 
-Array = NDArray[np.float64]
-Drive = Callable[[Array, Array, Array, Lanes], Array]  # t (w,), q, v (nv, w), which rollouts → torque (nv, w)
+Drive = Callable[[Array, Array, Array, Indices], Array]  # t (w,), q, v (nv, w), which rollouts → torque (nv, w)
 
 _NUDGE = 1e-6  # rad/s, rad: for central differences
 
@@ -82,7 +81,7 @@ class Forces:
         loops = np.zeros((sum(len(joints) for _, joints, _ in self._loops), len(t)))
         return self.at(lanes, t, q, v, loops)
 
-    def at(self, lanes: Lanes, t: Array, q: Array, v: Array, loops: Array) -> Moment:
+    def at(self, lanes: Indices, t: Array, q: Array, v: Array, loops: Array) -> Moment:
         """A first moment in which all that the future depends on is known."""
         rests = np.zeros(q.shape, dtype=bool)
         return self._moment(lanes, t.copy(), q.copy(), v.copy(), np.zeros(q.shape), rests, loops)
@@ -107,13 +106,13 @@ class Forces:
             self._gears.stiffen(damping, stiffness)
         return damping, stiffness
 
-    def _moment(self, lanes: Lanes, t: Array, q: Array, v: Array, s: Array, held: Flags, loops: Array) -> Moment:
+    def _moment(self, lanes: Indices, t: Array, q: Array, v: Array, s: Array, held: Mask, loops: Array) -> Moment:
         M, h = self._dynamics(q, v)
         force, level = self._free(t, q, v, loops, lanes)
         force -= h
         return Moment(lanes, t, q, v, M, force, level, s, held, solve(M, force - s * level, held), loops)
 
-    def _free(self, t: Array, q: Array, v: Array, loops: Array, lanes: Lanes) -> tuple[Array, Array]:
+    def _free(self, t: Array, q: Array, v: Array, loops: Array, lanes: Indices) -> tuple[Array, Array]:
         """All torque but the bias and dry friction, and the level of the latter, shape (n, w)."""
         if self._gears is None:
             tau = self._drive(t, q, v, lanes)

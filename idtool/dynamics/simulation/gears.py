@@ -6,13 +6,10 @@ Letters: q, v positions and velocities of the n coordinates (n, W), as in `dynam
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.dynamics import motor_sides
-
-Array = NDArray[np.float64]
-
 
 _RIGID = 2 * np.pi * 200.0  # rad/s: far above what a log's band holds, and no need of very short steps
 

@@ -16,16 +16,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.forces import Drive, Forces
-from idtool.dynamics.simulation.moment import Lanes, Moment, between, solve
+from idtool.dynamics.simulation.moment import Moment, between, solve
 from idtool.dynamics.simulation.steps import implicit, runge_kutta
 from idtool.dynamics.simulation.sticking import changes, released
 
-Array = NDArray[np.float64]
-Keep = Callable[[Lanes, Moment, Moment], None]  # which rollouts, where a step of theirs began, where it ended
+Keep = Callable[[Indices, Moment, Moment], None]  # which rollouts, where a step of theirs began, where it ended
 
 LONGEST_STEP = 5e-3  # s
 _STABLE = 2.0  # step times the fastest rate; the explicit method is stable to 2.8
@@ -73,7 +72,7 @@ class Rollouts:
         return self._now.t
 
     @property
-    def motor(self) -> NDArray[np.intp]:
+    def motor(self) -> Indices:
         """The coordinates of the motors' sides, shape (nv,)."""
         return self._forces.motor
 
@@ -97,7 +96,7 @@ class Rollouts:
         """M at the present positions, shape (W, n, n)."""
         return self._now.M
 
-    def resume(self, lanes: Lanes, state: Array, t: Array) -> None:
+    def resume(self, lanes: Indices, state: Array, t: Array) -> None:
         """Set rollouts to t, shape (w,) [s], and to states, shape (states, w)."""
         n = len(self._now.q)
         self._now.put(lanes, self._forces.at(lanes, t, state[:n], state[n : 2 * n], state[2 * n :]))
@@ -127,7 +126,7 @@ class Rollouts:
             lanes = lanes[until[lanes] > self.t[lanes] + slack]
         np.maximum(self.t, until, out=self.t)
 
-    def _move(self, lanes: Lanes, until: Array, keep: Keep | None) -> None:
+    def _move(self, lanes: Indices, until: Array, keep: Keep | None) -> None:
         """One step of rollouts that are all stiff or all not."""
         every = lanes.size == len(self.t)
         start = self._settled(self._now if every else self._now.of(lanes))
@@ -139,7 +138,7 @@ class Rollouts:
         if keep is not None:
             keep(lanes, start, end)
 
-    def _lengths(self, lanes: Lanes, until: Array) -> Array:
+    def _lengths(self, lanes: Indices, until: Array) -> Array:
         """How long the next steps may be [s], shape (w,)."""
         t, grid = self.t[lanes], self._grid[lanes]
         gone = np.floor((t - grid) / self._step + 1e-9)
@@ -150,7 +149,7 @@ class Rollouts:
         longest = np.where(rates > _STIFF, _STIFF_STEP, _STABLE / np.maximum(rates, _SLOWEST))
         return np.asarray(left / np.ceil(left / np.minimum(longest, self._limit[lanes]) - 1e-9))
 
-    def _look_at(self, lanes: Lanes) -> None:
+    def _look_at(self, lanes: Indices) -> None:
         """How stiff the joints' own springs and dampers are, and the fastest rate at which they act [1/s]."""
         now = self._now.of(lanes)
         damping, stiffness = self._forces.steepness(now)

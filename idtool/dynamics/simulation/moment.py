@@ -10,11 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Lanes = NDArray[np.intp]
+from idtool.common.arrays import Array, Indices, Mask
 
 _HALVINGS = 40
 _BY_ROLLOUT = ("q", "v", "force", "level", "s", "held", "a", "loops")
@@ -38,7 +35,7 @@ class Moment:
         States of the hysteretic terms, shape (terms, W).
     """
 
-    lanes: Lanes
+    lanes: Indices
     t: Array
     q: Array
     v: Array
@@ -46,16 +43,16 @@ class Moment:
     force: Array
     level: Array
     s: Array
-    held: Flags
+    held: Mask
     a: Array
     loops: Array
 
-    def of(self, some: Lanes) -> Moment:
+    def of(self, some: Indices) -> Moment:
         """A part of the rollouts."""
         by_rollout = {name: getattr(self, name)[:, some] for name in _BY_ROLLOUT}
         return replace(self, lanes=self.lanes[some], t=self.t[some], M=self.M[some], **by_rollout)
 
-    def put(self, some: Lanes, part: Moment) -> None:
+    def put(self, some: Indices, part: Moment) -> None:
         """Overwrite a part of the rollouts."""
         self.t[some], self.M[some] = part.t, part.M
         for name in _BY_ROLLOUT:
@@ -116,7 +113,7 @@ def times(M: Array, a: Array) -> Array:
     return np.asarray((M @ a.T[:, :, None])[:, :, 0].T)
 
 
-def solve(M: Array, force: Array, held: Flags) -> Array:
+def solve(M: Array, force: Array, held: Mask) -> Array:
     """Acceleration of the joints that are not held, shape (n, W)."""
     if held.any():
         free = ~held.T

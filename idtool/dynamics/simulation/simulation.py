@@ -13,17 +13,15 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.drive import Drive, stride
 from idtool.dynamics.simulation.integrate import LONGEST_STEP, Rollouts
-from idtool.dynamics.simulation.moment import Lanes, Moment, between
+from idtool.dynamics.simulation.moment import Moment, between
 from idtool.dynamics.simulation.windows import measured_states, starts
-
-Array = NDArray[np.float64]
 
 _AT_ONCE = 256  # rollouts that advance together
 _FEW = 8  # rollouts, fewer than which are cut into pieces
@@ -53,7 +51,7 @@ class Simulated:
     q: Array
     v: Array
     tau: Array
-    lost: NDArray[np.bool_]
+    lost: Mask
 
 
 def simulate(
@@ -182,13 +180,13 @@ class _Run:
         self._q, self._v = np.zeros((2, len(q), len(windows), self._last.max() + 1))
         self._lost = np.zeros(len(windows), dtype=bool)
 
-    def resume(self, lanes: Lanes, state: Array) -> None:
+    def resume(self, lanes: Indices, state: Array) -> None:
         """Begin some again, in states, shape (states, w)."""
         self.rollouts.resume(lanes, state, self._t0[lanes])
         self.begun[:, lanes] = self.rollouts.state[:, lanes]
         self._lost[lanes] = False
 
-    def advance(self, lanes: Lanes, tell: Callable[[float], None]) -> None:
+    def advance(self, lanes: Indices, tell: Callable[[float], None]) -> None:
         """Take some to their ends."""
         rollouts, dt = self.rollouts, self._signals.log.dt
         self._q[:, lanes, 0] = rollouts.q[:, lanes] - self._offset
@@ -196,7 +194,7 @@ class _Run:
         until = rollouts.t.copy()
         until[lanes] = self._t0[lanes] + self._last[lanes] * dt
 
-        def keep(lanes: Lanes, start: Moment, end: Moment) -> None:
+        def keep(lanes: Indices, start: Moment, end: Moment) -> None:
             self._keep(lanes, start, end)
             gone = np.abs(end.v).max(axis=0)
             lost = lanes[~(gone < _FASTEST)]
@@ -207,7 +205,7 @@ class _Run:
         with _movable(self._mechanism):
             rollouts.advance(until, keep)
 
-    def _lose(self, lanes: Lanes, until: Array) -> None:
+    def _lose(self, lanes: Indices, until: Array) -> None:
         """Stop rollouts that have run away: they stay where they last were."""
         for lane in lanes:
             k = int((self.rollouts.t[lane] - self._t0[lane]) / self._signals.log.dt)
@@ -216,7 +214,7 @@ class _Run:
         self._lost[lanes] = True
         until[lanes] = -np.inf
 
-    def _keep(self, lanes: Lanes, start: Moment, end: Moment) -> None:
+    def _keep(self, lanes: Indices, start: Moment, end: Moment) -> None:
         """Take down the samples that lie in a step."""
         rate, t0, motor = 1 / self._signals.log.dt, self._t0[lanes], self.rollouts.motor
         begun, ended = ((moment.t - t0) * rate for moment in (start, end))

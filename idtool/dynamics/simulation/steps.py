@@ -6,12 +6,10 @@ Shapes: n coordinates, W rollouts, as in `moment`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.simulation.forces import Forces
 from idtool.dynamics.simulation.moment import Moment, solve, times
-
-Array = NDArray[np.float64]
 
 _GAMMA = 1 - np.sqrt(0.5)  # makes the implicit method L-stable
 

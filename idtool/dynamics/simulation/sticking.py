@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.simulation.moment import Moment, cubic, root, solve
-
-Array = NDArray[np.float64]
 
 _SLIPS = 1e-8  # relative: friction this near its level no longer holds
 

@@ -8,11 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Signals
-
-Array = NDArray[np.float64]
 
 _AROUND = 0.25  # periods of the band to either side from which a state is taken
 _FEWEST = 3  # samples to either side for that, at least

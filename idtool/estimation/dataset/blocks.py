@@ -6,11 +6,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
-
-Array = NDArray[np.float64]
 
 _MOST = 256  # blocks of all logs together
 _LEAST = 24  # of them, however much memory they take
@@ -60,7 +58,7 @@ def together(reductions: Sequence[Reduction]) -> Reduction:
     return tuple(Factor.joined(factors) for factors in zip(*reductions, strict=True))
 
 
-def most_blocks(active: Iterable[NDArray[np.intp]]) -> int:
+def most_blocks(active: Iterable[Indices]) -> int:
     """How many blocks of a model whose joints have so many coefficients are held in memory."""
     size = 8 * sum((len(columns) + 1) ** 2 for columns in active)
     return int(np.clip(_MEMORY // size, _LEAST, _MOST))
@@ -83,9 +81,7 @@ def block_rows(rows: int, seconds: float, band_hz: float, most: int) -> int:
     return max(int(np.ceil(_PERIODS / band_hz / seconds)), -(-rows // most))
 
 
-def cut(
-    rows: Iterable[tuple[list[Array], list[NDArray[np.bool_]]]], length: int, redundancy: float
-) -> Iterator[Reduction]:
+def cut(rows: Iterable[tuple[list[Array], list[Mask]]], length: int, redundancy: float) -> Iterator[Reduction]:
     """Blocks of so many rows from a stream of them.
 
     Parameters

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import shown, some
 from idtool.common.provenance import Source
@@ -25,7 +25,7 @@ from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
-Rows = Iterable[tuple[list[NDArray[np.float64]], list[NDArray[np.bool_]]]]
+Rows = Iterable[tuple[list[Array], list[Mask]]]
 
 _MOST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _TRAVEL = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
@@ -311,7 +311,7 @@ def _split(signals: Signals, share: float) -> Run:
     return Run(signals, tuple(train), tuple(held_out))
 
 
-def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> NDArray[np.float64]:
+def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Array:
     """Another URDF's coefficients in the order of an experiment's, shape (p,).
 
     Parameters

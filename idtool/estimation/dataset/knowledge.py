@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
 from idtool.dynamics.regressor import LinearModel
@@ -20,8 +20,6 @@ from idtool.robot.config import Config, Measured, Mirror
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import SIZE, mirrored
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _ALIKE = 1e-2  # of a size
 
@@ -65,7 +63,7 @@ class Knowledge:
     """
 
     K: Array
-    free: NDArray[np.intp]
+    free: Indices
     facts: tuple[Fact, ...] = ()
     copies: Mapping[int, tuple[int, Array]] = field(default_factory=dict)
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array, Indices
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Factor:
 Reduction = tuple[Factor, ...]  # one a joint
 
 
-def empty(active: Iterable[NDArray[np.intp]]) -> Reduction:
+def empty(active: Iterable[Indices]) -> Reduction:
     """The reduction of no rows: neutral in `merge`."""
     return tuple(Factor(np.zeros((0, len(columns) + 1)), 0, 0.0) for columns in active)
 

@@ -6,13 +6,11 @@ Letters: p coefficients theta; sigma_j noise of joint j's torque [N·m or N].
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Factor, Reduction
-
-Array = NDArray[np.float64]
 
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise

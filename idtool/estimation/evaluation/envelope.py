@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 _POINTS = 2000  # a curve is drawn as the least and greatest value in this many stretches of time
 

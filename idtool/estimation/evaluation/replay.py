@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
@@ -23,8 +23,6 @@ from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import measured_states, windows_of
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.envelope import Envelope, Trace
-
-Array = NDArray[np.float64]
 
 HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
 _LONGEST = 120.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it

@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError, ModelError
 from idtool.data.logs import Log, make_log
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import windows_of
 from idtool.estimation.dataset.experiment import Experiment, Progress
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

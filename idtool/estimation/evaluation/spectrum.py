@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 _LONGEST = 2.0  # s, of correlation that is looked for
 

@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Batch
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.spectrum import Correlations
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.linear_algebra import svd
 from idtool.common.provenance import provenance
@@ -28,8 +28,6 @@ from idtool.estimation.online.recursive import RecursiveFit
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 FORGETTING = 20.0  # s
 _REPORTED = 2000  # rows
@@ -77,7 +75,7 @@ class Adaptation:
     estimate: Array
     units: Array
     squares: Array
-    predicted: NDArray[np.intp]
+    predicted: Indices
     forgetting: float
     sets: tuple[ConstraintSet, ...]
     problem: Problem
@@ -146,7 +144,7 @@ def adapt(
 
 def _samples(
     experiment: Experiment, run: Run, T: Array, progress: Progress
-) -> Iterator[tuple[Array, Array, Array, NDArray[np.bool_]]]:
+) -> Iterator[tuple[Array, Array, Array, Mask]]:
     """A log's samples in the band: times (n,), rows on x (n, nv, m), torque (n, nv), and which hold (n, nv)."""
     equation = experiment.equation
     transform = [T[active] for active in equation.active()]

@@ -23,8 +23,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import empty
@@ -34,8 +34,6 @@ from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 _GAP = 0.1  # that half the squared distance in standard errors may be above its least
 _EARLY = 4.0  # the noise forgets the start, when the parameters were the prior's, with this power of the time
@@ -125,9 +123,7 @@ class RecursiveFit:
             q[joint.own] += w * joint.vector
         return P, q
 
-    def update(
-        self, W: Array, tau: Array, defined: NDArray[np.bool_], gamma: float, lately: float, worth: float
-    ) -> None:
+    def update(self, W: Array, tau: Array, defined: Mask, gamma: float, lately: float, worth: float) -> None:
         """Take in a sample.
 
         Parameters
@@ -162,7 +158,7 @@ class RecursiveFit:
 class _Information:
     """What one joint's equation says: Lambda_j and eta_j on those variables that it depends on."""
 
-    own: NDArray[np.intp]
+    own: Indices
     matrix: Array
     vector: Array
 

@@ -10,14 +10,12 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.conic import APART, Solution, infeasible
 from idtool.estimation.problem.parts import Matrix
 from idtool.estimation.problem.problem import Problem
-
-Array = NDArray[np.float64]
 
 MATRIX_SOLVERS = ("CLARABEL", "SCS", "MOSEK", "CVXOPT", "COPT", "SDPA")  # cvxpy's that take matrix inequalities
 # Of a first-order method: the optimum is refined from there. Of all others, cvxpy's own.

@@ -17,13 +17,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.problem import Problem
-
-Array = NDArray[np.float64]
 
 _NEAR = 0.3  # a step that is shorter in the barrier's own length ends the search: what is left is a tenth of it squared
 _FAR = 0.9  # of the way to the boundary that a step goes at the most: nearer, and the next is lost to rounding
@@ -50,7 +48,7 @@ class _Group:
         Of its −log det in the function, in units of mu.
     """
 
-    own: NDArray[np.intp]
+    own: Indices
     G: Array
     least: Array
     weight: float = 1.0

@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from idtool.common.arrays import Array
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inequality import least
 from idtool.robot.inertia import BASIS, SIZE
-
-Array = NDArray[np.float64]
 
 _TRACE = np.trace(BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, in units of the body
 _NEWTON = 50  # steps at the most

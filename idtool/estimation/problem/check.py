@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.estimation.problem.projection import project
@@ -20,8 +20,6 @@ from idtool.robot.inertia import mass_com_inertia, six
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 from idtool.robot.urdf.writing import rewrite
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,14 @@ from typing import Any
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
 from idtool.estimation.problem.parts import Matrix
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
-
-Array = NDArray[np.float64]
-
 
 APART = 1e-7  # how far inside its set a body is kept at least, that no tolerance of the solver's takes it out
 

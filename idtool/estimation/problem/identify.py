@@ -8,8 +8,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
 from idtool.dynamics.regressor import LinearModel
@@ -27,8 +27,6 @@ from idtool.estimation.problem.refinement import refine
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 _CLOSE = 1e-3  # to the limit of an inequality, in units of the body
 # A problem in units of order one loses accuracy by being scaled again, but for a few.

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.conic import svec
 from idtool.estimation.problem.parts import INTERIOR
@@ -31,8 +31,6 @@ from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inequality import DENSITY
 from idtool.robot.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
-
-Array = NDArray[np.float64]
 
 _SETTINGS: dict[str, Any] = {"method": "trf", "ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-10, "max_nfev": 500}  # of scipy
 _EDGE, _INNER = 1e-3, 3e-2  # a start with a lesser eigenvalue, in units of the body, is moved inside, so far

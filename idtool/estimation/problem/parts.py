@@ -9,15 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.dynamics.effects.rigid_body import length
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
 from idtool.robot.inertia import POWERS, SIZE
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 INTERIOR = 1e-9  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
 
@@ -88,7 +86,7 @@ class Matrix:
         return np.asarray(np.tensordot(x[self.own], self.G, axes=1))
 
 
-def parts_of(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free: NDArray[np.intp]) -> tuple[Part, ...]:
+def parts_of(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free: Indices) -> tuple[Part, ...]:
     """The pieces of the bodies that are no copies of others, whose pieces they share.
 
     Parameters

@@ -17,16 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
 from idtool.robot.metric import pullback
-
-Array = NDArray[np.float64]
 
 _INNER = 1e-3  # least second moment of a prior about its centre of mass, in units of its mass and typical size
 

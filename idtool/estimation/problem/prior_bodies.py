@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -27,8 +27,6 @@ from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import SIZE, from_pseudo_inertia, mass_com_inertia
 from idtool.robot.model import Model
 from idtool.robot.shapes import Shape
-
-Array = NDArray[np.float64]
 
 _ALIKE = 1e-6  # relative difference of two inertias below which they are the same
 _FEWEST = 3  # links that are all the same by accident no more

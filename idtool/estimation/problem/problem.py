@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.dynamics.regressor import LinearModel
@@ -32,8 +32,6 @@ from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 _LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization say anything, coefficients stay there
 _AGREE = 1e-6  # of exact facts that say the same
@@ -77,7 +75,7 @@ class Problem:
     K: Array
     parts: tuple[Part, ...]
     labels: tuple[str, ...]
-    others: NDArray[np.intp]
+    others: Indices
     lower: Array
     E: Array
     e: Array
@@ -109,7 +107,7 @@ class Problem:
         return self.parts[-1].stop if self.parts else 0
 
     @property
-    def bounded(self) -> NDArray[np.intp]:
+    def bounded(self) -> Indices:
         """Indices in x of the coefficients that have a lower bound."""
         return self._split + np.flatnonzero(np.isfinite(self.lower))
 

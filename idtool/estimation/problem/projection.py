@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.dynamics.effects.rigid_body import scales
 from idtool.estimation.problem.identify import solve
@@ -21,8 +21,6 @@ from idtool.robot.body import Body
 from idtool.robot.inertia import SIZE
 from idtool.robot.metric import FLOOR, nearest_realizable, pullback
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 Metric = Literal["euclidean", "pullback"]
 

@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from idtool.common.arrays import Array, Indices
 from idtool.estimation.problem.conic import Solution, svec
 from idtool.estimation.problem.problem import Problem
-
-Array = NDArray[np.float64]
 
 _ACCURACY = 3e-8  # in units of z: a step that is shorter is the last
 _STEPS, _PATIENCE = 40, 4  # in all, and in a row that are no shorter than one before
@@ -116,7 +115,7 @@ class _Row:
         Which inequality it is, or one beyond them for the lower bounds, and which of its entries.
     """
 
-    own: NDArray[np.intp]
+    own: Indices
     G: Array
     least: float
     Z: Array

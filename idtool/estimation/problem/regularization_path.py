@@ -20,8 +20,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, together
 from idtool.estimation.dataset.knowledge import Knowledge
@@ -33,8 +33,6 @@ from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import ConstraintSet
-
-Array = NDArray[np.float64]
 
 WEIGHTS = 10.0 ** np.append(np.arange(1, -4.1, -0.5), -5)  # from the firmest
 _VALIDATED = np.append(np.arange(0, len(WEIGHTS) - 1, 2), len(WEIGHTS) - 1)  # indices of whole decades

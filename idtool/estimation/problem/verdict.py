@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.effects.rigid_body import length
 from idtool.estimation.problem.conic import solve_conic
 from idtool.estimation.problem.projection import nearest_problem
@@ -19,8 +19,6 @@ from idtool.robot.inequality import Piece
 from idtool.robot.inertia import POWERS, SIZE
 from idtool.robot.sets import ConstraintSet, choose_set
 from idtool.robot.witness import explain, violations, witness
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # by which an inequality may fail, in units of the body
 _NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the solver's tolerance

@@ -10,16 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.problem.identify import solve
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import SIZE, pseudo_inertia
-
-Array = NDArray[np.float64]
 
 _POOL = 4096  # samples that draws are taken from, at random from all: a log of any length fits into memory
 _MORE = 4  # times as many draws of few samples
@@ -43,11 +41,11 @@ class Pool:
     """
 
     blocks: list[Array]
-    kept: list[NDArray[np.bool_]]
+    kept: list[Mask]
     worth: Array
     whole: bool = True
 
-    def reduction(self, chosen: NDArray[np.intp]) -> Reduction:
+    def reduction(self, chosen: Indices) -> Reduction:
         """The R-factors of some of the samples."""
         factors = []
         for block, kept in zip(self.blocks, self.kept, strict=True):
@@ -139,7 +137,7 @@ def learn(
     pool: Pool,
     total: Reduction,
     validation: Reduction,
-    active: Sequence[NDArray[np.intp]],
+    active: Sequence[Indices],
     state: dict[str, Callable[[Reduction], Problem]],
     draws: int,
     rng: np.random.Generator,
@@ -193,7 +191,7 @@ def learn(
     return steps, {name: _curve(columns, against) for name, columns in curves.items()}
 
 
-def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
+def _outcome(problem: Problem, validation: Reduction, active: Sequence[Indices]) -> tuple[float, float]:
     """RMS validation error over all joints, and the worst violation of realizability; NaN where not solved."""
     try:
         x, _ = solve(problem)
@@ -203,7 +201,7 @@ def _outcome(problem: Problem, validation: Reduction, active: Sequence[NDArray[n
     return rms(validation, active, problem.theta(z))[-1], violation(problem, z)
 
 
-def rms(data: Reduction, active: Sequence[NDArray[np.intp]], theta: Array) -> Array:
+def rms(data: Reduction, active: Sequence[Indices], theta: Array) -> Array:
     """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
     squares = [f.squares(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
     return np.asarray(np.sqrt([*map(float, squares), float(np.mean(squares))]))

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -29,8 +29,6 @@ from idtool.estimation.study.learning import Curve, gather, held_out, learn
 from idtool.robot.config import WEAK
 from idtool.robot.inertia import SIZE, pseudo_inertia
 from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
-
-Array = NDArray[np.float64]
 
 CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
 PRIORS = ("euclidean", "pullback", "entropic")

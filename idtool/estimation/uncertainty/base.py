@@ -16,15 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _RANK = 1e-5  # of a column: what the others leave of it by less is rounding, such as that of 1.5708 in a URDF
 _ZERO = 1e-5  # of a column, as a share of a combination: the same
@@ -46,14 +44,14 @@ class BaseParameters:
         The combinations, shape (r, p).
     """
 
-    own: NDArray[np.intp]
+    own: Indices
     B: Array
 
     def __len__(self) -> int:
         return len(self.own)
 
 
-def base_parameters(Y: Array, order: NDArray[np.intp]) -> BaseParameters:
+def base_parameters(Y: Array, order: Indices) -> BaseParameters:
     """The base parameters of a regressor.
 
     Parameters

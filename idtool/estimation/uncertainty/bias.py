@@ -13,9 +13,9 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
 from idtool.estimation.dataset.blocks import Blocks, together
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -25,8 +25,6 @@ from idtool.estimation.instruments import Instruments, Kind, instrumented_rows, 
 from idtool.estimation.two_stage import unprojected, weak_joints
 from idtool.estimation.uncertainty.base import BaseParameters
 from idtool.estimation.uncertainty.scatter import Scatter, scatter
-
-Array = NDArray[np.float64]
 
 _RANK = 1e-8  # of the largest singular value of scaled columns: less is rounding
 _LONGEST = 60.0  # s of closed loop that are simulated only to see whether least squares is biased
@@ -59,7 +57,7 @@ class BiasCheck:
     ls: Array
     iv: Array
     standard_error: Array
-    differs: NDArray[np.bool_]
+    differs: Mask
     weak: tuple[str, ...] = ()
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.dynamics.effects.base import Coefficient
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
@@ -28,7 +28,6 @@ from idtool.estimation.uncertainty.uncertainty import Uncertainty, weighed
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 
-Array = NDArray[np.float64]
 Ground = Literal["data", "combination", "constraints", "prior"]
 
 _KNOWN = 0.5  # share of the data at which a coefficient that they determine counts as known by them
@@ -86,7 +85,7 @@ class Identifiability:
     bases: tuple[Basis, ...]
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Mask:
         """Which base parameters the log determines, shape (r,)."""
         return np.isfinite(self.standard_error)
 
@@ -146,7 +145,7 @@ def _posterior(
     problem: Problem,
     noise: Array,
     found: Uncertainty,
-    inertial: NDArray[np.intp],
+    inertial: Indices,
 ) -> tuple[Array, Array]:
     """Of inertia parameters in units of their prior spread: posterior spread, and correlation.
 
@@ -175,7 +174,7 @@ def _ground(sees: bool, data: float, constraints: float, prior: float) -> Ground
     return "constraints" if constraints > prior else "prior"
 
 
-def _partners(correlation: Array, own: int, names: NDArray[np.intp]) -> tuple[tuple[int, float], ...]:
+def _partners(correlation: Array, own: int, names: Indices) -> tuple[tuple[int, float], ...]:
     """The coefficients that one moves with, the most tied first."""
     order = np.argsort(-np.abs(correlation), kind="stable")
     tied = [int(i) for i in order if i != own and abs(correlation[i]) >= _TIED][:_NAMED]

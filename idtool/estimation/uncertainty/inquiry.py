@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -20,8 +20,6 @@ from idtool.estimation.uncertainty.repeatability import Repeatability, repeatabi
 from idtool.estimation.uncertainty.scatter import FEWEST, Scatter, scatter
 from idtool.estimation.uncertainty.uncertainty import Uncertainty
 from idtool.robot.inertia import SIZE
-
-Array = NDArray[np.float64]
 
 UNCHECKED = "least squares is not checked for bias: the logs are long, or instruments cannot be had; see --method iv"
 _APART = 1.5  # ratio of two standard errors of the same, above which they do not agree

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.uncertainty.uncertainty import Uncertainty
-
-Array = NDArray[np.float64]
 
 _UNKNOWN = 1e-3  # of a row's size in directions that the data did not see, above which its error is not known
 

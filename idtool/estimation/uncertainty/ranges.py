@@ -11,17 +11,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.conic import extreme_conic
 from idtool.estimation.problem.parts import Part
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import SIZE
-
-Array = NDArray[np.float64]
 
 ABOVE = 0.01  # of the least cost, by which a fit may be worse
 _FAR = 100.0  # units of a coefficient, beyond which it is as good as free
@@ -30,7 +28,7 @@ _ACCURATE = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-5, "tol_feas": 1e-7, "equili
 _ATTEMPTS: tuple[dict[str, float | bool], ...] = (_ACCURATE, {**_ACCURATE, "equilibrate_enable": True})
 
 
-def ranges(problem: Problem, x: Array, wanted: NDArray[np.intp], tell: Callable[[float], None]) -> Array:
+def ranges(problem: Problem, x: Array, wanted: Indices, tell: Callable[[float], None]) -> Array:
     """Ranges of coefficients.
 
     Parameters
@@ -90,7 +88,7 @@ def _least(problem: Problem, start: Array, row: Array, level: float) -> float:
     return np.nan
 
 
-def _components(problem: Problem) -> list[NDArray[np.intp]]:
+def _components(problem: Problem) -> list[Indices]:
     """Indices in z of what has nothing to do with the rest: the legs of a robot on a stand, for one."""
     size = np.linalg.norm(problem.A, axis=0)
     coupled = np.abs(problem.A.T @ problem.A) > _COUPLED * np.outer(size, size)
@@ -102,7 +100,7 @@ def _components(problem: Problem) -> list[NDArray[np.intp]]:
     return [np.flatnonzero(label == i) for i in range(count)]
 
 
-def _restricted(problem: Problem, x: Array, own: NDArray[np.intp]) -> tuple[Problem, Array]:
+def _restricted(problem: Problem, x: Array, own: Indices) -> tuple[Problem, Array]:
     """The problem in some coefficients, the others at their optimum, and the optimum."""
     place = {int(k): i for i, k in enumerate(own)}
     parts: list[Part] = []

@@ -11,17 +11,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from idtool.common.arrays import Array, Mask
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.uncertainty.base import BaseParameters
 from idtool.estimation.uncertainty.scatter import scatter
-
-Array = NDArray[np.float64]
 
 _FALSE = 0.05  # of the parameters that are said not to agree
 _MANY = 1e6  # degrees of freedom, as good as infinitely many
@@ -56,7 +54,7 @@ class Repeatability:
     value: Array
     standard_error: Array
     ratio: Array
-    agrees: NDArray[np.bool_]
+    agrees: Mask
     odd: int | None
     cross: Array
 
@@ -127,7 +125,7 @@ def _welch(value: Array, error: Array, freedom: Array) -> Array:
     )
 
 
-def _differs(p_values: Array) -> NDArray[np.bool_]:
+def _differs(p_values: Array) -> Mask:
     """Which tests fail, shape (r,)."""
     asked = np.flatnonzero(~np.isnan(p_values))
     differs = np.zeros(len(p_values), dtype=bool)

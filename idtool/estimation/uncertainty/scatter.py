@@ -17,15 +17,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, together
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.uncertainty.uncertainty import Uncertainty, directions, identifiable, weighed
-
-Array = NDArray[np.float64]
 
 FEWEST = 16  # blocks; fewer say nothing of their own scatter
 _LEFT = 0.05  # least share of a direction's information that is taken to lie outside a block

@@ -9,17 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import null_space
 
+from idtool.common.arrays import Array, Mask
 from idtool.common.linear_algebra import svd
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.uncertainty.base import felt
-
-Array = NDArray[np.float64]
 
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
 _SHARE = 1e-6  # of a coefficient may lie in the directions that the data do not see
@@ -53,7 +51,7 @@ class Directions:
     worth: float
     independent: float
 
-    def sees(self, rows: Array) -> NDArray[np.bool_]:
+    def sees(self, rows: Array) -> Mask:
         """Whether the data determine combinations of the coefficients, shape (k, p) to (k,)."""
         seen = np.square(rows @ self.visible * self.gain).sum(axis=1)
         unseen = np.square(rows @ self.hidden).sum(axis=1)
@@ -78,7 +76,7 @@ class Uncertainty:
     """
 
     directions: Directions
-    identifiable: NDArray[np.bool_]
+    identifiable: Mask
     spread: Array
     shares: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
@@ -188,14 +186,14 @@ def weighed(model: LinearModel, reduction: Reduction, noise: Array) -> list[Arra
     return found
 
 
-def identifiable(seen: Directions, known: Knowledge) -> NDArray[np.bool_]:
+def identifiable(seen: Directions, known: Knowledge) -> Mask:
     """Whether the data determine each coefficient or it is known exactly, shape (p,); copies are as originals."""
     doubtful = ~seen.sees(np.eye(len(known.K))[known.free])
     fixed = _fixed(known)
     return np.asarray(~((known.K != 0) @ (doubtful & ~fixed)))
 
 
-def _fixed(known: Knowledge) -> NDArray[np.bool_]:
+def _fixed(known: Knowledge) -> Mask:
     """Which free coefficients are known exactly, shape (p',)."""
     if not known.hard:
         return np.zeros(len(known.free), dtype=bool)

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.limits import Limits
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 
 class Samples(NamedTuple):

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline as Spline
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Samples
 from idtool.excitation.patterns.series import Series
-
-Array = NDArray[np.float64]
 
 _DEGREE = 5  # the acceleration is three times differentiable
 _FIXED = 3  # control points at each end: position, velocity and acceleration there

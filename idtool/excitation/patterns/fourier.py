@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Samples, step
 from idtool.excitation.patterns.series import Series
-
-Array = NDArray[np.float64]
 
 _HARMONICS = 60  # at most; where there is room for more, they are spread
 _RAMP = 0.1  # of the whole, but no more than

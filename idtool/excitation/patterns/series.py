@@ -5,11 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Pattern, Samples, Setting
-
-Array = NDArray[np.float64]
 
 _DRAWN = 0.9  # of the limits that a random motion takes
 _LOOKED_AT = 500  # samples

@@ -12,18 +12,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline as Spline
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest
 from idtool.excitation.patterns.base import Pattern, Samples, Setting, step
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 PHI, THETA = 12.0, 3.4  # amplitudes of the rates [rad/s]
 PHI_FREQUENCY, THETA_FREQUENCY = 1.63, 0.265  # [rad/s]
@@ -43,7 +41,7 @@ class _Limb:
 
     body: int
     p: Array
-    joints: NDArray[np.intp]
+    joints: Indices
     spread: Array
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import STEP_SPEED, Pattern, Samples, Setting
-
-Array = NDArray[np.float64]
 
 _SPEEDS = 3  # that each joint sweeps at
 _RATIO = 4.0  # from one speed to the next

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Pattern, Samples, Setting, farthest, step
-
-Array = NDArray[np.float64]
 
 _CELL = 1.0  # s that a move and the hold after it take, about
 _HOLD = 0.4  # of it is held

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Pattern, Samples
-
-Array = NDArray[np.float64]
 
 _BLOCK = 8192  # samples
 

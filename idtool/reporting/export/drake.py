@@ -11,9 +11,9 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.existence import can_exist, refused
 from idtool.reporting.export.identified import NOTHING, Identified
@@ -23,8 +23,6 @@ from idtool.reporting.export.transmissions import transmissions
 from idtool.robot.inertia import SIZE
 from idtool.robot.urdf.reading import Joint
 from idtool.robot.urdf.writing import JointDynamics, rewrite
-
-Array = NDArray[np.float64]
 
 FILE = "drake.urdf"
 

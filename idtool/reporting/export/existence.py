@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.urdf.reading import Robot
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # relative
 

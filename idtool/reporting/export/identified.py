@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects
 from idtool.dynamics.mechanism import Mechanism
@@ -21,8 +21,6 @@ from idtool.reporting.export.base import Part
 from idtool.robot.config import Config, read_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Joint, Robot, read_robot
-
-Array = NDArray[np.float64]
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
 NOTHING = "the simulator has nothing like it"

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idtool.reporting.export.base import Part
@@ -18,8 +17,6 @@ from idtool.reporting.export.motors import add_motor
 from idtool.reporting.export.primitives import primitives
 from idtool.reporting.export.scene import Scene, quaternion, text
 from idtool.robot.urdf.reading import Joint
-
-Array = NDArray[np.float64]
 
 _WORLD = "world"  # MuJoCo's name for what stands still
 _FAR = 1e10  # rad or m: MuJoCo has no limit on one side only

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lxml import etree
 
-from idtool import __version__
+from idtool.common.version import VERSION
 from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.identified import CONFIG, URDF, Identified
 from idtool.reporting.export.links import add_links
@@ -90,7 +90,7 @@ def _add_head(scene: Scene, root: etree._Element) -> None:
 def _header(scene: Scene, has_rotor_bodies: bool) -> list[str]:
     needed = "3.7" if any(forces.drag for forces in scene.forces.values()) else "3.3.1"
     lines = [
-        f"Written by idtool {__version__} from {URDF} and {CONFIG}; needs MuJoCo {needed} or newer.",
+        f"Written by idtool {VERSION} from {URDF} and {CONFIG}; needs MuJoCo {needed} or newer.",
         "rad, m, s, kg, N·m. ctrl is the torque or force at the joint.",
     ]
     if has_rotor_bodies:

@@ -7,12 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.robot.urdf.reading import Robot, parse_xml
-
-Array = NDArray[np.float64]
 
 GROUPS = {"visual": "1", "collision": "3"}  # MuJoCo's viewer shows the first and hides the second
 

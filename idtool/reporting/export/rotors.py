@@ -13,16 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.existence import refused
 from idtool.reporting.export.identified import Identified
 from idtool.robot.body import Body
 from idtool.robot.inertia import six, symmetric, transformation
 from idtool.robot.kinematics import body_motions
-
-Array = NDArray[np.float64]
 
 _POSES = 256  # in which w is looked at; a function of the pose that is the same in all of them is constant
 _CONSTANT = 1e-3  # of w per unit of joint velocity, in all poses: angles written as 1.571 are meant to be right ones

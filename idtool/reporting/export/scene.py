@@ -7,16 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.existence import can_exist, refused, slack
 from idtool.reporting.export.identified import Identified
 from idtool.reporting.export.joints import Forces
 from idtool.robot.inertia import SIZE, mass_com_inertia, six
-
-Array = NDArray[np.float64]
 
 LEAST = 1e-12  # kg, kg·m²: what MuJoCo takes for a body that can move, and by how much triangle inequalities must hold
 

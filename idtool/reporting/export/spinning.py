@@ -13,14 +13,12 @@ from itertools import combinations
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.rotors import Rotor
 from idtool.reporting.export.scene import Scene, quaternion, text
-
-Array = NDArray[np.float64]
 
 
 def reflect(scene: Scene, rotor: Rotor) -> None:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.charts import Array, line, over_time, panel, thinned
+from idtool.reporting.pages.charts import line, over_time, panel, thinned
 from idtool.reporting.pages.figures import by_unit
 
 _SECTIONS = (

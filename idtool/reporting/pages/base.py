@@ -38,7 +38,7 @@ def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str
         What the templates read, beside ``data``.
     """
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("idtool"),
+        loader=jinja2.PackageLoader("idtool.reporting"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

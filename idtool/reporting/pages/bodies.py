@@ -6,13 +6,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 from idtool.robot.witness import deviation_ellipsoid, explain
-
-Array = NDArray[np.float64]
 
 _DECIMALS = 6  # of lengths in m
 _MOST_NUMBERS = 60_000  # that all bodies hold together

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from idtool.common.arrays import Array
 
 _COLORS = 8  # c0 to c7 in style.css
 _DASHES = ("solid", "dash", "dot")  # of curves beyond the number of colours

@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.validation import Evaluation
-
-Array = NDArray[np.float64]
 
 _MOST_VALUES = 60_000  # that all curves of torque hold together: some 450 kB of text
 _MOST_LOGS = 6  # that are drawn

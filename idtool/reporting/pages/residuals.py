@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.diagnosis.records import Residual
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
 from idtool.reporting.pages.charts import significant
-
-Array = NDArray[np.float64]
 
 _MOST_VALUES = 16_000  # that all residuals hold together: some 130 kB of text
 _LEAST_POINTS = 12  # of a curve

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.reporting.pages.base import Sections
 from idtool.robot.body import Body, Frame
@@ -17,8 +17,6 @@ from idtool.robot.kinematics import body_places
 from idtool.robot.meshes import Mesh, simplified, together
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Robot
-
-Array = NDArray[np.float64]
 
 ROBOT = ("The robot in 3D", "robot_3d.html")
 _POSTURES = 60  # at the most

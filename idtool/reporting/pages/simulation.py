@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.estimation.evaluation.replay import Replay
 from idtool.reporting.pages.base import Sections
-from idtool.reporting.pages.charts import Array, chart, line, numbers, panel
+from idtool.reporting.pages.charts import chart, line, numbers, panel
 from idtool.reporting.pages.curves import drawn
 from idtool.reporting.pages.figures import by_unit
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.charts import Array, chart, line, numbers, over_time, panel, thinned
+from idtool.reporting.pages.charts import chart, line, numbers, over_time, panel, thinned
 from idtool.reporting.pages.curves import curves
 from idtool.reporting.pages.figures import by_unit
 

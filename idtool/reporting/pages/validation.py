@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Array
 from idtool.estimation.evaluation.replay import Replay
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.pages.base import render
@@ -17,8 +15,6 @@ from idtool.reporting.pages.figures import by_unit
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.robot.model import Model
-
-Array = NDArray[np.float64]
 
 _SECTIONS = (
     ("What was found", "validation_findings.html"),

@@ -14,6 +14,6 @@ def advice(warning: str) -> list[str]:
 def _by_phrase() -> dict[str, str]:
     import jinja2
 
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("idtool"), autoescape=True)
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("idtool.reporting"), autoescape=True)
     table: dict[str, str] = vars(environment.get_template("advice.html").module)["advice"]
     return table

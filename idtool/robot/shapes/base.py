@@ -14,12 +14,12 @@ from dataclasses import Field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import Piece
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 
@@ -55,7 +55,7 @@ class Shape(ABC):
         """
 
     @abstractmethod
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         """Whether points, shape (..., 3), lie inside, within a tolerance relative to its size; shape (...)."""
 
     @abstractmethod

@@ -7,10 +7,11 @@ from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Array, Placed, Vector, finest, product
+from idtool.robot.shapes.base import Placed, Vector, finest, product
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Box(Placed):
         """See `Shape.volume`."""
         return float(np.prod(self.sides))
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         """See `Shape.contains`."""
         beyond = np.abs(self.local(points)) - 0.5 * np.asarray(self.sides)
         return np.asarray(beyond.max(axis=-1) <= tolerance * self.size)

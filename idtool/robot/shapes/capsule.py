@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from idtool.common.arrays import Array, Mask
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Array, Placed, Vector, discs, finest
+from idtool.robot.shapes.base import Placed, Vector, discs, finest
 from idtool.robot.shapes.cylinder import Cylinder
 
 
@@ -42,7 +43,7 @@ class Capsule(Placed):
         """See `Shape.volume`."""
         return math.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         """See `Shape.contains`."""
         local = self.local(points)
         local[..., 2] -= np.clip(local[..., 2], -0.5 * self.length, 0.5 * self.length)

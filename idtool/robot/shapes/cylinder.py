@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import DENSITY, Inequality, Piece, within
-from idtool.robot.shapes.base import Array, Placed, Vector, discs, finest, product
+from idtool.robot.shapes.base import Placed, Vector, discs, finest, product
 
 _LABEL = "mass within its bounding cylinder"
 
@@ -47,7 +48,7 @@ class Cylinder(Placed):
         """See `Shape.volume`."""
         return math.pi * self.radius**2 * self.length
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         """See `Shape.contains`."""
         local = self.local(points)
         beyond = np.hypot(local[..., 0], local[..., 1]) - self.radius, np.abs(local[..., 2]) - 0.5 * self.length

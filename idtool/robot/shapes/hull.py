@@ -8,13 +8,14 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from idtool.common.arrays import Array, Mask
 from idtool.robot.convex import corners_of, enclosing, enclosing_planes, principal_axes
 from idtool.robot.ellipsoid import smallest_around
 from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Array, Shape, Vector, product
+from idtool.robot.shapes.base import Shape, Vector, product
 
 _MOST_FACES = 52  # of a solid that is simplified: no more than 100 corners
 _CONDITION_FACES = 24  # from whose planes the conditions are made: 276 pairs
@@ -83,7 +84,7 @@ class Hull(Shape):
         back[:3] = np.column_stack([R.T, -R.T @ p])
         return type(self)(_vectors(np.array(self.vertices) @ R.T + p), back.T @ self.Q @ back)
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         """See `Shape.contains`."""
         planes = self._hull.equations
         beyond = np.asarray(points, dtype=float) @ planes[:, :3].T + planes[:, 3]

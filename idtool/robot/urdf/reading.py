@@ -15,13 +15,11 @@ from pathlib import Path
 import numpy as np
 import yourdfpy
 from lxml import etree
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.provenance import Source, source_of
 from idtool.robot.inertia import SIZE, from_mass_com_inertia
-
-Array = NDArray[np.float64]
 
 _MOST_BYTES = 64 << 20
 _MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite

@@ -16,13 +16,11 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array
 from idtool.robot.body import Body
 from idtool.robot.inertia import pseudo_inertia, rounded, rounded_inertial, six
 from idtool.robot.urdf.reading import Robot
-
-Array = NDArray[np.float64]
 
 _ATTRIBUTE = re.compile(rb"""([^\s="'/<>]+)\s*=\s*("[^"]*"|'[^']*')""")
 

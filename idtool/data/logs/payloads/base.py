@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Array, Indices
 from idtool.common.names import shown
-from idtool.data.logs.log import Array
 from idtool.data.logs.series import Samples
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -18,7 +17,7 @@ SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 
 # A buffer, where in it each message starts and how long it is, to their samples; a message without a stamp has t = 0.
-Decoder = Callable[[bytes, NDArray[np.intp], NDArray[np.intp]], list[Samples]]
+Decoder = Callable[[bytes, Indices, Indices], list[Samples]]
 # A message to its text in UTF-8; ValueError where it cannot be decoded.
 TextDecoder = Callable[[bytes], bytes]
 

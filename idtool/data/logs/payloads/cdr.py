@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.data.logs.log import Array
+from idtool.common.arrays import Array, Indices
 from idtool.data.logs.payloads.base import SIGNALS, Decoder, TextDecoder, check_counts, check_names
 from idtool.data.logs.payloads.template import Bytes, Layout, decode_alike
 from idtool.data.logs.series import Samples
@@ -66,7 +66,7 @@ def _text(message: bytes) -> bytes:
     return message[begin : begin + size].removesuffix(b"\0")
 
 
-def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:
+def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
     samples, _ = decode_alike(buffer, starts, lengths, lay_out)
     return samples
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from idtool.common.arrays import Indices
 from idtool.common.names import shown
 from idtool.data.logs.payloads.base import (
     NANOSECONDS,
@@ -61,7 +59,7 @@ def _text(message: bytes) -> bytes:
         raise ValueError("is no text in a field called data") from None
 
 
-def _decode(buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:
+def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
     texts = [buffer[a : a + n] for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)]
     try:
         messages = json.loads(b"[%b]" % b",".join(texts))  # one call for all, which is faster than one for each

@@ -13,8 +13,8 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from idtool.common.arrays import Indices
 from idtool.data.logs.payloads.base import (
     NANOSECONDS,
     SECONDS,
@@ -121,7 +121,7 @@ class _Decoder:
         self._stamp = next((path for path in STAMPS if _within(descriptor, path)), ())
         self._plan = _plan(descriptor, self._stamp)
 
-    def __call__(self, buffer: bytes, starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> list[Samples]:
+    def __call__(self, buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
         samples, rest = decode_alike(buffer, starts, lengths, lambda message: lay_out(message, self._plan))
         states = [self._state(i, buffer[starts[i] : starts[i] + lengths[i]]) for i in rest]
         try:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.data.logs.log import Array
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.logs.payloads.base import PayloadError
 from idtool.data.logs.series import Samples
 
@@ -40,13 +40,13 @@ class Layout:
     fields: Mapping[str, tuple[int, np.dtype[np.floating]]]
     stamp: Callable[[Bytes], Array]
 
-    def fits(self, messages: Bytes) -> NDArray[np.bool_]:
+    def fits(self, messages: Bytes) -> Mask:
         """Whether messages (k, L) have the layout of the first of them."""
         where = np.flatnonzero(self.mask)
         fixed = messages[:, where] & self.mask[where]
         return np.asarray((fixed == fixed[0]).all(axis=1))
 
-    def samples(self, index: NDArray[np.intp], messages: Bytes) -> Samples:
+    def samples(self, index: Indices, messages: Bytes) -> Samples:
         """What messages (k, L), contiguous, hold."""
         signals = {signal: self.values(messages, signal) for signal in self.fields}
         return Samples(index, self.stamp(messages), self.joints, signals)
@@ -60,8 +60,8 @@ class Layout:
 
 def decode_alike(
     buffer: bytes,
-    starts: NDArray[np.intp],
-    lengths: NDArray[np.intp],
+    starts: Indices,
+    lengths: Indices,
     lay_out: Callable[[bytes], Layout | None],
 ) -> tuple[list[Samples], list[int]]:
     """Samples of the messages in ``buffer``, and the places of those for which ``lay_out`` has no layout.

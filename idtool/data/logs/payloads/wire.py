@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from idtool.data.logs.log import Array
+from idtool.common.arrays import Array
 from idtool.data.logs.payloads.base import SIGNALS, check_counts, check_names
 from idtool.data.logs.payloads.template import Bytes, Layout
 

@@ -1,0 +1,5 @@
+"""The version of idtool."""
+
+from importlib.metadata import version
+
+VERSION = version("idtool")
