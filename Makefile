@@ -30,7 +30,7 @@ docs: $(READY)  ## the pages of docs/ as a site in site/; links that lead nowher
 
 test-rerun: $(READY)  ## recordings for rerun's viewer, which is an extra of 170 MB
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/requirements-rerun.txt
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest tests/test_rerun.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest tests/reporting/test_rerun.py
 
 benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
 	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \

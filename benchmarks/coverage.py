@@ -2,10 +2,10 @@
 
 Run ``python benchmarks/coverage.py [--set white|coloured|stribeck|coarse] [--logs N] [--cache DIR] [--json FILE]``.
 
-Every log is a run of tests/leg_runs.py in MuJoCo: closed loop, quantised positions, noise on the torque, 10 s. There
-are 20 conditions, each with a leg of its own, every body 10 to 30 % from the prior, on a trajectory of its own, half of
-them on the paper's shell and half random sines; every condition is run with several noises. Half of the torque errors'
-variance is felt by the leg, and goes round the loop. ``white`` has the sample logs' noise, 0.4 N·m; ``coloured``
+Every log is a run of tests/helpers/leg_runs.py in MuJoCo: closed loop, quantised positions, noise on the torque, 10 s.
+There are 20 conditions, each with a leg of its own, every body 10 to 30 % from the prior, on a trajectory of its own,
+half of them on the paper's shell and half random sines; every condition is run with several noises. Half of the torque
+errors' variance is felt by the leg and goes round the loop. ``white`` has the sample logs' noise, 0.4 N·m; ``coloured``
 0.1 N·m of autoregressive noise on top, of a correlation time of 0.1 to 0.3 s; ``stribeck`` friction that is larger at
 rest by 30 %, which the model lacks, so that only inertia can be judged; ``coarse`` encoders of 12 bits at the joint, in
 a loop that is soft enough for them.
@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
 from leg_runs import (
     GENTLE,

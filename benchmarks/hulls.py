@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
 from solids import Largest, largest_on_grid, on_ball
 

@@ -52,7 +52,7 @@ from lxml import etree
 from numpy.typing import NDArray
 from simulated_robots import ROBOTS, Body, Sensors, SimulatedRobot
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
 import leg_truth
 

@@ -4,9 +4,9 @@ Run ``python benchmarks/scoreboard.py [--kind single,pairs,triples,several,clean
 ``--robots``, ``--effects``, ``--magnitudes``, ``--seeds`` take some of the cases, ``--keep DIR`` keeps what idtool
 wrote.
 
-The cases are those of tests/hidden_cases.py, which shares no code with idtool: three robots in MuJoCo whose bodies are
-10 to 20 % from their URDFs', effects applied as physics. Every case is one run of the command, timed from outside. A
-line says what is hidden, in the case's name, and what was named, by effect and place: ``stribeck_friction.hip``. Then:
+The cases are those of benchmarks/hidden_effects, which shares no code with idtool: three robots in MuJoCo whose bodies
+are 10 to 20 % from their URDFs', effects applied as physics. Every case is one run of the command, timed from outside.
+A line says what is hidden, in a case's name, and what was named, by effect and place: ``stribeck_friction.hip``. Then:
 
 - ``exact``: what is hidden was named, where it is, and nothing else was. ``or a pair``: the same if a step that is
   reported as a pair stands for either of its two. ``first``: the first step is right, whatever follows. ``among``: all
@@ -35,12 +35,12 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
-from hidden_cases import Case, cases, write_case
-from hidden_effects import MAGNITUDES
-from hidden_plans import KINDS, numbers
-from hidden_robots import ROBOTS
+from hidden_effects.cases import Case, cases, write_case
+from hidden_effects.effects import MAGNITUDES
+from hidden_effects.plans import KINDS, numbers
+from hidden_effects.robots import ROBOTS
 
 Key = tuple[str, str | None]  # effect, and the joint or link that it acts on
 

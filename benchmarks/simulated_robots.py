@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
 
-import hidden_plant
 from bodies import Body
-from hidden_motion import Motion, draw_motion
-from hidden_robots import ARM6, LEG3, Joint, Robot, rotor, urdf_text
+from hidden_effects import plant as hidden_plant
+from hidden_effects.motion import Motion, draw_motion
+from hidden_effects.robots import ARM6, LEG3, Joint, Robot, rotor, urdf_text
 
 from idtool.data.logs import Log, make_log
 

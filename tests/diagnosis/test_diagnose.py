@@ -1,0 +1,168 @@
+"""`idtool diagnose` on MuJoCo's logs of a robot in which something is hidden: the command as a user runs it.
+
+A sample; `make scoreboard` has all effects, robots and sizes.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from commands import idtool
+from hidden_effects.cases import Case, Hidden, Written, write_case
+
+SECONDS = 12.0
+OUT = {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
+
+
+def logged(folder: Path, *hidden: Hidden, inertia: str = "refit") -> Written:
+    name = "_".join(one.effect for one in hidden) or "clean"
+    return write_case(Case(name, "planar2", hidden, 0, inertia, SECONDS), folder / name)
+
+
+def diagnosed(files: Written, out: Path, *options: str) -> dict[str, Any]:
+    done = idtool("diagnose", files.urdf, files.log, "--config", files.config, "--out", out, "--json", *options)
+    assert done.code == 0, done.err
+    return done.json
+
+
+def truth(files: Written) -> dict[str, Any]:
+    """The parameters of what is hidden."""
+    (one,) = json.loads(files.truth.read_text())["hidden"]
+    parameters = one["parameters"]
+    assert isinstance(parameters, dict)
+    return parameters
+
+
+def named(report: dict[str, Any]) -> list[tuple[str, str | None]]:
+    return [(step["effect"], step["joint"] or step["link"]) for step in report["steps"]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("hidden")
+
+
+@pytest.fixture(scope="module")
+def stribeck(folder: Path) -> Written:
+    return logged(folder, Hidden("stribeck_friction", "shoulder", None, "strong"))
+
+
+def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: Written, folder: Path) -> None:
+    report = diagnosed(stribeck, folder / "out")
+    assert {path.name for path in (folder / "out").iterdir()} == OUT
+    assert named(report) == [("stribeck_friction", "shoulder")]
+    assert report["verdict"] == "explained"
+    (step,) = report["steps"]
+    for name, value in truth(stribeck).items():
+        assert step["parameters"][name] == pytest.approx(value, rel=0.15)
+        assert 0 < step["standard_error"][name] < 0.2 * value
+    before, after, floor = (report[key] for key in ("before", "after", "noise_floor"))
+    assert step["validation_rms_after"]["shoulder"] < 0.7 * step["validation_rms_before"]["shoulder"]
+    assert after["validation"]["overall"] < 1.05 * floor["overall"] < before["validation"]["overall"]
+    assert after["simulation"]["overall"] < before["simulation"]["overall"]
+    assert json.loads((folder / "out" / "diagnosis.json").read_text()) == report
+
+
+def test_what_is_written_is_the_model_that_was_found(stribeck: Written, folder: Path) -> None:
+    out = folder / "again"
+    report = diagnosed(stribeck, out, "--no-simulation")
+    config = yaml.safe_load((out / "model.yaml").read_text())
+    (entry,) = config["effects"]
+    (step,) = report["steps"]
+    assert entry["effect"] == "stribeck_friction"
+    for name, given in entry["parameters"].items():
+        assert given["value"] == pytest.approx(step["parameters"][name], rel=0.02)
+        assert given["standard_error"] > 0
+    again = idtool(
+        *("validate", out / "identified.urdf", stribeck.log, "--config", out / "model.yaml"),
+        *("--out", out, "--json", "--no-simulation"),
+    )
+    joined = np.hypot(*(report["after"][part]["overall"] * np.sqrt(share) for part, share in PARTS.items()))
+    assert again.json["rms"]["model"]["overall"] == pytest.approx(joined, rel=0.02)
+
+
+PARTS = {"train": 0.7, "validation": 0.3}
+
+
+def test_nothing_is_found_where_nothing_is_hidden(folder: Path) -> None:
+    report = diagnosed(logged(folder), folder / "clean", "--no-simulation")
+    assert named(report) == []
+    assert report["verdict"] == "no_disagreement"
+    assert report["after"] == report["before"]
+
+
+def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
+    files = logged(folder, Hidden("payload", None, "lower", "strong"), inertia="fixed")
+    report = diagnosed(files, folder / "payload", "--no-simulation", "--inertia", "fixed")
+    assert named(report) == [("payload", "lower")]
+    found, true = report["steps"][0]["parameters"], truth(files)
+    assert found["mass"] == pytest.approx(true["mass"], rel=0.02)
+    assert found["com"][0] == pytest.approx(true["com"][0], abs=0.005)
+    assert found["com"][2] == pytest.approx(true["com"][2], abs=0.005)
+
+
+def test_a_payload_heavier_than_the_robot_is_in_doubt(folder: Path) -> None:
+    """An arm in the horizontal plane, where no weight is felt: a rotor that its model lacks passes for a load."""
+    level = {"gravity": [0.0, -9.81, 0.0]}
+    hidden = (
+        Hidden("rotor_inertia", "shoulder", None, "strong", {"inertia": 2.0}),
+        Hidden("gravity_tilt", None, None, "strong", level),
+    )
+    files = logged(folder, *hidden, inertia="fixed")
+    files.config.write_text(yaml.safe_dump({**yaml.safe_load(files.config.read_text()), **level}))
+    out = folder / "heavy"
+    report = diagnosed(files, out, "--no-simulation", "--inertia", "fixed", "--effects", "payload")
+    step = report["steps"][0]
+    assert (step["effect"], step["link"]) == ("payload", "lower")
+    assert step["parameters"]["mass"] == pytest.approx(2.0 / 0.45**2, rel=0.05)  # on the elbow, 0.45 m from the axis
+    doubt = step["evidence"]["doubt"]
+    assert doubt.startswith("the payload on lower, 9.9")
+    for cure in ("weigh the robot", "known.total_mass", "--inertia refit", "other postures"):
+        assert cure in doubt
+    assert doubt in report["warnings"]
+    assert report["verdict"] == "partly_explained"
+    assert "In doubt: a payload on lower; the notes say why." in report["summary"]
+    assert "the payload on lower, 9.9" in (out / "diagnosis.html").read_text()
+    right = diagnosed(files, folder / "right", "--no-simulation", "--inertia", "fixed", "--effects", "rotor_inertia")
+    assert (right["verdict"], right["steps"][0]["evidence"]["doubt"]) == ("explained", "")
+
+
+def test_friction_that_builds_up_over_a_third_of_the_travel_is_found(folder: Path) -> None:
+    """The search comes to a displacement of more than a quarter of the joint's travel, 3.2 rad."""
+    friction = {"displacement": 0.9, "amplitude": 3.0, "damping": 0.0}
+    files = logged(folder, Hidden("presliding_hysteresis", "elbow", None, "strong", friction))
+    report = diagnosed(files, folder / "long", "--no-simulation")
+    assert named(report) == [("presliding_hysteresis", "elbow")]
+    assert report["steps"][0]["parameters"]["displacement"] == pytest.approx(0.9, rel=0.05)
+    assert report["steps"][0]["parameters"]["amplitude"] == pytest.approx(3.0, rel=0.1)
+    assert report["verdict"] == "explained"
+
+
+def test_what_is_in_no_library_is_unknown(folder: Path) -> None:
+    files = logged(folder, Hidden("unknown", "elbow", None, "strong", {"form": "friction_by_position"}))
+    report = diagnosed(files, folder / "unknown", "--no-simulation")
+    assert ("unknown", "elbow") in named(report)
+    assert report["verdict"] in ("unexplained", "partly_explained")
+
+
+def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: Written, folder: Path) -> None:
+    options = ("--no-simulation", "--report-only", "--effects", "quadratic_drag", "--assume", "torque_offset:elbow")
+    report = diagnosed(stribeck, folder / "only", *options)
+    assert {path.name for path in (folder / "only").iterdir()} == {"diagnosis.json", "diagnosis.html"}
+    assert named(report)[0] == ("torque_offset", "elbow")
+    assert set(named(report)[1:]) <= {("quadratic_drag", "shoulder"), ("unknown", "shoulder"), ("unknown", "elbow")}
+
+
+@pytest.mark.parametrize("assumed", ["stribeck_fiction:elbow", "stribeck_friction:elbw", "payload:lower"])
+def test_what_cannot_be_assumed_is_refused(stribeck: Written, folder: Path, assumed: str) -> None:
+    out = folder / "refused"
+    done = idtool(
+        "diagnose", stribeck.urdf, stribeck.log, "--config", stribeck.config, "--out", out, "--assume", assumed
+    )
+    assert (done.code, done.err.count("\n"), out.exists()) == (2, 1, False)
+    assert done.err.startswith("error: --assume")

@@ -1,0 +1,76 @@
+"""What questions cost for robots of many joints: memory, and work that is done once."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from paths import SAMPLES
+
+from idtool.estimation.dataset.experiment import prepare
+from idtool.estimation.fit import fit
+from idtool.estimation.uncertainty import Trust, scatter
+from idtool.estimation.uncertainty.uncertainty import Directions, Uncertainty
+from idtool.reporting.report import fit_report
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
+
+Array = NDArray[np.float64]
+
+SEEN, BLOCKS = 120, 64
+
+
+def peak(work: Callable[[], object]) -> float:
+    """The most memory that numpy holds at a time meanwhile [MiB]."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1] / 2**20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.fixture(scope="module")
+def shares() -> Array:
+    x = np.random.default_rng(0).normal(size=(BLOCKS, SEEN, SEEN))
+    found = x @ x.transpose(0, 2, 1)
+    return np.asarray(found / np.trace(found.sum(axis=0)) * SEEN)
+
+
+def test_the_bootstrap_takes_little_more_than_the_blocks(shares: Array) -> None:
+    """Its 400 draws at a time would take 44 MiB."""
+    s = np.random.default_rng(1).normal(size=(BLOCKS, SEEN))
+    rng = np.random.default_rng(2)
+    assert peak(lambda: scatter._bootstrap(shares, s, np.zeros((SEEN, SEEN)), rng)) < 12
+
+
+def test_degrees_of_freedom_are_satterthwaites(shares: Array) -> None:
+    """By their definition, row by row."""
+    rows = np.random.default_rng(3).normal(size=(3, SEEN))
+    eye = np.eye(SEEN)
+    seen = Directions(eye, np.zeros((SEEN, 0)), np.ones(SEEN), np.zeros((SEEN, SEEN)), 1.0, 1000.0)
+    found = Uncertainty(seen, np.ones(SEEN, dtype=bool), eye, shares)
+    held = np.array([[row @ share @ row for share in shares] for row in rows])
+    expected = held.sum(axis=1) ** 2 / np.square(held).sum(axis=1) - 1
+    np.testing.assert_allclose(found.freedom(rows), expected, rtol=1e-9)
+
+
+def test_a_report_asks_for_all_intervals_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not once a body."""
+    experiment = prepare(
+        read_robot(SAMPLES / "leg.urdf"), read_config(SAMPLES / "leg.yaml"), [SAMPLES / "leg_train.mcap"]
+    )
+    found = fit(experiment, lambda *_: None)
+    count, asked = len(found.estimate.theta), []
+    interval = Trust.interval
+    monkeypatch.setattr(Trust, "interval", lambda self, rows: asked.append(len(rows)) or interval(self, rows))
+    report = fit_report(found)
+    assert asked.count(count) == 1
+    half = found.uncertainty.of(np.eye(count)) * found.uncertainty.reach(np.eye(count))
+    pairs = [pair for body in report["bodies"].values() for pair in body["interval"]]
+    for pair, reach in zip(pairs, half, strict=False):
+        assert (pair is None) == np.isinf(reach)
+        assert pair is None or pair[1] - pair[0] >= 2 * reach * (1 - 1e-9)
