@@ -18,10 +18,10 @@ from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.existence import can_exist, refused
 from idtool.reporting.export.identified import NOTHING, Identified
 from idtool.reporting.export.rotors import Rotor, rotors_of
-from idtool.reporting.export.spans import Span, edited, quoted, root_span, value_place
 from idtool.reporting.export.transmissions import transmissions
 from idtool.robot.inertia import SIZE
 from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.text import Edit, Element, apply_edits, root_element, set_attribute
 from idtool.robot.urdf.writing import JointDynamics, rewrite
 
 FILE = "drake.urdf"
@@ -42,17 +42,17 @@ def to_drake(identified: Identified) -> Export:
     moving = {body.name for body in identified.model.bodies if body.kind == "link"}
     fixed = [j for j in identified.robot.joints.values() if j.kind != "fixed" and j.child not in moving]
     text = rewrite(identified.robot.text, _links(identified, rotors), _dynamics(identified))
-    root = root_span(text)
-    edits: list[tuple[int, int, bytes]] = []
-    spans = {span.attributes["name"]: span for span in root.named("joint")}
+    root = root_element(text)
+    edits: list[Edit] = []
+    elements = {element.name: element for element in root.with_tag("joint")}
     for joint in fixed:
-        edits += _fixing(text, spans[joint.name], joint, identified.value(joint))
+        edits += _fixing(text, elements[joint.name], joint, identified.value(joint))
     edits += transmissions(text, root, _gears(identified, rotors))
     if "xmlns:drake" not in root.attributes:
         after = root.start + len(b"<robot")
-        edits.append((after, after, b' xmlns:drake="http://drake.mit.edu"'))
+        edits.append(Edit(after, after, b' xmlns:drake="http://drake.mit.edu"'))
     carried, not_carried = _told(identified, rotors, fixed)
-    return Export(FILE, edited(text, edits), tuple(carried), tuple(not_carried))
+    return Export(FILE, apply_edits(text, edits), tuple(carried), tuple(not_carried))
 
 
 def _links(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, Array | None]:
@@ -113,10 +113,10 @@ def _dynamics(identified: Identified) -> dict[str, JointDynamics]:
     return {j.name: JointDynamics(damping=damping[j.name]) for j in joints}
 
 
-def _fixing(text: bytes, span: Span, joint: Joint, value: float) -> list[tuple[int, int, bytes]]:
+def _fixing(text: bytes, element: Element, joint: Joint, value: float) -> list[Edit]:
     """The edits that make a joint a fixed one, at its value."""
-    edits = [(*value_place(text, span, "type"), quoted("fixed"))]
-    edits += [(child.start, child.stop, b"") for child in span.named("mimic")]
+    edits = [set_attribute(text, element, "type", "fixed")]
+    edits += [Edit(child.start, child.stop, b"") for child in element.with_tag("mimic")]
     if value:
         R, p = joint.R, joint.p
         if joint.kind == "prismatic":
@@ -125,8 +125,9 @@ def _fixing(text: bytes, span: Span, joint: Joint, value: float) -> list[tuple[i
             R = R @ Rotation.from_rotvec(joint.axis * value).as_matrix()
         xyz, rpy = (" ".join(repr(float(x)) for x in values) for values in (p, Rotation.from_matrix(R).as_euler("xyz")))
         origin = f'<origin xyz="{xyz}" rpy="{rpy}"/>'.encode()
-        old = next(span.named("origin"), None)
-        edits.append((old.start, old.stop, origin) if old else (span.opened, span.opened, origin))
+        old = element.first("origin")
+        place = (old.start, old.stop) if old else (element.content, element.content)
+        edits.append(Edit(*place, origin))
     return edits
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from idtool.reporting.export.spans import Span, quoted
+from idtool.robot.urdf.text import Edit, Element, quoted
 
 
-def transmissions(text: bytes, root: Span, gears: Mapping[str, tuple[float, float]]) -> list[tuple[int, int, bytes]]:
+def transmissions(text: bytes, root: Element, gears: Mapping[str, tuple[float, float]]) -> list[Edit]:
     """The edits that give every joint one transmission, in place of those it has; an actuator keeps its name.
 
     Parameters
@@ -20,15 +20,15 @@ def transmissions(text: bytes, root: Span, gears: Mapping[str, tuple[float, floa
     edits = []
     names: dict[str, str] = {}
     taken: set[str] = set()
-    for span in root.named("transmission"):
-        actuators = [child.attributes.get("name", "") for child in span.named("actuator")]
-        joint = _joint(text, span, gears)
+    for transmission in root.with_tag("transmission"):
+        actuators = [actuator.name for actuator in transmission.with_tag("actuator")]
+        joint = _joint(text, transmission, gears)
         if joint is None:
             taken.update(actuators)
         else:
-            edits.append((span.start, span.stop, b""))
+            edits.append(Edit(transmission.start, transmission.stop, b""))
             names.setdefault(joint, next(filter(None, actuators), joint))
-    end = b"\r\n" if b"\r\n" in text[: root.opened + 2] else b"\n"
+    end = b"\r\n" if b"\r\n" in text[: root.content + 2] else b"\n"
     written = b""
     for joint, (inertia, ratio) in gears.items():
         name = names.get(joint, joint)
@@ -37,14 +37,14 @@ def transmissions(text: bytes, root: Span, gears: Mapping[str, tuple[float, floa
         taken.add(name)
         written += end.join([*_rows(joint, name, inertia, ratio), b""])
     last = text.rindex(b"</", root.start, root.stop)
-    return [*edits, (last, last, written)]
+    return [*edits, Edit(last, last, written)]
 
 
-def _joint(text: bytes, span: Span, joints: Collection[str]) -> str | None:
+def _joint(text: bytes, element: Element, joints: Collection[str]) -> str | None:
     """The joint, of those given, whose transmission this is in Drake's eyes."""
-    found = [child.attributes.get("name", "") for child in span.named("joint")]
-    is_simple = b"SimpleTransmission" in text[span.start : span.stop]
-    return found[0] if is_simple and len(found) == 1 and found[0] in joints else None
+    named = [joint.name for joint in element.with_tag("joint")]
+    is_simple = b"SimpleTransmission" in text[element.start : element.stop]
+    return named[0] if is_simple and len(named) == 1 and named[0] in joints else None
 
 
 def _rows(joint: str, actuator: str, inertia: float, ratio: float) -> list[bytes]:

@@ -1,19 +1,14 @@
 """An estimate into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
 
 In another folder than its own, relative names of mesh files are made to hold there.
-
-The file is edited at byte positions that expat reports, so that comments, order, quoting and indentation stay.
 """
 
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -21,8 +16,7 @@ from idtool.common.arrays import Array
 from idtool.robot.body import Body
 from idtool.robot.inertia import pseudo_inertia, rounded, rounded_inertial, six
 from idtool.robot.urdf.reading import Robot
-
-_ATTRIBUTE = re.compile(rb"""([^\s="'/<>]+)\s*=\s*("[^"]*"|'[^']*')""")
+from idtool.robot.urdf.text import Edit, Element, apply_edits, quoted, root_element, set_attribute, set_child
 
 
 @dataclass(frozen=True)
@@ -75,94 +69,21 @@ def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str,
     joints
         Joint name to its dynamics.
     """
-    edits: list[tuple[int, int, bytes]] = []
-    for element in _elements(text):
-        if element.tag == "link" and element.name in links:
-            pi = links[element.name]
-            new = b"" if pi is None else _inertial(pi, _break(text, element, "inertial"))
-            edits.append(_replacement(text, element, "inertial", new))
-        elif element.tag == "joint" and element.name in joints:
-            old = element.children.get("dynamics")
-            written = _dynamics(text[old.start : old.stop] if old else b"", joints[element.name])
-            edits.append(_replacement(text, element, "dynamics", written))
-    for start, stop, new in sorted(edits, reverse=True):
-        text = text[:start] + new + text[stop:]
-    return text
+    root = root_element(text)
+    edits: list[Edit] = []
+    for link in root.with_tag("link"):
+        if link.name in links:
+            pi = links[link.name]
+            rows = [] if pi is None else _inertial(pi)
+            edits.append(set_child(text, link, "inertial", rows))
+    for joint in root.with_tag("joint"):
+        if joint.name in joints:
+            edits += _dynamics(text, joint, joints[joint.name])
+    return apply_edits(text, edits)
 
 
-@dataclass
-class _Element:
-    """A link or joint, or one of the children that are replaced, and its place in the text."""
-
-    tag: str
-    name: str
-    start: int
-    stop: int = 0
-    children: dict[str, _Element] = field(default_factory=dict)
-
-
-def _elements(text: bytes) -> list[_Element]:
-    """Links and joints right below the root, with the places of their inertial and dynamics."""
-    found: list[_Element] = []
-    stack: list[_Element] = []
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        stack.append(_Element(tag, attributes.get("name", ""), parser.CurrentByteIndex))
-
-    def end(tag: str) -> None:
-        element = stack.pop()
-        opening = _tag_end(text, element.start)
-        empty = text[opening - 2 : opening] == b"/>"
-        element.stop = opening if empty else text.index(b">", parser.CurrentByteIndex) + 1
-        if len(stack) == 1 and tag in ("link", "joint"):
-            found.append(element)
-        elif len(stack) == 2 and tag in ("inertial", "dynamics"):
-            stack[-1].children.setdefault(tag, element)
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.Parse(text, True)
-    return found
-
-
-def _tag_end(text: bytes, start: int) -> int:
-    """Position after the tag that begins at ``start``, a > in a quoted attribute not counted."""
-    match = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(text, start)
-    if match is None:
-        raise AssertionError  # the parser has already seen the tag's end
-    return match.end()
-
-
-def _break(text: bytes, element: _Element, child: str) -> bytes:
-    """Line end and white space before an element's child, the one that is there or a new one."""
-    place = element.children.get(child, element)
-    line = text.rfind(b"\n", 0, place.start) + 1
-    before = text[line : place.start]
-    indent = before[: len(before) - len(before.lstrip(b" \t"))]
-    end = b"\r\n" if text[:line].endswith(b"\r\n") else b"\n"
-    return end + indent + (b"" if child in element.children else b"  ")
-
-
-def _replacement(text: bytes, element: _Element, tag: str, new: bytes) -> tuple[int, int, bytes]:
-    """The edit that puts ``new`` in place of the element's child, or as its first child."""
-    old = element.children.get(tag)
-    if old is not None:
-        start = old.start
-        if not new:  # take the line's white space along
-            start = len(text[:start].rstrip(b" \t").removesuffix(b"\n").removesuffix(b"\r"))
-        return start, old.stop, new
-    opening = _tag_end(text, element.start)
-    if not new:
-        return opening, opening, b""
-    line = _break(text, element, tag)
-    if text[opening - 2 : opening] == b"/>":
-        close = line[:-2] + b"</" + element.tag.encode() + b">"
-        return opening - 2, opening, b">" + line + new + close
-    return opening, opening, line + new
-
-
-def _inertial(pi: Array, line: bytes) -> bytes:
+def _inertial(pi: Array) -> list[bytes]:
+    """The rows of an inertial element."""
     mass, com, inertia = rounded_inertial(pi)
     xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in six(inertia))
     xyz = " ".join(repr(float(x)) for x in com)
@@ -173,22 +94,20 @@ def _inertial(pi: Array, line: bytes) -> bytes:
         f'  <inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/>',
         "</inertial>",
     ]
-    return line.join(row.encode() for row in rows)
+    return [row.encode() for row in rows]
 
 
-def _dynamics(old: bytes, dynamics: JointDynamics) -> bytes:
-    """A dynamics tag with the values that are given, all else as it was."""
+def _dynamics(text: bytes, joint: Element, dynamics: JointDynamics) -> list[Edit]:
+    """The edits that give a joint the values that are not None."""
     values = {"damping": dynamics.damping, "friction": dynamics.friction}
-    given = {name.encode(): repr(float(rounded(value))).encode() for name, value in values.items() if value is not None}
-    tag = old or b"<dynamics/>"
-    for name, number in given.items():
-        opening = tag[: _tag_end(tag, 0)]
-        places = {match.group(1): match.span(2) for match in _ATTRIBUTE.finditer(opening)}
-        end = len(re.sub(rb"\s*/?>\Z", b"", opening))
-        start, stop = places.get(name, (end, end))
-        written = b'"' + number + b'"' if name in places else b" " + name + b'="' + number + b'"'
-        tag = tag[:start] + written + tag[stop:]
-    return tag if given else old
+    written = {name: repr(float(rounded(value))) for name, value in values.items() if value is not None}
+    element = joint.first("dynamics")
+    if element is not None:
+        return [set_attribute(text, element, name, value) for name, value in written.items()]
+    if not written:
+        return []
+    attributes = b"".join(b" " + name.encode() + b"=" + quoted(value) for name, value in written.items())
+    return [set_child(text, joint, "dynamics", [b"<dynamics" + attributes + b"/>"])]
 
 
 def identified_urdf(
@@ -223,22 +142,15 @@ def moved(text: bytes, urdf: Path, folder: Path) -> bytes:
     folder
         Where it will stand.
     """
-    home, there = os.path.realpath(urdf.parent), os.path.realpath(folder)
-    places: list[tuple[int, str]] = []
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        name = attributes.get("filename", "")
-        if tag in ("mesh", "texture") and name and "://" not in name and not os.path.isabs(name):
-            places.append((parser.CurrentByteIndex, name))
-
-    parser.StartElementHandler = start
-    parser.Parse(text, True)
-    for at, name in reversed(places if home != there else []):
-        file = os.path.join(home, name)
-        if os.path.isfile(file):
-            tag = text[at : (stop := _tag_end(text, at))]
-            low, high = next(m.span(2) for m in _ATTRIBUTE.finditer(tag) if m.group(1) == b"filename")
-            new = quoteattr(Path(os.path.relpath(file, there)).as_posix()).encode("ascii", "xmlcharrefreplace")
-            text = text[:at] + tag[:low] + new + tag[high:] + text[stop:]
-    return text
+    old_folder, new_folder = os.path.realpath(urdf.parent), os.path.realpath(folder)
+    if old_folder == new_folder:
+        return text
+    edits: list[Edit] = []
+    for element in root_element(text).descendants():
+        name = element.attributes.get("filename", "")
+        is_relative = name and "://" not in name and not os.path.isabs(name)
+        file = os.path.join(old_folder, name)
+        if element.tag in ("mesh", "texture") and is_relative and os.path.isfile(file):
+            path = Path(os.path.relpath(file, new_folder)).as_posix()
+            edits.append(set_attribute(text, element, "filename", path))
+    return apply_edits(text, edits)
