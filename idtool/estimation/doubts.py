@@ -14,7 +14,7 @@ from idtool.estimation.identified import Identified
 from idtool.estimation.problem.identify import stuck_note, unfinished_note
 from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.body import Body
-from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.inertia import SIZE, is_realizable, pseudo_inertia
 
 _HEAVY = 3.0  # times its mass in the prior, of a body that is too heavy or too light
 _TOTAL = 0.3  # of the prior's total mass, that the total may differ from it
@@ -60,7 +60,7 @@ def _unsolved(experiment: Experiment, found: Identified) -> Iterator[str]:
 
 def _unreal(experiment: Experiment, found: Identified) -> Iterator[str]:
     """Bodies that cannot be."""
-    unreal = [body.name for body, pi in _bodies(found) if np.linalg.eigvalsh(pseudo_inertia(pi))[0] <= 0]
+    unreal = [body.name for body, pi in _bodies(found) if not is_realizable(pi)]
     if unreal:
         yield f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them"
     as_given = found.prior is experiment.model.bodies

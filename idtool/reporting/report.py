@@ -21,7 +21,15 @@ from idtool.estimation.problem.verdict import Verdict, judge
 from idtool.reporting.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
-from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, rounded, rounded_inertial, six
+from idtool.robot.inertia import (
+    SIZE,
+    least_eigenvalue,
+    mass_com_inertia,
+    pseudo_inertia,
+    rounded,
+    rounded_inertial,
+    six,
+)
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
@@ -122,7 +130,7 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
     pieces = fit.estimate.parts[index]
     copy = fit.experiment.known.copies.get(index)
     verdict = judge(body, pi, pieces if len(pieces) else None)
-    least = float(np.linalg.eigvalsh(pseudo_inertia(pi))[0])
+    least = float(least_eigenvalue(pi))
     return {
         "kind": body.kind,
         "mass": mass,

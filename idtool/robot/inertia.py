@@ -68,6 +68,16 @@ def from_pseudo_inertia(J: ArrayLike) -> Array:
     return np.concatenate([J[..., 3:, 3], J[..., :3, 3], six(inertia)], axis=-1)
 
 
+def least_eigenvalue(pi: ArrayLike) -> Array:
+    """Least eigenvalue of J(pi), shape (...): positive if, and only if, some mass density has these moments (Thm 3)."""
+    return np.asarray(np.linalg.eigvalsh(pseudo_inertia(pi))[..., 0])
+
+
+def is_realizable(pi: ArrayLike) -> bool:
+    """J(pi) ≻ 0: full physical consistency of one body, bounds on its extent aside (Thm 3)."""
+    return bool(least_eigenvalue(pi) > 0)
+
+
 #: J(pi) = Σ_k pi_k BASIS[k], shape (10, 4, 4).
 BASIS = pseudo_inertia(np.eye(SIZE))
 

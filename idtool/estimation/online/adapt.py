@@ -26,7 +26,7 @@ from idtool.data.causal import causal_batches
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.online.recursive import RecursiveFit
 from idtool.estimation.problem.problem import Problem
-from idtool.robot.inertia import SIZE, mass_com_inertia, pseudo_inertia, six
+from idtool.robot.inertia import SIZE, is_realizable, mass_com_inertia, six
 from idtool.robot.sets import ConstraintSet
 
 FORGETTING = 20.0  # s
@@ -258,7 +258,7 @@ def _body(pi: Array) -> dict[str, Any]:
         "com": com.tolist(),
         "inertia_com": six(inertia).tolist(),
         "pi": pi.tolist(),
-        "realizable": bool(np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0),
+        "realizable": is_realizable(pi),
     }
 
 

@@ -17,7 +17,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.problem.identify import solve
 from idtool.estimation.problem.problem import Problem
-from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.inertia import SIZE, least_eigenvalue
 
 _POOL = 4096  # samples that draws are taken from, at random from all: a log of any length fits into memory
 _MORE = 4  # times as many draws of few samples
@@ -210,7 +210,7 @@ def rms(data: Reduction, active: Sequence[Indices], theta: Array) -> Array:
 def violation(problem: Problem, z: Array) -> float:
     """How far the worst body is from full consistency, in units of its typical mass and size; 0 where all can be."""
     inertial = np.setdiff1d(np.arange(len(z)), problem.others)
-    least = np.linalg.eigvalsh(pseudo_inertia(z[inertial].reshape(-1, SIZE)))[:, 0]
+    least = least_eigenvalue(z[inertial].reshape(-1, SIZE))
     return max(-float(least.min()), 0.0)
 
 

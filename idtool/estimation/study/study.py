@@ -27,7 +27,7 @@ from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study.learning import Curve, gather, held_out, learn
 from idtool.robot.config import WEAK
-from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.inertia import SIZE, least_eigenvalue
 from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
 
 CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
@@ -197,8 +197,7 @@ def _solved(
     theta = problem.theta(problem.S @ x)
     sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
     units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
-    J = pseudo_inertia((theta[: len(units)] / units).reshape(-1, SIZE))
-    least = np.asarray(np.linalg.eigvalsh(J)[:, 0], dtype=float)
+    least = least_eigenvalue((theta[: len(units)] / units).reshape(-1, SIZE))
     return Outcome(sets, theta, certificate, float(np.median(seconds)), least)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.body import Body
-from idtool.robot.inertia import pseudo_inertia, rounded, rounded_inertial, six
+from idtool.robot.inertia import is_realizable, rounded, rounded_inertial, six
 from idtool.robot.urdf.reading import Robot
 from idtool.robot.urdf.text import Edit, Element, apply_edits, quoted, root_element, set_attribute, set_child
 
@@ -48,13 +48,9 @@ def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, 
     lumped = [member for member in others if member.link in links]
     own = pi - sum((member.pi_in_body for member in others if member.link not in links), np.zeros(len(pi)))
     rest = own - sum((member.pi_in_body for member in lumped), np.zeros(len(pi)))
-    if _is_realizable(rest):
+    if is_realizable(rest):
         return {first.link: rest}
     return {first.link: own, **{member.link: None for member in lumped}}
-
-
-def _is_realizable(pi: Array) -> bool:
-    return bool(np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0)
 
 
 def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
