@@ -114,8 +114,8 @@ def gains() -> str:
     return GAINS % (", ".join(f"{j}: {kp}" for j, kp, _ in joints), ", ".join(f"{j}: {kd}" for j, _, kd in joints))
 
 
-def record(case: Case, to: Path) -> float:
-    """Run a case in a new folder of its own; the time it took [s]."""
+def record(case: Case, to: Path) -> tuple[float, list[str]]:
+    """Run a case in a new folder of its own; the time it took [s], and the last line of commands that failed."""
     folder = to / case.name
     folder.mkdir(parents=True)
     (folder / "samples").symlink_to(ROOT / "sample_logs")
@@ -124,6 +124,7 @@ def record(case: Case, to: Path) -> float:
     (folder / "gains.yaml").write_text(gains())
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
     started = time.perf_counter()
+    failures = []
     for i, command in enumerate(case.commands):
         ran = subprocess.run(
             [sys.executable, "-m", "idtool", *command.split(), "--json"],
@@ -134,7 +135,9 @@ def record(case: Case, to: Path) -> float:
         )
         (folder / f"{i}.json").write_text(ran.stdout or "null")
         (folder / f"{i}.txt").write_text(f"{command}\nexit code {ran.returncode}\n{ran.stderr}")
-    return time.perf_counter() - started
+        if ran.returncode:
+            failures.append(f"idtool {command}: {ran.stderr.strip().splitlines()[-1:]}")
+    return time.perf_counter() - started, failures
 
 
 def files(folder: Path, kinds: set[str]) -> dict[str, Path]:
@@ -181,15 +184,19 @@ def json_differences(one: Path, other: Path, tolerance: float) -> Iterator[str]:
 
 def text_differences(one: Path, other: Path, tolerance: float) -> Iterator[str]:
     """The lines that differ between two text files by more than rounded numbers."""
-    left, right = (
-        [DURATION.sub("… s", line) for line in path.read_text().splitlines() if "idtool 0." not in line]
-        for path in (one, other)
-    )
+    left, right = (_comparable_lines(path) for path in (one, other))
     if len(left) == len(right) and all(same_line(a, b, tolerance) for a, b in zip(left, right, strict=True)):
         return
     for line in difflib.unified_diff(left, right, lineterm="", n=0):
         if not line.startswith(("---", "+++", "@@")):
             yield line
+
+
+def _comparable_lines(path: Path) -> list[str]:
+    """The lines of a text without versions, durations and the name of the recording's own folder."""
+    recording = re.search(r"^.*?(?=/\w+/(?:out/)?[^/]+$)", str(path.resolve()))
+    text = path.read_text().replace(recording[0] if recording else "", "")
+    return [DURATION.sub("… s", line) for line in text.splitlines() if "idtool 0." not in line]
 
 
 def same_line(one: str, other: str, tolerance: float) -> bool:
@@ -252,8 +259,8 @@ def main() -> int:
     cases = [case for case in (*SAMPLES, *(REAL_LOGS if REAL.exists() else ())) if chosen(case.name, arguments.only)]
     with ThreadPool(arguments.jobs) as pool:
         took = pool.imap(lambda case: record(case, arguments.to.resolve()), cases)
-        for case, seconds in zip(cases, took, strict=True):
-            print(f"{case.name:20} {seconds:6.1f} s", flush=True)
+        for case, (seconds, failures) in zip(cases, took, strict=True):
+            print(f"{case.name:20} {seconds:6.1f} s", *failures, sep="\n    ", flush=True)
     return 0
 
 

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from idtool.api.assumed import Assumed, check_assumed, known_assumption, known_candidates
 from idtool.api.data import Logs, call, changed, experiment_of
-from idtool.api.identified import Errors
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.diagnosis_words import on
+from idtool.reporting.figures import figure
 from idtool.reporting.report import model_config
+from idtool.reporting.results.diagnosis import DiagnosisReport
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -27,83 +27,10 @@ if TYPE_CHECKING:
     from idtool.api.records import Recorded
 
 
-@dataclass(frozen=True)
-class Level:
-    """Errors of a model, root mean square by joint, and ``overall``.
+class DiagnosisResult(DiagnosisReport, Saved, Recordable):
+    """What a model lacks, and the model with it; its fields are those of diagnosis.json."""
 
-    Attributes
-    ----------
-    train, validation
-        Of the torque in the filter's band [N·m or N]; validation is None where nothing was held out.
-    simulation
-        Of the joint positions in rollouts [rad or m]; None where the model was not run forwards.
-    """
-
-    train: Errors
-    validation: Errors | None
-    simulation: Errors | None
-
-
-@dataclass(frozen=True)
-class Step:
-    """An effect that was found and added, or ``unknown``.
-
-    Attributes
-    ----------
-    effect, joint, link
-        What it is; joint and link are None where it has none.
-    parameters, standard_error
-        By name, in SI units; an error is None where it is not known.
-    sentence
-        What was found, in words.
-    details
-        All that diagnosis.json says of it: ``where``, ``evidence``, ``alternatives`` and so on.
-    """
-
-    effect: str
-    joint: str | None
-    link: str | None
-    parameters: ReadOnly[Any]
-    standard_error: ReadOnly[Any]
-    sentence: str
-    details: ReadOnly[Any] = field(repr=False)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class DiagnosisResult(Saved):
-    """What a model lacks, and the model with it.
-
-    Attributes
-    ----------
-    verdict
-        ``no_disagreement``, ``explained``, ``partly_explained`` or ``unexplained``.
-    summary
-        The same in words.
-    steps
-        The effects, in the order in which they were added; ``unknown`` comes last.
-    before, after
-        Errors of the model without and with them.
-    noise_floor
-        What no model could come below [N·m or N].
-    gap_closed
-        Share of the gap between the error before and the floor that is closed, by joint; None where there was none.
-    data_faults
-        What is wrong with the logs: ``fault``, ``joint``, ``detail`` each.
-    warnings
-        What a user should know, a plain sentence each.
-    """
-
-    verdict: str
-    summary: str
-    steps: tuple[Step, ...]
-    before: Level
-    after: Level
-    noise_floor: Errors
-    gap_closed: ReadOnly[float | None]
-    data_faults: tuple[ReadOnly[Any], ...]
-    warnings: tuple[str, ...]
     _diagnosis: Diagnosis
-    _report: Mapping[str, Any]
     _made_by: str
 
     @cached_property
@@ -124,8 +51,8 @@ class DiagnosisResult(Saved):
         urdf = last.experiment.model.robot.path.name
         header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
         return {
-            "diagnosis.json": as_json(self._report),
-            "diagnosis.html": diagnosis_page(self._diagnosis, self._report, made_by),
+            "diagnosis.json": as_json(self.to_json()),
+            "diagnosis.html": diagnosis_page(self._diagnosis, self, made_by),
             SETTINGS: as_yaml(model_config(last), header),
             IDENTIFIED: identified_text(last, folder),
         }
@@ -141,17 +68,16 @@ class DiagnosisResult(Saved):
         from idtool.api.plots import gap_figure
         from idtool.reporting.pages.residuals import gap_views
 
-        return gap_figure(gap_views(self._report))
+        return gap_figure(gap_views(self))
 
     def __repr__(self) -> str:
-        part = "train" if self.before.validation is None else "validation"
-        first, last = (getattr(level, part) for level in (self.before, self.after))
+        first, last = (level.validation or level.train for level in (self.before, self.after))
         rows = []
         for name in first:
             share = self.gap_closed[name]
             closed = "–" if share is None else f"{100 * share:.0f} %"
             rows.append([name, *map(figure, (first[name], last[name], self.noise_floor[name])), closed])
-        steps = [f"  {i}. {step.effect} on {on(step.details)}" for i, step in enumerate(self.steps, 1)]
+        steps = [f"  {i}. {step.effect} on {on(step)}" for i, step in enumerate(self.steps, 1)]
         head = ["torque RMS", "before", "after", "noise floor", "gap closed"]
         return "\n".join([f"DiagnosisResult: {self.summary}", *steps, *table(head, rows), *notes(self.warnings)])
 
@@ -227,24 +153,7 @@ def diagnose(
 
 
 def _result(found: Diagnosis, inertia: str, made_by: str) -> DiagnosisResult:
-    report = diagnosis_report(found, inertia)
-    data = frozen(report)
-    return DiagnosisResult(
-        verdict=data["verdict"],
-        summary=data["summary"],
-        steps=tuple(_step(step) for step in data["steps"]),
-        before=Level(**data["before"]),
-        after=Level(**data["after"]),
-        noise_floor=data["noise_floor"],
-        gap_closed=data["gap_closed"],
-        data_faults=data["data_faults"],
-        warnings=data["warnings"],
-        _diagnosis=found,
-        _report=report,
-        _made_by=made_by,
-    )
-
-
-def _step(step: ReadOnly[Any]) -> Step:
-    named = {key: step[key] for key in ("effect", "joint", "link", "parameters", "standard_error")}
-    return Step(**named, sentence=step["evidence"]["sentence"], details=step)
+    result = DiagnosisResult.extending(diagnosis_report(found, inertia))
+    result._diagnosis = found
+    result._made_by = made_by
+    return result

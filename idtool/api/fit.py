@@ -3,64 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call, changed, experiment_of
-from idtool.api.identified import Body, Friction, Rms, body_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.faults import faults
 from idtool.diagnosis.maps import residual_maps
+from idtool.diagnosis.records import Residual
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as identify
 from idtool.estimation.identified import Method
+from idtool.reporting.figures import figure
 from idtool.reporting.report import fit_report, model_config
+from idtool.reporting.results.fit import FitReport
+
+Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]  # what the prior and the identified model leave
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.records import Recorded
-    from idtool.reporting.pages.fit import Maps
-
-
 _SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")  # what no model mends
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class FitResult(Saved):
-    """An identified model, and how far to trust it.
+class FitResult(FitReport, Saved, Recordable):
+    """An identified model, and how far to trust it; its fields are those of report.json."""
 
-    Attributes
-    ----------
-    joints
-        Joints, in the order of the model.
-    rms, rms_raw
-        Torque errors in the filter's band, and against the torque as logged.
-    bodies
-        Links and rotors, by name.
-    friction
-        By joint.
-    simulation
-        How far the model run forwards is from the measured motion, as ``simulation`` of report.json; None: not run.
-    warnings
-        What a user should know, a plain sentence each.
-    """
-
-    joints: tuple[str, ...]
-    rms: Rms
-    rms_raw: Rms
-    bodies: ReadOnly[Body]
-    friction: ReadOnly[Friction]
-    simulation: ReadOnly[Any] | None
-    warnings: tuple[str, ...]
     _fit: Fit
     _maps: Maps | None
-    _report: Mapping[str, Any]
     _made_by: str
 
     @cached_property
@@ -76,8 +52,8 @@ class FitResult(Saved):
         return {
             IDENTIFIED: identified_text(self._fit, folder),
             SETTINGS: as_yaml(model_config(self._fit), header),
-            "report.json": as_json(self._report),
-            "report.html": fit_page(self._fit, dict(self._report), made_by, self._maps),
+            "report.json": as_json(self.to_json()),
+            "report.html": fit_page(self._fit, self, made_by, self._maps),
         }
 
     def _recorded(self) -> Recorded:
@@ -102,10 +78,10 @@ class FitResult(Saved):
         from idtool.reporting.pages import curves
 
         evaluation = self._fit.train if self.rms.validation is None else self._fit.validation
-        return torque_figure(curves(evaluation, "identified", self._report["units"]), log)
+        return torque_figure(curves(evaluation, "identified", self.units), log)
 
     def __repr__(self) -> str:
-        units = " or ".join(dict.fromkeys(self._report["units"].values()))
+        units = " or ".join(dict.fromkeys(self.units.values()))
         own, prior = self.rms.validation, self.rms.prior_validation
         data = "what was fitted" if own is None else "held-out data"
         head = ["joint", "identified", *(["given"] if prior else []), "viscous", "coulomb"]
@@ -116,9 +92,9 @@ class FitResult(Saved):
             rows.append(
                 [name, *map(figure, errors), *map(figure, (terms.viscous, terms.coulomb) if terms else (None,) * 2)]
             )
-        masses = ", ".join(f"{body.name} {body.mass:.4g}" for body in list(self.bodies.values())[:6])
+        masses = ", ".join(f"{name} {body.mass:.4g}" for name, body in list(self.bodies.items())[:6])
         more = f" and {len(self.bodies) - 6} more" if len(self.bodies) > 6 else ""
-        urdf, band = Path(self._report["urdf"]).name, f"below {self._report['band_hz']:g} Hz"
+        urdf, band = Path(self.urdf).name, f"below {self.band_hz:g} Hz"
         return "\n".join(
             [
                 f"FitResult {urdf}: RMS torque error [{units}] {band}, on {data}",
@@ -218,17 +194,8 @@ def fit_experiment(
         found = replace(found, warnings=(*said, *found.warnings))
     thetas = (experiment.equation.prior, found.estimate.theta)
     prior, own = (residual_maps(found.experiment, theta, progress) if question else {} for theta in thetas)
-    report = fit_report(found)
-    return FitResult(
-        joints=tuple(report["joints"]),
-        rms=Rms(**frozen(report["rms"])),
-        rms_raw=Rms(**frozen(report["rms_raw"])),
-        bodies=ReadOnly({name: body_of(name, body) for name, body in report["bodies"].items()}),
-        friction=ReadOnly({joint: Friction(**frozen(terms)) for joint, terms in report["friction"].items()}),
-        simulation=frozen(report["simulation"]),
-        warnings=tuple(report["warnings"]),
-        _fit=found,
-        _maps=(prior, own) if question else None,
-        _report=report,
-        _made_by=made_by,
-    )
+    result = FitResult.extending(fit_report(found))
+    result._fit = found
+    result._maps = (prior, own) if question else None
+    result._made_by = made_by
+    return result

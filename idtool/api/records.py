@@ -1,18 +1,14 @@
-"""What results are made of: plain data that cannot be changed, and lines for a prompt."""
+"""What results are made of: files, recordings, and lines for a prompt."""
 
 from __future__ import annotations
 
-import json
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from idtool.common.arrays import Array
-from idtool.common.outputs import as_json, write_all
+from idtool.common.outputs import write_all
 
 if TYPE_CHECKING:
     from idtool.estimation.evaluation.envelope import Trace
@@ -23,58 +19,12 @@ if TYPE_CHECKING:
     ]  # robot, each log's torque and positions, what is shown
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
-T_co = TypeVar("T_co", covariant=True)
 
 _MOST = 12  # lines of a table at a prompt
 
 
-class ReadOnly(Mapping[str, T_co]):
-    """A dictionary that cannot be changed, and, unlike `types.MappingProxyType`, can be copied and pickled."""
-
-    __slots__ = ("_data",)
-
-    def __init__(self, data: Mapping[str, T_co]) -> None:
-        self._data = dict(data)
-
-    def __getitem__(self, key: str) -> T_co:
-        return self._data[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._data)
-
-    def __len__(self) -> int:
-        return len(self._data)
-
-    def __repr__(self) -> str:
-        return repr(self._data)
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return list(self._data)
-
-
-def frozen(data: Any) -> Any:
-    """Plain data, dictionaries in it as `ReadOnly` and lists as tuples."""
-    if isinstance(data, Mapping):
-        return ReadOnly({str(key): frozen(value) for key, value in data.items()})
-    if isinstance(data, list | tuple):
-        return tuple(map(frozen, data))
-    return data
-
-
-def vector(values: Sequence[float | None]) -> Array:
-    """Numbers as an array that cannot be written to, NaN for None."""
-    array = np.array([np.nan if value is None else value for value in values], dtype=float)
-    array.flags.writeable = False
-    return array
-
-
 def silent(stage: str, share: float) -> None:
     """Progress that nobody wants to hear of."""
-
-
-def figure(value: float | None) -> str:
-    """A figure to four digits; a dash for none."""
-    return "–" if value is None else f"{value:.4g}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -126,15 +76,10 @@ class Recordable(ABC):
         """The robot, of each log the torque and the positions, and the model that is shown."""
 
 
-class Saved(Recordable):
-    """A result that is written as files, and is one JSON object."""
+class Saved(ABC):
+    """A result that is written as files."""
 
-    _report: Mapping[str, Any]
     _made_by: str
-
-    def to_json(self) -> dict[str, Any]:
-        """What the command prints with ``--json``, the content of its JSON file; a copy."""
-        return dict(json.loads(as_json(self._report)))
 
     def save(self, folder: str | os.PathLike[str], made_by: str | None = None) -> tuple[Path, ...]:
         """Write the files that the command writes, all or none.

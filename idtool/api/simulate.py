@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import LogSource, experiment_of
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, ReadOnly, Recordable, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, Recordable, notes, silent, table
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.outputs import LOG_ENDINGS, OutputError, as_json, check_log
+from idtool.common.outputs import LOG_ENDINGS, OutputError, check_log
 from idtool.data.logs import write_log
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.simulated_log import (
@@ -27,8 +25,9 @@ from idtool.estimation.evaluation.simulated_log import (
     simulated_log,
     under_controller,
 )
-from idtool.estimation.evaluation.simulation_report import POSITION_UNITS
-from idtool.reporting.report import HEADER
+from idtool.reporting.figures import figure
+from idtool.reporting.results.simulation import MotionRmse, SimulationReport
+from idtool.reporting.simulation_report import POSITION_UNITS
 from idtool.robot.config import Config
 from idtool.robot.model import Model as RobotModel
 
@@ -40,22 +39,6 @@ if TYPE_CHECKING:
 FILE = "simulated.mcap"  # what the log is called in a folder
 
 
-@dataclass(frozen=True)
-class Rmse:
-    """Root mean square errors by joint, and ``overall``; empty where nothing was measured.
-
-    Attributes
-    ----------
-    position
-        [rad or m].
-    velocity
-        [rad/s or m/s].
-    """
-
-    position: ReadOnly[float]
-    velocity: ReadOnly[float]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulationResult(Recordable):
     """A model run forwards.
@@ -64,32 +47,50 @@ class SimulationResult(Recordable):
     ----------
     log
         The motion: q, v, tau, and qcmd and vcmd where they drove it.
-    rmse
-        How far it is from what was measured, without the samples at which it was started.
-    kind
-        ``open_loop``, under the logged torque, or ``closed_loop``, under the controller.
-    window
-        How often it was started again from the measured state [s]; None: never.
-    seconds
-        How much was simulated [s].
-    rollouts, lost
-        How often it was started, and how many of these ran away; they end where they did.
-    warnings
-        What a user should know, a plain sentence each.
+    report
+        What `idtool simulate --json` prints; its fields are attributes of the result, too.
     """
 
     log: Log
-    rmse: Rmse
-    kind: str
-    window: float | None
-    seconds: float
-    rollouts: int
-    lost: int
-    warnings: tuple[str, ...]
+    report: SimulationReport
     _model: RobotModel
     _measured: Array
     _source: Path
-    _report: Mapping[str, Any]
+
+    @property
+    def rmse(self) -> MotionRmse:
+        """RMS distance from what was measured, without the samples at which it was started."""
+        return self.report.rmse
+
+    @property
+    def kind(self) -> str:
+        """``open_loop``, under the logged torque, or ``closed_loop``, under the controller."""
+        return self.report.kind
+
+    @property
+    def window(self) -> float | None:
+        """Time between restarts from the measured state [s]; None: never restarted."""
+        return self.report.window
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time [s]."""
+        return self.report.seconds
+
+    @property
+    def rollouts(self) -> int:
+        """Number of rollouts."""
+        return self.report.rollouts
+
+    @property
+    def lost(self) -> int:
+        """Rollouts that diverged; they end where they did."""
+        return self.report.lost
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know, a plain sentence each."""
+        return self.report.warnings
 
     def to_json(self, file: str | os.PathLike[str] | None = None) -> dict[str, Any]:
         """What `idtool simulate --json` prints; a copy.
@@ -99,8 +100,7 @@ class SimulationResult(Recordable):
         file
             Where the log was saved, ``file`` of the result.
         """
-        where = {"file": None if file is None else str(file)}
-        return dict(json.loads(as_json({**HEADER, **where, **self._report})))
+        return self.report.model_copy(update={"file": None if file is None else str(file)}).to_json()
 
     def save(self, place: str | os.PathLike[str]) -> tuple[Path, ...]:
         """Write the log, as `idtool simulate` does.
@@ -140,20 +140,18 @@ class SimulationResult(Recordable):
         from idtool.api.plots import position_figure
 
         curves = {"measured": self._measured.T, "simulated": self.log.q.T}
-        return position_figure(self.log.t, curves, self._report["units"])
+        return position_figure(self.log.t, curves, self.report.units)
 
     def __repr__(self) -> str:
-        kinds = dict.fromkeys(self._report["units"].values())
+        kinds = dict.fromkeys(self.report.units.values())
         units, speeds = " or ".join(kinds), " or ".join(f"{unit}/s" for unit in kinds)
         loop = self.kind.replace("_", " ")
         often = "never restarted" if self.window is None else f"{self.window:g} s at a time"
         title = f"SimulationResult: {self.seconds:.4g} s {loop}, {often}"
-        if not self.rmse.position:
+        position, velocity = self.rmse.position, self.rmse.velocity
+        if position is None:
             return "\n".join([title, *notes(self.warnings)])
-        rows = [
-            [name, figure(self.rmse.position[name]), figure(self.rmse.velocity.get(name))]
-            for name in self.rmse.position
-        ]
+        rows = [[name, figure(error), figure(velocity[name] if velocity else None)] for name, error in position.items()]
         head = ["RMS error", f"position [{units}]", f"velocity [{speeds}]"]
         return "\n".join([title, *table(head, rows), *notes(self.warnings)])
 
@@ -204,20 +202,8 @@ def simulate(
     every = _window(experiment, window)
     done = simulated_log(experiment, experiment.equation.prior, every, Path(FILE), told)
     report = _report(experiment, done, time.monotonic() - started)
-    return SimulationResult(
-        log=Log.from_record(done.log),
-        rmse=Rmse(ReadOnly(done.position), ReadOnly(done.velocity)),
-        kind=done.kind,
-        window=done.window,
-        seconds=done.seconds,
-        rollouts=done.rollouts,
-        lost=done.lost,
-        warnings=frozen(report["warnings"]),
-        _model=experiment.model,
-        _measured=done.measured,
-        _source=experiment.runs[0].signals.log.path,
-        _report=report,
-    )
+    source = experiment.runs[0].signals.log.path
+    return SimulationResult(Log.from_record(done.log), report, experiment.model, done.measured, source)
 
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:
@@ -238,21 +224,22 @@ def _window(experiment: Experiment, given: float | None) -> float | None:
     return None if closed else experiment.config.simulation.window
 
 
-def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> dict[str, Any]:
-    """The result as JSON, but for the file."""
+def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> SimulationReport:
+    """The result but for the file."""
     lost = [f"{done.lost} of {done.rollouts} rollouts ran away; they end where they did"] if done.lost else []
-    return {
-        "joints": list(done.log.joints),
-        "units": {joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
-        "kind": done.kind,
-        "window": done.window,
-        "rollouts": done.rollouts,
-        "lost": done.lost,
-        "samples": len(done.log),
-        "seconds": done.seconds,
-        "wall_seconds": wall,
-        "rmse": {"position": done.position or None, "velocity": done.velocity or None},
-        "urdf": str(experiment.model.robot.path),
-        "log": str(experiment.runs[0].signals.log.path),
-        "warnings": [*experiment.warnings, *lost],
-    }
+    return SimulationReport(
+        file=None,
+        joints=done.log.joints,
+        units={joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
+        kind=done.kind,
+        window=done.window,
+        rollouts=done.rollouts,
+        lost=done.lost,
+        samples=len(done.log),
+        seconds=done.seconds,
+        wall_seconds=wall,
+        rmse=MotionRmse(position=done.position or None, velocity=done.velocity or None),
+        urdf=str(experiment.model.robot.path),
+        log=str(experiment.runs[0].signals.log.path),
+        warnings=[*experiment.warnings, *lost],
+    )

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call, changed, experiment_of
-from idtool.api.identified import Errors
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, ReadOnly, Saved, figure, frozen, notes, silent, table
+from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
-from idtool.estimation.evaluation.replay import Replay, replay
-from idtool.estimation.evaluation.simulation_report import simulation_notes, simulation_report
+from idtool.estimation.evaluation.replay import Replay, replay, simulation_notes
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
+from idtool.reporting.figures import figure
 from idtool.reporting.report import validation_report
+from idtool.reporting.results.validation import ValidationReport
+from idtool.reporting.simulation_report import simulation_report
 from idtool.robot.model import Model as RobotModel
 
 if TYPE_CHECKING:
@@ -29,62 +30,21 @@ if TYPE_CHECKING:
     from idtool.api.records import Recorded
 
 
-@dataclass(frozen=True)
-class ModelRms:
-    """Root mean square torque errors [N·m or N] of a model and its prior, by joint, and ``overall``.
+class ValidationResult(ValidationReport, Saved, Recordable):
+    """How well a model predicts logs; its fields are those of validation.json."""
 
-    Attributes
-    ----------
-    model
-        Of the model.
-    prior
-        Of the one it is compared with; None without one.
-    """
-
-    model: Errors
-    prior: Errors | None = None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ValidationResult(Saved):
-    """How well a model predicts the torque and the motion of logs.
-
-    Attributes
-    ----------
-    joints
-        Joints, in the order of the model.
-    rms, rms_raw
-        Torque errors in the filter's band, and against the torque as logged.
-    nrms
-        The former over the measured torque's standard deviation, by joint; None where that is zero.
-    simulation
-        How far the model run forwards is from the measured motion, as ``simulation`` of validation.json; None: not run.
-    ok
-        Whether each bound was met.
-    warnings
-        What a user should know, a plain sentence each.
-    """
-
-    joints: tuple[str, ...]
-    rms: ModelRms
-    rms_raw: ModelRms
-    nrms: ReadOnly[float | None]
-    simulation: ReadOnly[Any] | None
-    ok: ReadOnly[bool]
-    warnings: tuple[str, ...]
     _model: RobotModel
     _models: Mapping[str, Array]
     _evaluation: Evaluation
     _rollouts: Replay | None
-    _report: Mapping[str, Any]
     _made_by: str
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.reporting.pages import validation_page
 
         bodies = (self._model, self._models)
-        page = validation_page(self._evaluation, dict(self._report), made_by, self._rollouts, bodies)
-        return {"validation.json": as_json(self._report), "validation.html": page}
+        page = validation_page(self._evaluation, self, made_by, self._rollouts, bodies)
+        return {"validation.json": as_json(self.to_json()), "validation.html": page}
 
     def _recorded(self) -> Recorded:
         from idtool.api.recording import beside
@@ -108,11 +68,11 @@ class ValidationResult(Saved):
         from idtool.api.plots import torque_figure
         from idtool.reporting.pages import curves
 
-        return torque_figure(curves(self._evaluation, "model", self._report["units"]), log)
+        return torque_figure(curves(self._evaluation, "model", self.units), log)
 
     def __repr__(self) -> str:
-        units = " or ".join(dict.fromkeys(self._report["units"].values()))
-        prior, bounds = self.rms.prior, self._report["bound"]
+        units = " or ".join(dict.fromkeys(self.units.values()))
+        prior, bounds = self.rms.prior, self.bound
         head = ["joint", "model", *(["prior"] if prior else []), "of torque", *(["bound"] if bounds else [])]
         rows = []
         for name in (*self.joints, "overall"):
@@ -121,7 +81,7 @@ class ValidationResult(Saved):
             row.append("" if share is None else f"{100 * share:.1f}%")
             missed = "" if self.ok.get(name, True) else " missed"
             rows.append([*row, *([f"{figure(bounds[name])}{missed}" if name in bounds else ""] if bounds else [])])
-        title = f"ValidationResult: RMS torque error [{units}] below {self._report['band_hz']:g} Hz"
+        title = f"ValidationResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
         return "\n".join([title, *table(head, rows), *notes(self.warnings)])
 
 
@@ -229,23 +189,17 @@ def validate_experiment(
     evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     rollouts = replay(experiment, models, held_out=True, progress=progress) if simulate else None
     simulation = simulation_report(rollouts, "model", experiment)
-    report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources)
-    report["warnings"] = [*experiment.warnings, *simulation_notes(rollouts, "model")]
-    return ValidationResult(
-        joints=tuple(report["joints"]),
-        rms=ModelRms(**frozen(report["rms"])),
-        rms_raw=ModelRms(**frozen(report["rms_raw"])),
-        nrms=frozen(report["nrms"]),
-        simulation=frozen(simulation),
-        ok=frozen(report["ok"]),
-        warnings=tuple(report["warnings"]),
-        _model=experiment.model,
-        _models=models,
-        _evaluation=evaluation,
-        _rollouts=rollouts,
-        _report=report,
-        _made_by=made_by,
+    warnings = [*experiment.warnings, *simulation_notes(rollouts, "model")]
+    report = validation_report(
+        evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources, warnings
     )
+    result = ValidationResult.extending(report)
+    result._model = experiment.model
+    result._models = models
+    result._evaluation = evaluation
+    result._rollouts = rollouts
+    result._made_by = made_by
+    return result
 
 
 def _bounds(given: float | Mapping[str, float] | None, experiment: Experiment) -> dict[str, float]:

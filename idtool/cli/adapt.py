@@ -33,15 +33,8 @@ def adapt_command(
     quiet: QuietOption = False,
 ) -> None:
     """Identify online, one update for each decimated row, within the constraints; write the parameters over time."""
-    from idtool.api.data import experiment_of
+    from idtool.api.adapt import adapt
     from idtool.api.model import Model
-    from idtool.common.outputs import as_json as dump
-    from idtool.common.outputs import write_all
-    from idtool.estimation.command_delay import with_delay
-    from idtool.estimation.identified import choose_sets
-    from idtool.estimation.online.adapt import adapt, adapt_report
-    from idtool.reporting.pages import adapt_page
-    from idtool.reporting.report import HEADER
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.adapt import show_adaptation
 
@@ -49,15 +42,7 @@ def adapt_command(
     folder = folder_for(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        experiment = experiment_of(model, logs, holdout=0.0, progress=progress)
-        experiment, delay, _ = with_delay(experiment, progress)
-        sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
-        result = adapt(experiment, sets, forgetting, progress=progress)
-        report = {
-            **HEADER,
-            **adapt_report(result, experiment),
-            "warnings": [*experiment.warnings, *(delay.warnings if delay else ()), *remarks],
-        }
-        write_all(folder, {"adapt.json": dump(report), "adapt.html": adapt_page(report, command())})
-    show_adaptation(terminal, report, folder)
-    finish(terminal, report, {})
+        result = adapt(model, logs, forgetting=forgetting, progress=progress)
+        result.save(folder, command())
+    show_adaptation(terminal, result, folder)
+    finish(terminal, result, {})

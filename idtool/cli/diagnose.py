@@ -74,6 +74,5 @@ def diagnose_command(
         files = result.save(folder, command(), report_only)
         if rerun:
             result.rerun(rerun)
-    report = result.to_json()
-    show_diagnosis(terminal, report, folder, tuple(file.name for file in files), explain)
-    finish(terminal, report, {})
+    show_diagnosis(terminal, result, folder, tuple(file.name for file in files), explain)
+    finish(terminal, result, {})

@@ -13,8 +13,6 @@ from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
     from idtool.reporting.terminal import Terminal
-    from idtool.robot.config import Config
-    from idtool.robot.urdf.reading import Robot
 
 
 @app.command(
@@ -40,7 +38,6 @@ def ellipsoids_command(
     quiet: QuietOption = False,
 ) -> None:
     """Write bounding ellipsoids of the links' meshes and primitives, or check the links' inertias."""
-    from idtool.api.model import Model
     from idtool.common.outputs import check_file
     from idtool.reporting.terminal import Terminal
 
@@ -54,44 +51,34 @@ def ellipsoids_command(
     if repair is not None:  # the URDF itself may be repaired
         check_file(repair, [])
     if check:
-        model = Model(urdf, config)
-        _check(terminal, model.robot, model.settings, repair)
+        _check(terminal, urdf, config, repair)
     else:
-        _bound(terminal, Model.bare(urdf).robot, margin, out)
+        _bound(terminal, urdf, margin, out)
 
 
-def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) -> None:
+def _bound(terminal: Terminal, urdf: Path, margin: float, out: Path | None) -> None:
     """Bounding ellipsoids as YAML."""
-    from idtool.common.outputs import as_yaml, write_all
-    from idtool.reporting.report import HEADER
-    from idtool.robot.bounding import as_config, bounding_ellipsoids
+    from idtool.api.ellipsoids import ellipsoids
 
-    found, reasons = bounding_ellipsoids(robot, margin)
-    notes = [f"link {link}: no ellipsoid; {why}" for link, why in reasons.items()]
-    data = {"bounding_ellipsoids": as_config(found)}
-    header = f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes {margin:.0%} longer; m, rad."
-    text = as_yaml(data, header)
+    result = ellipsoids(urdf, margin=margin)
     if out is not None:
-        write_all(out.parent, {out.name: text})
+        result.save(out)
         terminal.say(f"written: {out}")
     elif not terminal.as_json:
-        terminal.say(text.rstrip())
-    terminal.warn(notes)
-    finish(terminal, {**HEADER, **data, "warnings": notes}, {})
+        terminal.say(result.yaml.rstrip())
+    terminal.warn(result.warnings)
+    finish(terminal, result, {})
 
 
-def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None) -> None:
+def _check(terminal: Terminal, urdf: Path, config: Path | None, repair: Path | None) -> None:
     """Links whose inertia no body can have."""
-    from idtool.common.outputs import write_all
-    from idtool.estimation.problem.check import check, check_report, nearest_bodies, repaired
-    from idtool.reporting.report import HEADER
+    from idtool.api.ellipsoids import check
+    from idtool.api.model import Model
     from idtool.reporting.terminal.check import show_check
 
-    checks = check(robot, config)
-    nearest = nearest_bodies(checks) if repair else {}
-    report = {**HEADER, **check_report(checks, nearest), "urdf": str(robot.path)}
+    result = check(Model(urdf, config), repair=repair is not None)
     if repair is not None:
-        write_all(repair.parent, {repair.name: repaired(robot, nearest)})
-    show_check(terminal, report, repair)
-    met = {} if repair else {c.body.name: not c.violations for c in checks}
-    finish(terminal, report, met, "no body can have the inertia of")
+        result.save(repair)
+    show_check(terminal, result, repair)
+    met = {} if repair else {name: not link.violations for name, link in result.links.items()}
+    finish(terminal, result, met, "no body can have the inertia of")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -12,15 +13,6 @@ from idtool.cli.app import FIRST, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, finish, folder_for
 from idtool.common.exceptions import ConfigError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from idtool.api.model import Model
-    from idtool.estimation.dataset.experiment import Experiment
-    from idtool.excitation.design import Logged
-    from idtool.excitation.task import Task
-
-_CRITERIA = ("d", "a", "e", "condition")
 _ALL = ""  # an option's value for all joints
 
 
@@ -67,76 +59,41 @@ def excite_command(
     quiet: QuietOption = False,
 ) -> None:
     """Design a trajectory that makes the parameters visible, and print the standard errors to expect."""
+    from idtool.api.excite import excite
     from idtool.api.model import Model
     from idtool.common.outputs import check_log
-    from idtool.common.provenance import provenance
-    from idtool.estimation.dataset.experiment import sources_of
-    from idtool.excitation.design import Wishes, design
-    from idtool.reporting.excite_report import excite_report
-    from idtool.reporting.report import HEADER
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / "excitation.mcap"
     check_log(file, [urdf, *(log or []), *([config] if config else [])])
-    _check(criterion, duration, rate, margin, clearance, highest)
-    model = Model(urdf, config)
-    wishes = Wishes(
-        pattern=pattern,
-        seconds=duration,
-        slow=slow,
-        highest=highest,
-        iterations=iterations,
-        seed=model.settings.seed if seed is None else seed,
-        start=_numbers("--start", start or [], for_all=False),
-        tip=tip,
-    )
-    noises = _numbers("--noise", noise or [], for_all=True)
-    asked = {"rate": rate, "margin": margin, "clearance": clearance, "criterion": criterion, "favour": favour or []}
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        task, logged, experiment = _task(model, log or [], noises, asked, progress)
-        found = design(task, experiment.config if experiment else model.settings, wishes, logged, progress)
+        result = excite(
+            Model(urdf, config),
+            logs=log or (),
+            pattern=pattern,
+            criterion=criterion,
+            favour=favour or (),
+            duration=duration,
+            slow=slow,
+            rate=rate,
+            max_frequency=highest,
+            noise=_numbers("--noise", noise or [], for_all=True),
+            margin=margin,
+            clearance=clearance,
+            start=_numbers("--start", start or [], for_all=False),
+            tip=tip,
+            iterations=iterations,
+            seed=seed,
+            progress=progress,
+        )
         progress("writing", 0.0)
-        report = {
-            **HEADER,
-            **provenance(experiment.sources if experiment else sources_of(model.robot, model.settings)),
-            "file": str(file),
-            "urdf": str(urdf),
-            "logs": [str(path) for path in log or []],
-            "seed": wishes.seed,
-            "samples": math.floor(found.trajectory.seconds * rate + 1e-9) + 1,
-            **excite_report(found),
-        }
-        report["warnings"] = list(dict.fromkeys([*(experiment.warnings if experiment else ()), *report["warnings"]]))
-        _write(file, found.log(file), report)
+        result.save(file, command())
+    report = result.model_copy(update={"file": str(file)})
     show_excitation(terminal, report)
     finish(terminal, report, {})
-
-
-def _check(
-    criterion: str,
-    duration: float,
-    rate: float,
-    margin: float,
-    clearance: float,
-    highest: float | None,
-) -> None:
-    """Before anything is read: whether the options can be meant."""
-    from idtool.common.names import nearest
-
-    if criterion not in _CRITERIA:
-        raise ConfigError("--criterion", f"{criterion} is none; {nearest(criterion, _CRITERIA)}")
-    for option, value, least, most in (
-        ("--duration", duration, 3.0, 3600.0),
-        ("--rate", rate, 20.0, 20_000.0),
-        ("--margin", margin, 0.0, 0.45),
-        ("--clearance", clearance, 0.0, 1.0),
-        ("--max-frequency", 1.0 if highest is None else highest, 0.01, 1000.0),
-    ):
-        if not least <= value <= most:
-            raise ConfigError(option, f"{value:g} is not from {least:g} to {most:g}")
 
 
 def _numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, float]:
@@ -153,52 +110,3 @@ def _numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, floa
             raise ConfigError(option, f"{text or 'nothing'} is not {form}")
         found[name if separator else _ALL] = value
     return found
-
-
-def _task(
-    given: Model,
-    logs: Sequence[Path],
-    noises: Mapping[str, float],
-    asked: Mapping[str, Any],
-    progress: Callable[[str, float], None],
-) -> tuple[Task, Logged | None, Experiment | None]:
-    """The robot and what is to be told, of the joints that are logged already, where some are; and these logs."""
-    from idtool.dynamics.effects import build_effects
-    from idtool.dynamics.regressor import LinearModel
-    from idtool.estimation.command_delay import with_delay
-    from idtool.estimation.dataset.experiment import prepare
-    from idtool.estimation.dataset.knowledge import knowledge
-    from idtool.estimation.dataset.weights import free_noise
-    from idtool.excitation.design import Logged
-    from idtool.excitation.task import make_task
-    from idtool.robot.model import build_model
-
-    robot, settings, measured = given.robot, given.settings, dict[str, float]()
-    logged = experiment = None
-    if logs:
-        experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0), progress)
-        model, equation, known, settings = experiment.model, experiment.equation, experiment.known, experiment.config
-        reduction = experiment.reduce(progress)
-        logged = Logged(reduction, free_noise(equation, reduction, known))
-        measured = dict(zip(model.names, logged.noise.tolist(), strict=True))
-    else:
-        model = build_model(
-            robot, settings, [j.name for j in robot.joints.values() if j.kind != "fixed" and not j.mimic]
-        )
-        equation = LinearModel(model.names, build_effects(model, settings))
-        known = knowledge(settings, model, equation)
-    alike = dict.fromkeys(model.names, noises[_ALL]) if _ALL in noises else {}
-    noise = {**measured, **alike, **{name: x for name, x in noises.items() if name != _ALL}}
-    return make_task(model, equation, known, settings, noise=noise, **asked), logged, experiment
-
-
-def _write(file: Path, log: Any, report: dict[str, Any]) -> None:
-    from idtool.common.interrupt import held_back
-    from idtool.common.outputs import write_all
-    from idtool.data.logs import write_log
-    from idtool.reporting.pages.excite import excite_page
-
-    page = excite_page(report, command())
-    with held_back():
-        write_all(file.parent, {f"{file.stem}.html": page})
-        write_log(file, log)

@@ -61,7 +61,6 @@ def fit_command(
         result.save(folder)
         if rerun:
             result.rerun(rerun)
-    report = result.to_json()
-    show_fit(terminal, report, folder)
-    rms = report["rms"]["validation"] or report["rms"]["train"]
-    finish(terminal, report, {name: rms[name] <= bound for name, bound in bounds.items()})
+    show_fit(terminal, result, folder)
+    rms = result.rms.validation or result.rms.train
+    finish(terminal, result, {name: rms[name] <= bound for name, bound in bounds.items()})

@@ -21,9 +21,8 @@ def inspect_command(
     quiet: QuietOption = False,
 ) -> None:
     """Tell what is in a log, what is wrong with it, and what that means for the fit."""
-    from idtool.data.inspection import inspect_log
-    from idtool.data.logs import read_log
-    from idtool.reporting.report import HEADER
+    from idtool.api.inspect import inspect
+    from idtool.api.log import Log
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.inspection import show_inspection
     from idtool.robot.config import Config, read_config
@@ -32,8 +31,8 @@ def inspect_command(
     options = (read_config(config) if config else Config()).log
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        record = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+        record = Log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
         progress("inspecting", 0.0)
-        inspection = inspect_log(record)
-    show_inspection(terminal, inspection)
-    finish(terminal, {**HEADER, **inspection.to_dict()}, {})
+        result = inspect(record)
+    show_inspection(terminal, result)
+    finish(terminal, result, {})

@@ -17,6 +17,7 @@ from idtool.common.names import stem
 
 if TYPE_CHECKING:
     from idtool.estimation.dataset.experiment import Experiment
+    from idtool.reporting.results.base import Result
     from idtool.reporting.terminal import Terminal
 
 
@@ -164,11 +165,9 @@ def command() -> str:
     return shlex.join(["idtool", *sys.argv[1:]])
 
 
-def finish(
-    terminal: Terminal, result: Mapping[str, Any], met: Mapping[str, bool], missing: str = "bound not met"
-) -> None:
+def finish(terminal: Terminal, result: Result, met: Mapping[str, bool], missing: str = "bound not met") -> None:
     """Print the result where asked for; exit with 1 where a bound was not met."""
-    terminal.result(result)
+    terminal.result(result.to_json())
     missed = [name for name, ok in met.items() if not ok]
     if missed:
         terminal.say(f"{missing}: {', '.join(missed)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,7 @@ from idtool.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from idtool.reporting.results.simulation import SimulationReport
     from idtool.reporting.terminal import Terminal
 
 
@@ -89,19 +90,19 @@ def simulate_command(
         result.save(file)
         if rerun:
             result.rerun(rerun)
-    report = result.to_json(file)
+    report = result.report.model_copy(update={"file": str(file)})
     _show(terminal, report, "trajectory" if track else "measured positions")
     finish(terminal, report, {})
 
 
-def _show(terminal: Terminal, report: dict[str, Any], measured: str) -> None:
+def _show(terminal: Terminal, report: SimulationReport, measured: str) -> None:
     """What was run, how far it is from what was measured, and where it is."""
-    how = "closed loop under the controller" if report["kind"] == "closed_loop" else "open loop under the logged torque"
-    often = "never restarted" if report["window"] is None else f"{report['window']:g} s at a time"
-    terminal.say(f"{how}, {often}: {report['seconds']:.4g} s simulated in {report['wall_seconds']:.1f} s")
-    if position := report["rmse"]["position"]:
-        units = " or ".join(dict.fromkeys(report["units"].values()))
-        joints = ", ".join(f"{name} {position[name]:.4g}" for name in report["joints"])
+    how = "closed loop under the controller" if report.kind == "closed_loop" else "open loop under the logged torque"
+    often = "never restarted" if report.window is None else f"{report.window:g} s at a time"
+    terminal.say(f"{how}, {often}: {report.seconds:.4g} s simulated in {report.wall_seconds:.1f} s")
+    if position := report.rmse.position:
+        units = " or ".join(dict.fromkeys(report.units.values()))
+        joints = ", ".join(f"{name} {position[name]:.4g}" for name in report.joints)
         terminal.say(f"{position['overall']:.4g} {units} RMS from the {measured}: {joints}")
-    terminal.warn(report["warnings"])
-    terminal.say(f"written: {report['file']}")
+    terminal.warn(report.warnings)
+    terminal.say(f"written: {report.file}")

@@ -35,14 +35,8 @@ def study_command(
     quiet: QuietOption = False,
 ) -> None:
     """Compare all constraint sets, priors and estimators on the same data, and error against sample count."""
-    from idtool.api.data import experiment_of
     from idtool.api.model import Model
-    from idtool.common.outputs import as_json as dump
-    from idtool.common.outputs import write_all
-    from idtool.estimation.study.study import study
-    from idtool.reporting.pages import study_page
-    from idtool.reporting.report import HEADER
-    from idtool.reporting.study_report import study_report
+    from idtool.api.study import study
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.study import show_study
 
@@ -50,9 +44,7 @@ def study_command(
     folder = folder_for(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        experiment = experiment_of(model, logs, validate or (), holdout, progress)
-        result = study(experiment, progress, draws)
-        report = {**HEADER, **study_report(result)}
-        write_all(folder, {"study.json": dump(report), "study.html": study_page(result.validation, report, command())})
-    show_study(terminal, report, folder)
-    finish(terminal, report, {})
+        result = study(model, logs, validate=validate or (), holdout=holdout, draws=draws, progress=progress)
+        result.save(folder, command())
+    show_study(terminal, result, folder)
+    finish(terminal, result, {})

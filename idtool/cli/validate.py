@@ -72,27 +72,18 @@ def validate_command(
         result.save(folder)
         if rerun:
             result.rerun(rerun)
-    report = result.to_json()
-    show_validation(terminal, report, folder)
-    finish(terminal, report, report["ok"])
+    show_validation(terminal, result, folder)
+    finish(terminal, result, dict(result.ok))
 
 
 def _regression(terminal: Terminal, options: bool) -> None:
     """`idtool validate` without arguments."""
     if options:
         raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
-    from idtool.estimation.regression import find_manifest, read_manifest, run_case
-    from idtool.reporting.report import HEADER
+    from idtool.api.regression import regression
     from idtool.reporting.terminal.validation import show_regression
 
-    manifest = find_manifest()
-    outcomes = []
     with terminal.progress() as progress:
-        for case in read_manifest(manifest):
-            outcomes += run_case(case, manifest.parent, progress)
-    show_regression(terminal, outcomes)
-    cases = [
-        {"case": o.case, "joint": o.joint, "rms": o.rms, "bound": o.bound, "prior": o.prior, "ok": o.ok}
-        for o in outcomes
-    ]
-    finish(terminal, {**HEADER, "cases": cases}, {f"{o.case} {o.joint}": o.ok for o in outcomes})
+        report = regression(progress)
+    show_regression(terminal, report)
+    finish(terminal, report, {f"{case.case} {case.joint}": case.ok for case in report.cases})

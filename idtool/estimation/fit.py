@@ -9,8 +9,7 @@ from idtool.common.arrays import Array
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.doubts import doubts
-from idtool.estimation.evaluation.replay import Replay, replay
-from idtool.estimation.evaluation.simulation_report import simulation_notes
+from idtool.estimation.evaluation.replay import Replay, replay, simulation_notes
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.estimation.identified import Method, identified
 from idtool.estimation.problem.identify import Estimate

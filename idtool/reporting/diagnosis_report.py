@@ -1,4 +1,4 @@
-"""A diagnosis → plain data for diagnosis.json (contract, section 5)."""
+"""The record of a diagnosis: diagnosis.json."""
 
 from __future__ import annotations
 
@@ -12,10 +12,20 @@ import numpy as np
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step
 from idtool.reporting.diagnosis_words import next_steps, summary
 from idtool.reporting.report import fit_report
+from idtool.reporting.results.diagnosis import (
+    CandidateReport,
+    DataFault,
+    DiagnosisReport,
+    ErrorLevel,
+    Evidence,
+    Location,
+    ResidualMap,
+    ResidualMaps,
+    StepReport,
+)
 
 _LITTLE = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
 _WORSE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
-_MODEL = ("samples", "band_hz", "friction", "friction_intervals", "rotors", "bodies", "known", "solver")
 _TORQUE, _ANGLE, _STIFFNESS = ("N·m", "N"), ("rad", "m"), ("N·m/rad", "N/m")
 _UNITS: dict[str, tuple[str, str]] = {  # of a parameter on a revolute and on a prismatic joint
     "viscous": ("N·m·s/rad", "N·s/m"),
@@ -46,7 +56,7 @@ _UNITS: dict[str, tuple[str, str]] = {  # of a parameter on a revolute and on a 
 _ACROSS = {(False, True): "m", (True, False): "1/m"}  # torque of a joint over that of another, by which is prismatic
 
 
-def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> dict[str, Any]:
+def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
     """The content of diagnosis.json.
 
     Parameters
@@ -57,28 +67,41 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> dict[str, Any]:
         ``refit`` or ``fixed``: whether the inertia was identified anew at every step or taken from the URDF.
     """
     model = fit_report(diagnosis.last)
-    units = model["units"]
-    report = {
-        **{key: model[key] for key in ("idtool", "schema", "versions", "inputs", "urdf", "logs", "joints", "units")},
-        "inertia": inertia,
-        "verdict": diagnosis.verdict,
-        "before": _level(diagnosis.before),
-        "after": _level(diagnosis.after),
-        "noise_floor": plain(diagnosis.floor),
-        "gap_closed": _closed(diagnosis),
-        "rollout_worse": _worse(diagnosis.before, diagnosis.after),
-        "steps": [_step(step, units) for step in diagnosis.steps],
-        "removed": list(diagnosis.removed),
-        "data_faults": [asdict(fault) for fault in diagnosis.faults],
-        **{key: model[key] for key in _MODEL},
-        "residual_maps": {
-            "before": {joint: _residual(one) for joint, one in diagnosis.maps_before.items()},
-            "after": {joint: _residual(one) for joint, one in diagnosis.maps_after.items()},
-        },
-        "warnings": list(dict.fromkeys([*diagnosis.last.warnings, *diagnosis.warnings])),
-        "seconds": diagnosis.seconds,
-    }
-    return {**report, "summary": summary(report), "next": next_steps(report)}
+    report = DiagnosisReport(
+        versions=model.versions,
+        inputs=model.inputs,
+        urdf=model.urdf,
+        logs=model.logs,
+        joints=model.joints,
+        units=model.units,
+        inertia=inertia,
+        verdict=diagnosis.verdict,
+        before=_level(diagnosis.before),
+        after=_level(diagnosis.after),
+        noise_floor=plain(diagnosis.floor),
+        gap_closed=_closed(diagnosis),
+        rollout_worse=_worse(diagnosis.before, diagnosis.after),
+        steps=[_step(step, model.units) for step in diagnosis.steps],
+        removed=diagnosis.removed,
+        data_faults=[DataFault(**asdict(fault)) for fault in diagnosis.faults],
+        samples=model.samples,
+        band_hz=model.band_hz,
+        friction=model.friction,
+        friction_intervals=model.friction_intervals,
+        rotors=model.rotors,
+        bodies=model.bodies,
+        known=model.known,
+        solver=model.solver,
+        residual_maps=ResidualMaps(
+            before={joint: _residual(one) for joint, one in diagnosis.maps_before.items()},
+            after={joint: _residual(one) for joint, one in diagnosis.maps_after.items()},
+        ),
+        warnings=list(dict.fromkeys([*diagnosis.last.warnings, *diagnosis.warnings])),
+        seconds=diagnosis.seconds,
+        summary="",
+        next=(),
+    )
+    return report.model_copy(update={"summary": summary(report), "next": tuple(next_steps(report))})
 
 
 def plain(value: Any) -> Any:
@@ -121,8 +144,8 @@ def _torque(level: Level) -> Mapping[str, float]:
     return level.train if level.validation is None else level.validation
 
 
-def _level(level: Level) -> dict[str, Any]:
-    return {part: plain(getattr(level, part)) for part in ("train", "validation", "simulation")}
+def _level(level: Level) -> ErrorLevel:
+    return ErrorLevel(train=plain(level.train), validation=plain(level.validation), simulation=plain(level.simulation))
 
 
 def _worse(before: Level, after: Level) -> list[str]:
@@ -139,46 +162,46 @@ def _worse(before: Level, after: Level) -> list[str]:
     ]
 
 
-def _candidate(candidate: Candidate) -> dict[str, Any]:
-    return {
-        "effect": candidate.effect,
-        "joint": candidate.joint,
-        "link": candidate.link,
-        "score": plain(candidate.score),
-        "standard_error": plain(candidate.standard_error),
-        "parameters": candidate.parameters,
-        "reason": candidate.reason,
-    }
+def _candidate(candidate: Candidate) -> CandidateReport:
+    return CandidateReport(
+        effect=candidate.effect,
+        joint=candidate.joint,
+        link=candidate.link,
+        score=plain(candidate.score),
+        standard_error=plain(candidate.standard_error),
+        parameters=candidate.parameters,
+        reason=candidate.reason,
+    )
 
 
-def _step(step: Step, units: Mapping[str, str]) -> dict[str, Any]:
+def _step(step: Step, units: Mapping[str, str]) -> StepReport:
     """One entry of ``steps``."""
     chosen, where = step.chosen, step.where
-    return {
-        "effect": chosen.effect,
-        "joint": chosen.joint,
-        "link": chosen.link,
-        "parameters": plain(step.parameters),
-        "standard_error": plain(step.standard_error),
-        "units": {name: _unit(step, name, units) for name in step.parameters},
-        "where": {"joints": list(where.joints), "windows": plain(where.windows), "region": where.region},
-        "evidence": {
-            "score": plain(chosen.score),
-            "standard_error": plain(chosen.standard_error),
-            "significance": plain(step.significance),
-            "pair": step.pair,
-            "separate": step.separate,
-            "simulation_before": plain(step.before.simulation),
-            "simulation_after": plain(step.after.simulation),
-            "rollout_worse": _worse(step.before, step.after),
-            "sentence": step.sentence,
-            "doubt": step.doubt,
-        },
-        "validation_rms_before": plain(_torque(step.before)),
-        "validation_rms_after": plain(_torque(step.after)),
-        "alternatives": [_candidate(one) for one in step.alternatives],
-        "rejected": [_candidate(one) for one in step.rejected],
-    }
+    return StepReport(
+        effect=chosen.effect,
+        joint=chosen.joint,
+        link=chosen.link,
+        parameters=plain(step.parameters),
+        standard_error=plain(step.standard_error),
+        units={name: _unit(step, name, units) for name in step.parameters},
+        where=Location(joints=where.joints, windows=plain(where.windows), region=where.region),
+        evidence=Evidence(
+            score=plain(chosen.score),
+            standard_error=plain(chosen.standard_error),
+            significance=plain(step.significance),
+            pair=step.pair,
+            separate=step.separate,
+            simulation_before=plain(step.before.simulation),
+            simulation_after=plain(step.after.simulation),
+            rollout_worse=_worse(step.before, step.after),
+            sentence=step.sentence,
+            doubt=step.doubt,
+        ),
+        validation_rms_before=plain(_torque(step.before)),
+        validation_rms_after=plain(_torque(step.after)),
+        alternatives=[_candidate(one) for one in step.alternatives],
+        rejected=[_candidate(one) for one in step.rejected],
+    )
 
 
 def _unit(step: Step, name: str, units: Mapping[str, str]) -> str | None:
@@ -193,5 +216,5 @@ def _unit(step: Step, name: str, units: Mapping[str, str]) -> str | None:
     return _UNITS[name][prismatic] if name in _UNITS else None
 
 
-def _residual(residual: Residual) -> dict[str, Any]:
-    return plain({name: getattr(residual, name) for name in residual.__dataclass_fields__})  # type: ignore[no-any-return]
+def _residual(residual: Residual) -> ResidualMap:
+    return ResidualMap(**{name: plain(getattr(residual, name)) for name in ResidualMap.model_fields})

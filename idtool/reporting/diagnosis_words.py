@@ -1,11 +1,11 @@
-"""What a diagnosis says in words; all functions read diagnosis.json."""
+"""What a diagnosis says in words; from its records."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
-from idtool.estimation.evaluation.simulation_report import POSITION_UNITS
+from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
+from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
 
@@ -22,10 +22,10 @@ def effect_name(effect: str) -> str:
     return _OWN_NAMES.get(effect, effect.replace("_", " "))
 
 
-def on(found: Mapping[str, Any]) -> str:
+def on(found: StepReport | CandidateReport) -> str:
     """What an effect of the report acts on."""
-    nothing = "the base" if found["effect"] == "gravity_tilt" else "all joints"
-    return str(found["joint"] or found["link"] or nothing)
+    nothing = "the base" if found.effect == "gravity_tilt" else "all joints"
+    return str(found.joint or found.link or nothing)
 
 
 def together(units: Mapping[str, str]) -> str:
@@ -39,7 +39,7 @@ def position_units(units: Mapping[str, str]) -> dict[str, str]:
     return {joint: POSITION_UNITS[unit] for joint, unit in units.items()}
 
 
-def summary(report: Mapping[str, Any]) -> str:
+def summary(report: DiagnosisReport) -> str:
     """The verdict in a sentence or two.
 
     Parameters
@@ -47,12 +47,12 @@ def summary(report: Mapping[str, Any]) -> str:
     report
         The content of diagnosis.json.
     """
-    named = [step for step in report["steps"] if step["effect"] != UNKNOWN]
-    left = [step for step in report["steps"] if step["effect"] == UNKNOWN]
-    unit, which = together(report["units"]), "held-out" if report["before"]["validation"] else "training"
-    first, last = (_overall(report[key]) for key in ("before", "after"))
-    floor = f"{report['noise_floor']['overall']:.3g} {unit}"
-    if report["verdict"] == "no_disagreement":
+    named = [step for step in report.steps if step.effect != UNKNOWN]
+    left = [step for step in report.steps if step.effect == UNKNOWN]
+    unit, which = together(report.units), "held-out" if report.before.validation else "training"
+    first, last = _overall(report.before), _overall(report.after)
+    floor = f"{report.noise_floor['overall']:.3g} {unit}"
+    if report.verdict == "no_disagreement":
         return (
             f"Model and data do not disagree: the {which} torque error, {first:.3g} {unit} RMS, is as near to the "
             f"noise floor, {floor}, as the data can tell. Nothing was added."
@@ -63,10 +63,10 @@ def summary(report: Mapping[str, Any]) -> str:
             f"Model and data disagree, and no known effect explains it: {unknown}. The {which} torque error is "
             f"{first:.3g} {unit} RMS, the noise floor {floor}."
         )
-    share = report["gap_closed"]["overall"]
+    share = report.gap_closed["overall"]
     closed = "" if share is None else f": {100 * max(share, 0.0):.0f} % of the gap is closed"
     rest = f" What is left is {unknown}." if left else ""
-    doubted = [_named_alone(step) for step in named if step["evidence"]["doubt"]]
+    doubted = [_named_alone(step) for step in named if step.evidence.doubt]
     rest += f" In doubt: {_listed(doubted)}; the notes say why." if doubted else ""
     return (
         f"The model lacks {_listed([_named(step) for step in named])}. With that, the {which} torque error goes from "
@@ -74,7 +74,7 @@ def summary(report: Mapping[str, Any]) -> str:
     )
 
 
-def next_steps(report: Mapping[str, Any]) -> list[str]:
+def next_steps(report: DiagnosisReport) -> list[str]:
     """What to do next, a plain sentence each.
 
     Parameters
@@ -83,34 +83,34 @@ def next_steps(report: Mapping[str, Any]) -> list[str]:
         The content of diagnosis.json.
     """
     said = []
-    if any(not fault["undone"] for fault in report["data_faults"]):
+    if any(not fault.undone for fault in report.data_faults):
         said.append("Correct the data first, or say what they mean in the configuration, and diagnose again.")
-    for step in report["steps"]:
-        if step["evidence"]["pair"] and step["alternatives"]:
-            told = f"To tell {_named_alone(step)} from {_named_alone(step['alternatives'][0])}"
-            said.append(f"{told}: {step['evidence']['separate']}")
-    if left := [on(step) for step in report["steps"] if step["effect"] == UNKNOWN]:
+    for step in report.steps:
+        if step.evidence.pair and step.alternatives:
+            told = f"To tell {_named_alone(step)} from {_named_alone(step.alternatives[0])}"
+            said.append(f"{told}: {step.evidence.separate}")
+    if left := [on(step) for step in report.steps if step.effect == UNKNOWN]:
         what = "has a cause that is none of the effects known: see the residual maps"
         said.append(f"What is left on {_listed(left)} {what}.")
-    if "overall" in report["rollout_worse"]:
+    if "overall" in report.rollout_worse:
         said.append("Do not simulate with this model yet: its rollouts are worse than those of the model given.")
     return said
 
 
-def _overall(level: Mapping[str, Any]) -> float:
-    return float((level["validation"] or level["train"])["overall"])
+def _overall(level: ErrorLevel) -> float | None:
+    return (level.validation or level.train)["overall"]
 
 
-def _named_alone(found: Mapping[str, Any]) -> str:
-    name = effect_name(found["effect"])
-    article = "" if found["effect"] not in _COUNTED else "an " if name[0] in "aeiou" else "a "
+def _named_alone(found: StepReport | CandidateReport) -> str:
+    name = effect_name(found.effect)
+    article = "" if found.effect not in _COUNTED else "an " if name[0] in "aeiou" else "a "
     return f"{article}{name} on {on(found)}"
 
 
-def _named(step: Mapping[str, Any]) -> str:
+def _named(step: StepReport) -> str:
     """An effect that was found; with that which the data cannot tell it from."""
-    pair = step["evidence"]["pair"] and step["alternatives"]
-    return f"{_named_alone(step)} (or {_named_alone(step['alternatives'][0])})" if pair else _named_alone(step)
+    pair = step.evidence.pair and step.alternatives
+    return f"{_named_alone(step)} (or {_named_alone(step.alternatives[0])})" if pair else _named_alone(step)
 
 
 def _listed(words: Iterable[str]) -> str:

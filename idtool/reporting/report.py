@@ -9,16 +9,42 @@ from typing import Any, cast
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.provenance import Source, provenance
-from idtool.common.version import VERSION
+from idtool.common.provenance import Source
 from idtool.dynamics.effects import NamedEffect, named_effect, plain
 from idtool.estimation.dataset.knowledge import Fact
-from idtool.estimation.evaluation.simulation_report import simulation_report
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.regularization_path import PathPoint
 from idtool.estimation.problem.verdict import Verdict, judge
-from idtool.reporting.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
+from idtool.reporting.results.base import Samples, reproducible
+from idtool.reporting.results.fit import (
+    AutomaticWeight,
+    BodyReport,
+    FitReport,
+    FrictionErrors,
+    FrictionIntervals,
+    FrictionReport,
+    KnownValue,
+    PathPointReport,
+    PointMasses,
+    RegularizationReport,
+    SolverReport,
+    TorqueErrors,
+    UnionPart,
+)
+from idtool.reporting.results.rollouts import Simulation
+from idtool.reporting.results.validation import ModelErrors, ValidationReport
+from idtool.reporting.simulation_report import simulation_report
+from idtool.reporting.trust_report import (
+    base_report,
+    bias_report,
+    controller_report,
+    intervals,
+    reflected_inertia,
+    repeatability_report,
+    rests_on,
+    uncertainty_report,
+)
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
 from idtool.robot.inertia import (
@@ -33,86 +59,91 @@ from idtool.robot.inertia import (
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
-HEADER = {"idtool": VERSION, "schema": 1}
-_SOLVER = ("name", "status", "objective", "duality_gap", "iterations", "seconds", "violation", "parameter_error")
 _FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
 
 
-def fit_report(fit: Fit) -> dict[str, Any]:
+def fit_report(fit: Fit) -> FitReport:
     """The content of report.json."""
     experiment = fit.experiment
     joints = experiment.equation.joints
     validated = fit.validation.errors["identified"].samples > 0
-    return {
-        **HEADER,
-        **provenance(experiment.sources),
-        "joints": list(joints),
-        "units": experiment.model.units,
-        "samples": {"train": experiment.samples(False), "validation": experiment.samples(True)},
-        "band_hz": experiment.band_hz,
-        "method": fit.method,
-        "rms": _rms(fit, joints, raw=False),
-        "rms_raw": _rms(fit, joints, raw=True),
-        "nrms": nrms(fit.validation if validated else fit.train, "identified", joints),
-        "simulation": simulation_report(fit.simulation, "identified", experiment),
-        "noise": dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
-        "bodies": {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
-        "friction": {joint: friction_report(fit, joint) for joint in joints},
-        "friction_intervals": {joint: friction_intervals(fit, joint) for joint in joints},
-        "rotors": reflected_inertia(fit),
-        "controller": controller_report(fit),
-        **trust_report(fit),
-        "regularization": regularization_report(fit),
-        "known": [_known(fact, fit) for fact in experiment.known.facts],
-        "solver": {name: getattr(fit.estimate.certificate, name) for name in _SOLVER},
-        "seconds": fit.seconds,
-        "warnings": list(fit.warnings),
-        "logs": [str(run.signals.log.path) for run in experiment.runs],
-        "urdf": str(experiment.model.robot.path),
-    }
+    uncertainty = fit.trust
+    return FitReport(
+        **reproducible(experiment.sources),
+        joints=joints,
+        units=experiment.model.units,
+        samples=Samples(train=experiment.samples(False), validation=experiment.samples(True)),
+        band_hz=experiment.band_hz,
+        method=fit.method,
+        rms=_rms(fit, joints, raw=False),
+        rms_raw=_rms(fit, joints, raw=True),
+        nrms=nrms(fit.validation if validated else fit.train, "identified", joints),
+        simulation=simulation_report(fit.simulation, "identified", experiment),
+        noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
+        bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
+        friction={joint: friction_report(fit, joint) for joint in joints},
+        friction_intervals={joint: friction_intervals(fit, joint) for joint in joints},
+        rotors=reflected_inertia(fit),
+        controller=controller_report(fit),
+        uncertainty=uncertainty_report(fit),
+        base_parameters=base_report(fit, uncertainty.identifiability) if uncertainty.identifiability else None,
+        bias=bias_report(fit, uncertainty.identifiability, uncertainty.bias),
+        repeatability=repeatability_report(fit, uncertainty.identifiability, uncertainty.repeatability),
+        regularization=regularization_report(fit),
+        known=[_known(fact, fit) for fact in experiment.known.facts],
+        solver=SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields}),
+        seconds=fit.seconds,
+        warnings=fit.warnings,
+        logs=[str(run.signals.log.path) for run in experiment.runs],
+        urdf=str(experiment.model.robot.path),
+    )
 
 
-def regularization_report(fit: Fit) -> dict[str, Any]:
+def regularization_report(fit: Fit) -> RegularizationReport:
     """The prior's kind and weight, and where the weight was chosen from the data, how."""
-    prior = fit.regularization.model_dump(mode="json")
-    prior["weight"], path = fit.regularization.number, fit.path
-    prior["mass_precision"] = fit.regularization.masses_known_better
-    if path is None:
-        return {**prior, "automatic": None}
-    automatic = {
-        "limit": path.limit,
-        "reason": path.reason,
-        "best": _or_none(path.best),
-        "standard_error": _or_none(path.standard_error),
-        "chosen": _point(path.chosen),
-        "weaker": _point(path.weaker),
-        "stronger": _point(path.stronger),
-        "path": [_point(point) for point in path.points],
-    }
-    return {**prior, "automatic": automatic}
+    prior, path = fit.regularization, fit.path
+    automatic = None
+    if path is not None:
+        automatic = AutomaticWeight(
+            limit=path.limit,
+            reason=path.reason,
+            best=_or_none(path.best),
+            standard_error=_or_none(path.standard_error),
+            chosen=_point(path.chosen),
+            weaker=_point(path.weaker),
+            stronger=_point(path.stronger),
+            path=[_point(point) for point in path.points],
+        )
+    return RegularizationReport(
+        kind=prior.kind,
+        weight=prior.number,
+        mass_precision=prior.masses_known_better,
+        units=prior.units,
+        automatic=automatic,
+    )
 
 
-def _point(point: PathPoint) -> dict[str, float | None]:
-    return {name: _or_none(value) for name, value in asdict(point).items()}
+def _point(point: PathPoint) -> PathPointReport:
+    return PathPointReport(**{name: _or_none(value) for name, value in asdict(point).items()})
 
 
 def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _known(fact: Fact, fit: Fit) -> dict[str, Any]:
-    own = float(fact.row @ fit.estimate.theta)
-    return {"what": fact.label, "value": fact.value, "standard_error": fact.standard_error, "identified": own}
+def _known(fact: Fact, fit: Fit) -> KnownValue:
+    identified = float(fact.row @ fit.estimate.theta)
+    return KnownValue(what=fact.label, value=fact.value, standard_error=fact.standard_error, identified=identified)
 
 
-def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> dict[str, Any]:
+def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> TorqueErrors:
     held_out = fit.validation.errors
     validated = held_out["identified"].samples > 0
-    return {
-        "train": fit.train.errors["identified"].rms(joints, raw),
-        "validation": held_out["identified"].rms(joints, raw) if validated else None,
-        "prior_validation": held_out["prior"].rms(joints, raw) if validated else None,
-    }
+    return TorqueErrors(
+        train=fit.train.errors["identified"].rms(joints, raw),
+        validation=held_out["identified"].rms(joints, raw) if validated else None,
+        prior_validation=held_out["prior"].rms(joints, raw) if validated else None,
+    )
 
 
 def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[str, float | None]:
@@ -121,7 +152,7 @@ def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[st
     return {name: rms[name] / spread if spread else None for name, spread in evaluation.spread.items()}
 
 
-def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
+def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
     """One entry of ``bodies``."""
     part = slice(SIZE * index, SIZE * (index + 1))
     pi = fit.parameters(index)
@@ -131,34 +162,34 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
     copy = fit.experiment.known.copies.get(index)
     verdict = judge(body, pi, pieces if len(pieces) else None)
     least = float(least_eigenvalue(pi))
-    return {
-        "kind": body.kind,
-        "mass": mass,
-        "com": com.tolist(),
-        "inertia_com": six(inertia).tolist(),
-        "pi": pi.tolist(),
-        "standard_error": [error if np.isfinite(error) else None for error in errors.tolist()],
-        "interval": intervals(fit)[part],
-        "rests_on": rests_on(fit, index),
-        "min_eig_pseudo_inertia": least,
-        "ellipsoid_margin": ellipsoid_margin(body, pi, verdict.pieces),
-        "realizable": least > 0 and not verdict.violations,
-        "identifiable": fit.uncertainty.identifiable[part].tolist(),
-        "constraints": fit.sets[index].name,
-        "copy_of": fit.experiment.model.bodies[copy[0]].name if copy else None,
-        "lumped": list(body.lumped),
-        "prior": body.pi.tolist(),
-        "ellipsoids": [ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
-        "shapes": [shape.to_dict() for shape in body.shapes],
-        "deviation_ellipsoid": deviation_ellipsoid(pi).to_dict() if mass > 0 else None,
-        "split": None if verdict.pieces is None else [{"mass": p[0], "pi": p} for p in verdict.pieces.tolist()],
-        "witness": _witness(verdict) if len(verdict.masses) else None,
-        "violations": list(verdict.violations),
-    }
+    return BodyReport(
+        kind=body.kind,
+        mass=mass,
+        com=com.tolist(),
+        inertia_com=six(inertia).tolist(),
+        pi=pi.tolist(),
+        standard_error=[error if np.isfinite(error) else None for error in errors.tolist()],
+        interval=intervals(fit)[part],
+        rests_on=rests_on(fit, index),
+        min_eig_pseudo_inertia=least,
+        ellipsoid_margin=ellipsoid_margin(body, pi, verdict.pieces),
+        realizable=least > 0 and not verdict.violations,
+        identifiable=fit.uncertainty.identifiable[part].tolist(),
+        constraints=fit.sets[index].name,
+        copy_of=fit.experiment.model.bodies[copy[0]].name if copy else None,
+        lumped=list(body.lumped),
+        prior=body.pi.tolist(),
+        ellipsoids=[ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
+        shapes=[shape.to_dict() for shape in body.shapes],
+        deviation_ellipsoid=deviation_ellipsoid(pi).to_dict() if mass > 0 else None,
+        split=None if verdict.pieces is None else [UnionPart(mass=p[0], pi=p) for p in verdict.pieces.tolist()],
+        witness=_witness(verdict) if len(verdict.masses) else None,
+        violations=verdict.violations,
+    )
 
 
-def _witness(verdict: Verdict) -> dict[str, Any]:
-    return {"masses": verdict.masses.tolist(), "points": verdict.points.tolist()}
+def _witness(verdict: Verdict) -> PointMasses:
+    return PointMasses(masses=verdict.masses.tolist(), points=verdict.points.tolist())
 
 
 def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | None:
@@ -195,25 +226,25 @@ def _place(fit: Fit, effect: str, owner: str) -> int | None:
     return names.index((effect, owner)) if (effect, owner) in names else None
 
 
-def friction_report(fit: Fit, joint: str) -> dict[str, Any]:
+def friction_report(fit: Fit, joint: str) -> FrictionReport:
     """One entry of ``friction``."""
-    found = {name: _coefficient(fit, effect, joint) for name, effect in _FRICTION.items()}
-    return {
-        **{name: pair[0] if pair else None for name, pair in found.items()},
-        "standard_error": {name: pair[1] if pair else None for name, pair in found.items()},
-    }
+    terms = {name: _coefficient(fit, effect, joint) for name, effect in _FRICTION.items()}
+    errors = FrictionErrors(**{name: term[1] if term else None for name, term in terms.items()})
+    return FrictionReport(**{name: term[0] if term else None for name, term in terms.items()}, standard_error=errors)
 
 
-def friction_intervals(fit: Fit, joint: str) -> dict[str, list[float] | None]:
+def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
     """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
     places = {name: _place(fit, effect, joint) for name, effect in _FRICTION.items()}
-    return {name: None if place is None else intervals(fit)[place] for name, place in places.items()}
+    return FrictionIntervals(
+        **{name: None if place is None else intervals(fit)[place] for name, place in places.items()}
+    )
 
 
 def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
     """Friction for the URDF."""
     reports = {joint: friction_report(fit, joint) for joint in fit.experiment.equation.joints}
-    return {joint: JointDynamics(report["viscous"], report["coulomb"]) for joint, report in reports.items()}
+    return {joint: JointDynamics(report.viscous, report.coulomb) for joint, report in reports.items()}
 
 
 def model_config(fit: Fit) -> dict[str, Any]:
@@ -271,9 +302,10 @@ def validation_report(
     units: Mapping[str, str],
     band_hz: float,
     bounds: Mapping[str, float],
-    simulation: Mapping[str, Any] | None = None,
+    simulation: Simulation | None = None,
     sources: Sequence[Source] = (),
-) -> dict[str, Any]:
+    warnings: Sequence[str] = (),
+) -> ValidationReport:
     """The content of validation.json.
 
     Parameters
@@ -290,20 +322,22 @@ def validation_report(
         From `simulation_report`.
     sources
         What was read.
+    warnings
+        What a user should know, a sentence each.
     """
     joints = tuple(units)
-    rms = {model: errors.rms(joints) for model, errors in evaluation.errors.items()}
-    return {
-        **HEADER,
-        **provenance(sources),
-        "joints": list(joints),
-        "units": dict(units),
-        "samples": evaluation.errors["model"].samples,
-        "band_hz": band_hz,
-        "rms": rms,
-        "rms_raw": {model: errors.rms(joints, raw=True) for model, errors in evaluation.errors.items()},
-        "nrms": nrms(evaluation, "model", joints),
-        "simulation": simulation,
-        "bound": dict(bounds),
-        "ok": {name: rms["model"][name] <= bound for name, bound in bounds.items()},
-    }
+    rms = ModelErrors(**{model: errors.rms(joints) for model, errors in evaluation.errors.items()})
+    return ValidationReport(
+        **reproducible(sources),
+        joints=joints,
+        units=units,
+        samples=evaluation.errors["model"].samples,
+        band_hz=band_hz,
+        rms=rms,
+        rms_raw=ModelErrors(**{model: errors.rms(joints, raw=True) for model, errors in evaluation.errors.items()}),
+        nrms=nrms(evaluation, "model", joints),
+        simulation=simulation,
+        bound=bounds,
+        ok={name: rms.model[name] <= bound for name, bound in bounds.items()},
+        warnings=warnings,
+    )

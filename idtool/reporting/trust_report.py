@@ -1,19 +1,32 @@
-"""How far to trust a fit, as plain data and in words: what report.json has of it."""
+"""How far to trust a fit, as records and in words: what report.json has of it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.base import Coefficient
 from idtool.estimation.fit import Fit
-from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.estimation.uncertainty.base import BaseParameters as BaseParameterization
 from idtool.estimation.uncertainty.bias import BiasCheck
 from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination
 from idtool.estimation.uncertainty.repeatability import Repeatability
+from idtool.reporting.results.base import Term
+from idtool.reporting.results.fit import (
+    BaseParameter,
+    BaseParameters,
+    BiasParameter,
+    BiasReport,
+    ControllerDelay,
+    CorrelatedParameter,
+    ParameterSource,
+    ReflectedInertia,
+    RepeatabilityReport,
+    RepeatedParameter,
+    UncertaintyReport,
+)
 from idtool.robot.inertia import NAMES, SIZE
 
 _WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in NAMES[1:4]}}
@@ -26,7 +39,7 @@ def quantity(coefficient: Coefficient) -> str:
     return f"{coefficient.owner} {_WORDS.get(coefficient.name, coefficient.name)}"
 
 
-def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> str:
+def combination_name(base: BaseParameterization, i: int, coefficients: Sequence[Coefficient]) -> str:
     """A base parameter in words: ``thigh I_xx − thigh I_zz + 0.117 shank mass``."""
     terms = combination(base, i, coefficients)
     name = ""
@@ -37,36 +50,31 @@ def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coeffi
     return name + (" + …" if len(terms) > _NAMED else "")
 
 
-def terms_report(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> list[dict[str, Any]]:
+def terms_report(base: BaseParameterization, i: int, coefficients: Sequence[Coefficient]) -> list[Term]:
     """What a base parameter is the sum of."""
     terms = combination(base, i, coefficients)
-    return [{"of": coefficients[k].owner, "what": coefficients[k].name, "share": share} for k, share in terms]
+    return [Term(of=coefficients[k].owner, what=coefficients[k].name, share=share) for k, share in terms]
 
 
-def trust_report(fit: Fit) -> dict[str, Any]:
-    """The entries ``uncertainty``, ``base_parameters``, ``bias`` and ``repeatability`` of report.json."""
+def uncertainty_report(fit: Fit) -> UncertaintyReport:
+    """The entry ``uncertainty`` of report.json."""
     trust, joints = fit.trust, fit.experiment.equation.joints
     found = trust.scatter
     ahead = trust.prediction
-    return {
-        "uncertainty": {
-            "confidence": 0.95,
-            "blocks": found.blocks if found.bootstrap else 0,
-            "block_seconds": found.seconds,
-            "correlated_beyond_blocks": found.correlated,
-            "bootstrap_ratio": _bootstrap_ratio(fit),
-            "independent_samples": {name: trust.independent[name] for name in joints},
-            "torque_standard_error": _by_joint(joints, ahead.rms),
-            "torque_standard_error_largest": _by_joint(joints, ahead.largest),
-            "torque_undetermined": _by_joint(joints, ahead.unknown),
-        },
-        "base_parameters": base_report(fit, trust.identifiability) if trust.identifiability else None,
-        "bias": bias_report(fit, trust.identifiability, trust.bias),
-        "repeatability": repeatability_report(fit, trust.identifiability, trust.repeatability),
-    }
+    return UncertaintyReport(
+        confidence=0.95,
+        blocks=found.blocks if found.bootstrap else 0,
+        block_seconds=found.seconds,
+        correlated_beyond_blocks=found.correlated,
+        bootstrap_ratio=_bootstrap_ratio(fit),
+        independent_samples={name: trust.independent[name] for name in joints},
+        torque_standard_error=_by_joint(joints, ahead.rms),
+        torque_standard_error_largest=_by_joint(joints, ahead.largest),
+        torque_undetermined=_by_joint(joints, ahead.unknown),
+    )
 
 
-def controller_report(fit: Fit) -> dict[str, Any] | None:
+def controller_report(fit: Fit) -> ControllerDelay | None:
     """The entry ``controller`` of report.json; None where no torque comes from a command."""
     experiment, found = fit.experiment, fit.delay
     controller = experiment.config.controller
@@ -75,16 +83,16 @@ def controller_report(fit: Fit) -> dict[str, Any] | None:
     given = controller.known_delay if found is None else found.given
     taken = controller.known_delay
     told = found is not None and found.standard_error is not None
-    return {
-        "delay": taken.value if taken else 0.0,
-        "given": given.value if given else None,
-        "fitted": found.value if told and found else None,
-        "standard_error": found.standard_error if found else None,
-        "known_friction_standard_error": found.known_friction_error if found else None,
-        "correlation": found.correlation if told and found else None,
-        "contradicted": found.contradicted if found else None,
-        "text": found.text if found else None,
-    }
+    return ControllerDelay(
+        delay=taken.value if taken else 0.0,
+        given=given.value if given else None,
+        fitted=found.value if told and found else None,
+        standard_error=found.standard_error if found else None,
+        known_friction_standard_error=found.known_friction_error if found else None,
+        correlation=found.correlation if told and found else None,
+        contradicted=found.contradicted if found else None,
+        text=found.text if found else None,
+    )
 
 
 def _bootstrap_ratio(fit: Fit) -> float | None:
@@ -106,7 +114,7 @@ def intervals(fit: Fit) -> list[list[float] | None]:
     return [pair if sees and np.isfinite(pair).all() else None for pair, sees in pairs]
 
 
-def base_report(fit: Fit, asked: Identifiability) -> dict[str, Any]:
+def base_report(fit: Fit, asked: Identifiability) -> BaseParameters:
     """The entry ``base_parameters``."""
     coefficients = fit.experiment.equation.coefficients
     limits, pulls = fit.trust.interval(asked.base.B), fit.trust.pull(asked.base.B)
@@ -114,26 +122,26 @@ def base_report(fit: Fit, asked: Identifiability) -> dict[str, Any]:
     for i in range(len(asked.base)):
         sees = bool(asked.seen[i])
         entries.append(
-            {
-                "name": combination_name(asked.base, i, coefficients),
-                "terms": terms_report(asked.base, i, coefficients),
-                "unit": coefficients[asked.base.own[i]].unit,
-                "value": float(asked.value[i]),
-                "standard_error": float(asked.standard_error[i]) if sees else None,
-                "interval": limits[i].tolist() if sees else None,
-                "pull": float(pulls[i]) if sees else None,
-            }
+            BaseParameter(
+                name=combination_name(asked.base, i, coefficients),
+                terms=terms_report(asked.base, i, coefficients),
+                unit=coefficients[asked.base.own[i]].unit,
+                value=float(asked.value[i]),
+                standard_error=float(asked.standard_error[i]) if sees else None,
+                interval=limits[i].tolist() if sees else None,
+                pull=float(pulls[i]) if sees else None,
+            )
         )
-    return {
-        "of": len(coefficients),
-        "structural": len(asked.base),
-        "determined": int(np.count_nonzero(asked.seen)),
-        "held_away": int(np.count_nonzero(pulls > PULLED)),
-        "parameters": entries,
-    }
+    return BaseParameters(
+        of=len(coefficients),
+        structural=len(asked.base),
+        determined=int(np.count_nonzero(asked.seen)),
+        held_away=int(np.count_nonzero(pulls > PULLED)),
+        parameters=entries,
+    )
 
 
-def rests_on(fit: Fit, index: int) -> list[dict[str, Any]] | None:
+def rests_on(fit: Fit, index: int) -> list[ParameterSource] | None:
     """What the ten parameters of a body rest on; None where it was not asked for."""
     asked = fit.trust.identifiability
     if asked is None:
@@ -141,21 +149,21 @@ def rests_on(fit: Fit, index: int) -> list[dict[str, Any]] | None:
     return [_basis(fit, asked, SIZE * index + k) for k in range(SIZE)]
 
 
-def _basis(fit: Fit, asked: Identifiability, k: int) -> dict[str, Any]:
+def _basis(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
     coefficients, basis = fit.experiment.equation.coefficients, asked.bases[k]
-    return {
-        "on": basis.on,
-        "data": basis.data,
-        "constraints": basis.constraints,
-        "prior": basis.prior,
-        "range": list(basis.range),
-        "moves_with": [
-            {"of": coefficients[i].owner, "what": coefficients[i].name, "correlation": tied}
+    return ParameterSource(
+        on=basis.on,
+        data=basis.data,
+        constraints=basis.constraints,
+        prior=basis.prior,
+        range=list(basis.range),
+        moves_with=[
+            CorrelatedParameter(of=coefficients[i].owner, what=coefficients[i].name, correlation=tied)
             for i, tied in basis.moves_with
         ],
-        "combinations": list(basis.combinations),
-        "text": basis_text(fit, asked, k),
-    }
+        combinations=list(basis.combinations),
+        text=basis_text(fit, asked, k),
+    )
 
 
 def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
@@ -181,34 +189,34 @@ def _ground_text(basis: Basis, asked: Identifiability, coefficients: Sequence[Co
 
 def repeatability_report(
     fit: Fit, asked: Identifiability | None, compared: Repeatability | None
-) -> dict[str, Any] | None:
+) -> RepeatabilityReport | None:
     """The entry ``repeatability``."""
     if asked is None or compared is None:
         return None
     coefficients = fit.experiment.equation.coefficients
     finite = np.isfinite(compared.standard_error)
-    return {
-        "logs": list(compared.logs),
-        "agree": bool(compared.agrees.all()),
-        "odd_one_out": None if compared.odd is None else compared.logs[compared.odd],
-        "cross_rms": compared.cross.tolist(),
-        "parameters": [
-            {
-                "name": combination_name(asked.base, i, coefficients),
-                "unit": coefficients[asked.base.own[i]].unit,
-                "value": [v if sees else None for v, sees in zip(compared.value[i].tolist(), finite[i], strict=True)],
-                "standard_error": [
+    return RepeatabilityReport(
+        logs=list(compared.logs),
+        agree=bool(compared.agrees.all()),
+        odd_one_out=None if compared.odd is None else compared.logs[compared.odd],
+        cross_rms=compared.cross.tolist(),
+        parameters=[
+            RepeatedParameter(
+                name=combination_name(asked.base, i, coefficients),
+                unit=coefficients[asked.base.own[i]].unit,
+                value=[v if sees else None for v, sees in zip(compared.value[i].tolist(), finite[i], strict=True)],
+                standard_error=[
                     v if sees else None for v, sees in zip(compared.standard_error[i].tolist(), finite[i], strict=True)
                 ],
-                "ratio": float(compared.ratio[i]) if np.isfinite(compared.ratio[i]) else None,
-                "agrees": bool(compared.agrees[i]),
-            }
+                ratio=float(compared.ratio[i]) if np.isfinite(compared.ratio[i]) else None,
+                agrees=bool(compared.agrees[i]),
+            )
             for i in range(len(asked.base))
         ],
-    }
+    )
 
 
-def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | None) -> dict[str, Any] | None:
+def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | None) -> BiasReport | None:
     """The entry ``bias``."""
     if asked is None or biased is None:
         return None
@@ -217,25 +225,25 @@ def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | Non
     for i in range(len(asked.base)):
         if np.isfinite(biased.ls[i]):
             entries.append(
-                {
-                    "name": combination_name(asked.base, i, coefficients),
-                    "unit": coefficients[asked.base.own[i]].unit,
-                    "ls": float(biased.ls[i]),
-                    "iv": float(biased.iv[i]),
-                    "standard_error": float(biased.standard_error[i]),
-                    "differs": bool(biased.differs[i]),
-                }
+                BiasParameter(
+                    name=combination_name(asked.base, i, coefficients),
+                    unit=coefficients[asked.base.own[i]].unit,
+                    ls=float(biased.ls[i]),
+                    iv=float(biased.iv[i]),
+                    standard_error=float(biased.standard_error[i]),
+                    differs=bool(biased.differs[i]),
+                )
             )
-    return {
-        "method": fit.method,
-        "instruments": biased.kind,
-        "iterations": biased.iterations,
-        "weak": list(biased.weak),
-        "parameters": entries,
-    }
+    return BiasReport(
+        method=fit.method,
+        instruments=biased.kind,
+        iterations=biased.iterations,
+        weak=list(biased.weak),
+        parameters=entries,
+    )
 
 
-def reflected_inertia(fit: Fit) -> dict[str, Any]:
+def reflected_inertia(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]:
     """The entry ``rotors``: what each rotor's inertia about its axis is at the joints that it turns with [kg·m²]."""
     model, p = fit.experiment.model, len(fit.estimate.theta)
     found = {}
@@ -251,10 +259,10 @@ def reflected_inertia(fit: Fit) -> dict[str, Any]:
                 row[0, SIZE * i + 4 : SIZE * (i + 1)] = ratio**2 * about
                 error = float(fit.uncertainty.of(row)[0])
                 sees = np.isfinite(error)
-                joints[joint] = {
-                    "reflected_inertia": float(row[0] @ fit.estimate.theta),
-                    "standard_error": error if sees else None,
-                    "interval": fit.trust.interval(row)[0].tolist() if sees else None,
-                }
+                joints[joint] = ReflectedInertia(
+                    reflected_inertia=float(row[0] @ fit.estimate.theta),
+                    standard_error=error if sees else None,
+                    interval=fit.trust.interval(row)[0].tolist() if sees else None,
+                )
         found[body.name] = joints
     return found

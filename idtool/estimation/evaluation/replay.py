@@ -217,3 +217,25 @@ def _spread(
             first += len(windows)
             jobs[i] = (signals, [windows[k] for k in mine])
     return [job for job in jobs if job[1]], of
+
+
+def simulation_notes(replay: Replay | None, model: str) -> list[str]:
+    """What a user should know of a replay, a plain sentence each.
+
+    Parameters
+    ----------
+    replay
+        The model's simulation and, where there is one, that of ``prior``; None: not asked for.
+    model
+        The model's name there.
+    """
+    if replay is None:
+        return []
+    notes = []
+    for name in (model, "prior"):
+        which = "the prior" if name == "prior" else "the model"
+        if name in replay.failed:
+            notes.append(f"no simulation of {which}: {replay.failed[name]}")
+        elif lost := replay.lost.get(name):
+            notes.append(f"{lost} of {replay.windows} simulations of {which} ran away and were stopped")
+    return notes

@@ -14,19 +14,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.linear_algebra import svd
-from idtool.common.provenance import provenance
 from idtool.data.causal import causal_batches
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.online.recursive import RecursiveFit
 from idtool.estimation.problem.problem import Problem
-from idtool.robot.inertia import SIZE, is_realizable, mass_com_inertia, six
 from idtool.robot.sets import ConstraintSet
 
 FORGETTING = 20.0  # s
@@ -218,53 +215,3 @@ def time_to(t: Array, error: Array, level: float = 0.1) -> float | None:
     above = np.flatnonzero(error > level)
     last = int(above[-1]) + 1 if len(above) else 0
     return float(t[last]) if last < len(t) else None
-
-
-def adapt_report(adaptation: Adaptation, experiment: Experiment) -> dict[str, Any]:
-    """The content of adapt.json but for its header; ``forgetting`` is None where nothing is forgotten."""
-    equation, bodies = experiment.equation, experiment.model.bodies
-    theta, finite = adaptation.estimate, np.isfinite(adaptation.forgetting)
-    return {
-        **provenance(experiment.sources),
-        "joints": list(equation.joints),
-        "units": experiment.model.units,
-        "bodies": [body.name for body in bodies],
-        "coefficients": [
-            {"effect": c.effect, "owner": c.owner, "name": c.name, "unit": c.unit} for c in equation.coefficients
-        ],
-        "constraints": {body.name: kind.name for body, kind in zip(bodies, adaptation.sets, strict=True)},
-        "forgetting": adaptation.forgetting if finite else None,
-        "band_hz": experiment.band_hz,
-        "t": adaptation.t.tolist(),
-        "theta": adaptation.theta.tolist(),
-        "prediction_rms": adaptation.prediction_rms(equation.joints),
-        "final": {
-            "bodies": {body.name: _body(theta[SIZE * i : SIZE * (i + 1)]) for i, body in enumerate(bodies)},
-            "friction": {joint: _friction(theta, experiment, joint) for joint in equation.joints},
-        },
-        "samples": adaptation.samples,
-        "update_hz": adaptation.update_hz,
-        "seconds": adaptation.seconds,
-        "warnings": list(experiment.warnings),
-        "logs": [str(run.signals.log.path) for run in experiment.runs],
-        "urdf": str(experiment.model.robot.path),
-    }
-
-
-def _body(pi: Array) -> dict[str, Any]:
-    mass, com, inertia = mass_com_inertia(pi)
-    return {
-        "mass": mass,
-        "com": com.tolist(),
-        "inertia_com": six(inertia).tolist(),
-        "pi": pi.tolist(),
-        "realizable": is_realizable(pi),
-    }
-
-
-def _friction(theta: Array, experiment: Experiment, joint: str) -> dict[str, float | None]:
-    """All of a joint's own coefficients by name; None: a friction that the model has not."""
-    inertial = SIZE * len(experiment.model.bodies)
-    pairs = zip(experiment.equation.coefficients[inertial:], theta[inertial:], strict=True)
-    own = {c.name: float(value) for c, value in pairs if c.owner == joint}
-    return {**dict.fromkeys(("viscous", "coulomb", "offset")), **own}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from idtool.estimation.problem.verdict import judge
 from idtool.robot.body import Body, Frame
 from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import Config
-from idtool.robot.inertia import mass_com_inertia, six
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 from idtool.robot.urdf.writing import rewrite
@@ -78,33 +76,3 @@ def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
 def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
     """The URDF's text with these inertials, every other byte kept."""
     return rewrite(robot.text, inertials, {})
-
-
-def check_report(checks: Sequence[LinkCheck], found: Mapping[str, Array]) -> dict[str, Any]:
-    """What `idtool ellipsoids --check` prints as JSON.
-
-    Parameters
-    ----------
-    checks
-        The links.
-    found
-        Inertials that some body can have, for those that none can, shape (10,) each.
-    """
-    return {
-        "links": {
-            c.body.name: {
-                "mass": float(c.body.pi[0]),
-                "violations": list(c.violations),
-                "nearest": _repair(c.body.pi, found[c.body.name]) if c.body.name in found else None,
-            }
-            for c in checks
-        }
-    }
-
-
-def _repair(pi: Array, nearest: Array) -> dict[str, Any]:
-    """A repaired inertial, and how much of the inertia about the centre of mass it changes, of its largest entry."""
-    mass, com, inertia = mass_com_inertia(nearest)
-    before = mass_com_inertia(pi)[2]
-    moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
-    return {"mass": mass, "com": com.tolist(), "inertia_com": six(inertia).tolist(), "moved": moved}

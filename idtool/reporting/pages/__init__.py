@@ -1,9 +1,9 @@
 """Results → HTML: one file each that needs nothing else, readable without a network. One file here a page."""
 
+from idtool.reporting.figures import by_unit, metres, number, percent, with_error
 from idtool.reporting.pages.adapt import adapt_page
 from idtool.reporting.pages.curves import curves, merged, rounded
 from idtool.reporting.pages.diagnosis import diagnosis_page
-from idtool.reporting.pages.figures import by_unit, metres, number, percent, with_error
 from idtool.reporting.pages.fit import fit_page
 from idtool.reporting.pages.study import study_page
 from idtool.reporting.pages.validation import validation_page

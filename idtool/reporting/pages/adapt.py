@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.charts import line, over_time, panel, thinned
-from idtool.reporting.pages.figures import by_unit
+from idtool.reporting.results.adaptation import AdaptationReport
 
 _SECTIONS = (
     ("What was found", "adapt_findings.html"),
@@ -27,7 +27,7 @@ _SETTLED = 0.05  # of the last value
 _MOMENTS = ("mc_x", "mc_y", "mc_z")
 
 
-def adapt_page(report: dict[str, Any], command: str) -> str:
+def adapt_page(report: AdaptationReport, command: str) -> str:
     """adapt.html.
 
     Parameters
@@ -38,24 +38,24 @@ def adapt_page(report: dict[str, Any], command: str) -> str:
         The command line that made it.
     """
     t, theta = history(report)
-    columns = {(c["owner"], c["name"]): i for i, c in enumerate(report["coefficients"])}
-    masses = {body: theta[:, columns[body, "m"]] for body in report["bodies"] if (body, "m") in columns}
+    columns = {(c.owner, c.name): i for i, c in enumerate(report.coefficients)}
+    masses = {body: theta[:, columns[body, "m"]] for body in report.bodies if (body, "m") in columns}
     return render(
-        f"{Path(report['urdf']).stem}: online identification",
+        f"{Path(report.urdf).stem}: online identification",
         _SECTIONS,
         ["lines.js"],
         {"charts": charts(report, t, theta)},
         report=report,
-        groups=by_unit(report["units"]),
+        groups=by_unit(report.units),
         settled={body: settling_time(t - t[0], mass) for body, mass in masses.items()},
         command=command,
     )
 
 
-def history(report: Mapping[str, Any]) -> tuple[Array, Array]:
+def history(report: AdaptationReport) -> tuple[Array, Array]:
     """Times [s], shape (T,), and coefficients, shape (T, p), NaN where there is none."""
-    p = len(report["coefficients"])
-    return np.array(report["t"], dtype=float), np.array(report["theta"], dtype=float).reshape(-1, p)
+    p = len(report.coefficients)
+    return np.array(report.t, dtype=float), np.array(report.theta, dtype=float).reshape(-1, p)
 
 
 def settling_time(t: Array, values: Array) -> float | None:
@@ -75,12 +75,12 @@ def settling_time(t: Array, values: Array) -> float | None:
     return float(t[first]) if first < len(values) - 1 else None
 
 
-def charts(report: Mapping[str, Any], t: Array, theta: Array) -> dict[str, Any]:
+def charts(report: AdaptationReport, t: Array, theta: Array) -> dict[str, Any]:
     """What `lines.js` draws, of bounded size: every so many samples of ``t`` (T,) and ``theta`` (T, p)."""
     kept = thinned(len(t), min(_MOST_TIMES, _MOST_VALUES // max(theta.shape[1], 1)))
     t, theta = t[kept], theta[kept]
-    of = {(c["owner"], c["name"]): theta[:, i] for i, c in enumerate(report["coefficients"])}
-    bodies = [(i, body) for i, body in enumerate(report["bodies"]) if (body, "m") in of]
+    of = {(c.owner, c.name): theta[:, i] for i, c in enumerate(report.coefficients)}
+    bodies = [(i, body) for i, body in enumerate(report.bodies) if (body, "m") in of]
 
     def center(body: str, moment: str) -> Array:
         mass = of[body, "m"]
@@ -97,14 +97,14 @@ def charts(report: Mapping[str, Any], t: Array, theta: Array) -> dict[str, Any]:
     }
 
 
-def _joint_charts(report: Mapping[str, Any], t: Array, theta: Array) -> list[dict[str, Any]]:
+def _joint_charts(report: AdaptationReport, t: Array, theta: Array) -> list[dict[str, Any]]:
     """One chart for each kind of coefficient that is not a body's, a curve a joint."""
-    joints = report["joints"]
+    joints = report.joints
     kinds: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
-    for i, c in enumerate(report["coefficients"]):
-        if c["owner"] not in report["bodies"]:
-            index = joints.index(c["owner"]) if c["owner"] in joints else len(joints)
-            kinds.setdefault((c["effect"], c["name"], c["unit"]), []).append(line(c["owner"], theta[:, i], index))
+    for i, c in enumerate(report.coefficients):
+        if c.owner not in report.bodies:
+            index = joints.index(c.owner) if c.owner in joints else len(joints)
+            kinds.setdefault((c.effect, c.name, c.unit), []).append(line(c.owner, theta[:, i], index))
     return [
         over_time(f"{effect.replace('_', ' ').capitalize()} of each joint", t, [panel(f"{name} [{unit}]", lines)])
         for (effect, name, unit), lines in kinds.items()

@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 from plotly.offline import get_plotlyjs
 
-from idtool.reporting.pages.figures import metres, number, percent, with_error
+from idtool.reporting.figures import metres, number, percent, with_error
 
 Sections = Sequence[tuple[str, str]]
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.reporting.results.fit import BodyReport, PointMasses
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 from idtool.robot.witness import deviation_ellipsoid, explain
@@ -17,13 +19,77 @@ _MOST_NUMBERS = 60_000  # that all bodies hold together
 _MOST_MASSES = 300  # of a witness that are drawn
 
 
-def body_views(bodies: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """What is drawn of the bodies, of bounded size.
+@dataclass(frozen=True)
+class DrawnBody:
+    """A body to draw, in its own frame [m].
+
+    Attributes
+    ----------
+    bounds
+        Shapes that bound its mass.
+    spread, prior_spread
+        Standard-deviation ellipsoids of its mass and of the prior's; None for parameters that no body has.
+    masses
+        Point masses that have its parameters, or None.
+    """
+
+    bounds: list[dict[str, Any]]
+    spread: dict[str, Any] | None
+    prior_spread: dict[str, Any] | None
+    masses: dict[str, Any] | None
+
+
+def report_views(bodies: Mapping[str, BodyReport]) -> dict[str, Any]:
+    """What is drawn of identified bodies, see `body_views`.
 
     Parameters
     ----------
     bodies
         ``bodies`` of report.json.
+    """
+    drawn = {}
+    for name, body in bodies.items():
+        ellipsoids = [{"kind": "ellipsoid", **ellipsoid.model_dump()} for ellipsoid in body.ellipsoids]
+        deviation = body.deviation_ellipsoid
+        drawn[name] = DrawnBody(
+            bounds=[*ellipsoids, *body.shapes],
+            spread=deviation.model_dump() if deviation else None,
+            prior_spread=_spread(body.prior.tolist()),
+            masses=_heaviest(body.witness),
+        )
+    return body_views(drawn)
+
+
+def model_views(model: Model, theta: Array, prior: Array | None) -> dict[str, Any]:
+    """What is drawn of bodies that were not identified, see `body_views`.
+
+    Parameters
+    ----------
+    model
+        The tree of bodies.
+    theta, prior
+        Coefficients of the torque equation, shape (p,), the bodies' first; of the prior None where there is none.
+    """
+    drawn = {}
+    for i, body in enumerate(model.bodies):
+        part = slice(SIZE * i, SIZE * (i + 1))
+        ellipsoids = [{"kind": "ellipsoid", **ellipsoid.to_dict()} for ellipsoid in body.ellipsoids]
+        drawn[body.name] = DrawnBody(
+            bounds=[*ellipsoids, *(shape.to_dict() for shape in body.shapes)],
+            spread=_spread(theta[part].tolist()),
+            prior_spread=None if prior is None else _spread(prior[part].tolist()),
+            masses=None,
+        )
+    return body_views(drawn)
+
+
+def body_views(bodies: Mapping[str, DrawnBody]) -> dict[str, Any]:
+    """What `bodies.js` draws, of bounded size.
+
+    Parameters
+    ----------
+    bodies
+        The bodies by name.
 
     Returns
     -------
@@ -42,38 +108,14 @@ def body_views(bodies: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {"bodies": views, "hidden": len(bodies) - len(views)}
 
 
-def _view(name: str, body: Mapping[str, Any]) -> dict[str, Any]:
-    bounds = [{"kind": "ellipsoid", **e} for e in body["ellipsoids"]] + list(body["shapes"])
+def _view(name: str, body: DrawnBody) -> dict[str, Any]:
     return {
         "name": name,
-        "bounds": _rounded(bounds),
-        "found": _rounded(body["deviation_ellipsoid"]),
-        "prior": _rounded(_spread(body["prior"])),
-        "masses": _heaviest(body["witness"]),
+        "bounds": _rounded(body.bounds),
+        "found": _rounded(body.spread),
+        "prior": _rounded(body.prior_spread),
+        "masses": body.masses,
     }
-
-
-def bodies_of(model: Model, theta: Array, prior: Array | None) -> dict[str, dict[str, Any]]:
-    """What `body_views` reads of report.json, of bodies that were not identified.
-
-    Parameters
-    ----------
-    model
-        The tree of bodies.
-    theta, prior
-        Coefficients of the torque equation, shape (p,), the bodies' first; of the prior None where there is none.
-    """
-    found = {}
-    for i, body in enumerate(model.bodies):
-        part = slice(SIZE * i, SIZE * (i + 1))
-        found[body.name] = {
-            "ellipsoids": [ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
-            "shapes": [shape.to_dict() for shape in body.shapes],
-            "deviation_ellipsoid": _spread(theta[part].tolist()),
-            "prior": [] if prior is None else prior[part].tolist(),
-            "witness": None,
-        }
-    return found
 
 
 def _spread(pi: list[float]) -> dict[str, Any] | None:
@@ -83,15 +125,15 @@ def _spread(pi: list[float]) -> dict[str, Any] | None:
     return deviation_ellipsoid(pi).to_dict()
 
 
-def _heaviest(witness: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def _heaviest(witness: PointMasses | None) -> dict[str, Any] | None:
     """The witness, of many point masses the heaviest."""
     if witness is None:
         return None
-    kept = np.sort(np.argsort(witness["masses"])[::-1][:_MOST_MASSES])
+    kept = np.sort(np.argsort(witness.masses)[::-1][:_MOST_MASSES])
     return {
-        "masses": [float(f"{witness['masses'][i]:.5g}") for i in kept],
-        "points": _rounded([witness["points"][i] for i in kept]),
-        "of": len(witness["masses"]),
+        "masses": [float(f"{witness.masses[i]:.5g}") for i in kept],
+        "points": _rounded([witness.points[i] for i in kept]),
+        "of": len(witness.masses),
     }
 
 

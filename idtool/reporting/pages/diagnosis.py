@@ -10,16 +10,17 @@ from typing import Any
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.replay import Replay
-from idtool.estimation.evaluation.simulation_report import simulation_report
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units
+from idtool.reporting.figures import by_unit, number, with_error
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.bodies import body_views
+from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.curves import drawn
-from idtool.reporting.pages.figures import by_unit, number, with_error
 from idtool.reporting.pages.residuals import gap_views, residual_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import simulation_text, simulation_view
 from idtool.reporting.pages.trust import trust_view
+from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
+from idtool.reporting.simulation_report import simulation_report
 
 _STEPS, _SIMULATION = ("The steps", "diagnosis_steps.html"), ("Simulation", "diagnosis_simulation.html")
 _SECTIONS = (
@@ -45,7 +46,7 @@ _VERDICTS = {
 }
 
 
-def diagnosis_page(diagnosis: Diagnosis, report: Mapping[str, Any], command: str) -> str:
+def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) -> str:
     """diagnosis.html.
 
     Parameters
@@ -57,45 +58,47 @@ def diagnosis_page(diagnosis: Diagnosis, report: Mapping[str, Any], command: str
     command
         The command line that made it.
     """
-    units = report["units"]
+    units = report.units
     simulated = _side_by_side(diagnosis)
-    report = {**report, "simulation": simulation_report(simulated, "identified", diagnosis.last.experiment)}
-    held_out = report["before"]["validation"] is not None
-    views = body_views(report["bodies"])["bodies"]
+    simulation = simulation_report(simulated, "identified", diagnosis.last.experiment)
+    held_out = report.before.validation is not None
+    views = report_views(report.bodies)["bodies"]
     last, first = (fit.validation if held_out else fit.train for fit in (diagnosis.last, diagnosis.first))
     robot = robot_view(diagnosis.last.experiment.model, views, last.traces)
-    needs = {_STEPS: "steps", _SIMULATION: "simulation"}
+    shown_if = {_STEPS: bool(report.steps), _SIMULATION: simulation is not None}
+    sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     return render(
-        f"{Path(report['urdf']).stem}: what the model lacks",
-        with_robot([section for section in _SECTIONS if section not in needs or report[needs[section]]], robot),
+        f"{Path(report.urdf).stem}: what the model lacks",
+        with_robot(sections, robot),
         ["torques.js", "lines.js", "positions.js", "diagnosis.js", "residuals.js", "solids.js", "robot.js"],
         {
             **_torques(last.traces, first.traces, units),
-            **simulation_view(simulated, report, "identified"),
+            **simulation_view(simulated, simulation, "identified"),
             **robot,
             "gap": gap_views(report),
             "residuals": residual_views(diagnosis.maps_before, diagnosis.maps_after, units, _NAMES, _MODELS),
         },
         report=report,
+        simulation=simulation,
         groups=by_unit(units),
         position_unit=position_units(units),
-        verdict=_VERDICTS[report["verdict"]],
-        cards=[_card(i, step) for i, step in enumerate(report["steps"], 1)],
+        verdict=_VERDICTS[report.verdict],
+        cards=[_card(i, step) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         worst=_worst(report),
-        **{"position_groups": by_unit(position_units(units)), **simulation_text(report), **trust_view(report)},
+        **{"position_groups": by_unit(position_units(units)), **simulation_text(simulation), **trust_view(report)},
         where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
         command=command,
     )
 
 
-def _worst(report: Mapping[str, Any]) -> str | None:
+def _worst(report: DiagnosisReport) -> str | None:
     """The joint that is the farthest from the noise floor before, in units of that."""
-    before, floor = report["before"]["validation"] or report["before"]["train"], report["noise_floor"]
-    return max(report["joints"], key=lambda joint: before[joint] / (floor[joint] or 1.0), default=None)
+    before, floor = report.before.validation or report.before.train, report.noise_floor
+    return max(report.joints, key=lambda joint: (before[joint] or 0.0) / (floor[joint] or 1.0), default=None)
 
 
-def parameter_texts(step: Mapping[str, Any]) -> list[str]:
+def parameter_texts(step: StepReport) -> list[str]:
     """An effect's parameters, each with its standard error and unit.
 
     Parameters
@@ -103,36 +106,36 @@ def parameter_texts(step: Mapping[str, Any]) -> list[str]:
     step
         An entry of ``steps`` of diagnosis.json.
     """
-    errors, units = step["standard_error"], step["units"]
-    texts = {name: _value(value, errors.get(name)) for name, value in step["parameters"].items()}
+    errors, units = step.standard_error, step.units
+    texts = {name: _value(value, errors.get(name)) for name, value in step.parameters.items()}
     return [f"{name} {text} {units.get(name) or ''}".rstrip() for name, text in texts.items()]
 
 
 def _value(value: Any, error: Any) -> str:
     """A parameter; one of several numbers has them in brackets."""
-    if isinstance(value, list):
-        errors = error if isinstance(error, list) and len(error) == len(value) else [None] * len(value)
+    if isinstance(value, list | tuple):
+        errors = error if isinstance(error, list | tuple) and len(error) == len(value) else [None] * len(value)
         return f"[{', '.join(_value(x, e) for x, e in zip(value, errors, strict=True))}]"
     if isinstance(value, bool | str) or value is None:
         return "–" if value is None else str(value)
     return number(value, 4) if error is None else " ± ".join(with_error(value, error))
 
 
-def _card(index: int, step: Mapping[str, Any]) -> dict[str, Any]:
+def _card(index: int, step: StepReport) -> dict[str, Any]:
     """A step, as its template reads it."""
-    known = step["effect"] != UNKNOWN
+    known = step.effect != UNKNOWN
     return {
-        **step,
+        **{name: getattr(step, name) for name in StepReport.model_fields},
         "index": index,
         "known": known,
-        "title": f"{_title(step['effect'])} on {on(step)}" if known else f"Unknown, on {on(step)}",
-        "sentence": _closed(step["evidence"]["sentence"]),
-        "separate": _closed(step["evidence"]["separate"]),
+        "title": f"{_title(step.effect)} on {on(step)}" if known else f"Unknown, on {on(step)}",
+        "sentence": _closed(step.evidence.sentence),
+        "separate": _closed(step.evidence.separate),
         "texts": parameter_texts(step),
-        "windows": [f"{number(a, 4)} to {number(b, 4)} s" for a, b in step["where"]["windows"]],
-        "near": _rows(step["alternatives"]),
-        "others": _rows(step["rejected"][:_MOST_ROWS]),
-        "hidden": max(len(step["rejected"]) - _MOST_ROWS, 0),
+        "windows": [f"{number(a, 4)} to {number(b, 4)} s" for a, b in step.where.windows],
+        "near": _rows(step.alternatives),
+        "others": _rows(step.rejected[:_MOST_ROWS]),
+        "hidden": max(len(step.rejected) - _MOST_ROWS, 0),
     }
 
 
@@ -146,14 +149,14 @@ def _title(effect: str) -> str:
     return name[:1].upper() + name[1:]
 
 
-def _rows(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, int, str]]:
+def _rows(candidates: Sequence[CandidateReport]) -> list[tuple[str, str, str, int, str]]:
     return [
         (
-            effect_name(found["effect"]),
+            effect_name(found.effect),
             on(found),
-            score_text(found["score"], found["standard_error"]),
-            found["parameters"],
-            found["reason"],
+            score_text(found.score, found.standard_error),
+            found.parameters,
+            found.reason,
         )
         for found in candidates
     ]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.charts import line, numbers, over_time, panel
+from idtool.reporting.pages.charts import line, over_time, panel
+from idtool.reporting.results.excitation import ExcitationReport
 
 _SECTIONS = (
     ("What to expect", "excite_findings.html"),
@@ -19,7 +19,7 @@ _SECTIONS = (
 _SIGNALS = (("q", "position"), ("v", "velocity"), ("a", "acceleration"), ("tau", "effort"))
 
 
-def excite_page(report: dict[str, Any], command: str) -> str:
+def excite_page(report: ExcitationReport, command: str) -> str:
     """The page.
 
     Parameters
@@ -30,7 +30,7 @@ def excite_page(report: dict[str, Any], command: str) -> str:
         The command line that made it.
     """
     return render(
-        f"{Path(report['urdf']).stem}: exciting trajectory",
+        f"{Path(report.urdf).stem}: exciting trajectory",
         _SECTIONS,
         ["lines.js"],
         {"charts": charts(report)},
@@ -40,23 +40,21 @@ def excite_page(report: dict[str, Any], command: str) -> str:
     )
 
 
-def charts(report: Mapping[str, Any]) -> dict[str, Any]:
+def charts(report: ExcitationReport) -> dict[str, Any]:
     """What `lines.js` draws: a chart a joint, its motion and predicted torque with the limits."""
-    t = numbers(report["curves"]["t"])
-    return {
-        f"joint {i}": over_time(joint, t, _panels(report, joint, len(t))) for i, joint in enumerate(report["joints"])
-    }
+    t = report.curves.t
+    return {f"joint {i}": over_time(joint, t, _panels(report, joint, len(t))) for i, joint in enumerate(report.joints)}
 
 
-def _panels(report: Mapping[str, Any], joint: str, count: int) -> list[dict[str, Any]]:
-    limits, curves = report["limits"][joint], report["curves"]["joints"][joint]
+def _panels(report: ExcitationReport, joint: str, count: int) -> list[dict[str, Any]]:
+    limits, curves = report.limits[joint], report.curves.joints[joint]
     panels = []
     for signal, quantity in _SIGNALS:
-        limit = limits[quantity]
-        ends = limit if isinstance(limit, list) else [] if limit is None else [-limit, limit]
-        lines = [line(quantity if quantity != "effort" else "predicted torque", curves[signal], 0)]
+        limit = getattr(limits, quantity)
+        ends = limit if isinstance(limit, tuple) else () if limit is None else (-limit, limit)
+        lines = [line(quantity if quantity != "effort" else "predicted torque", getattr(curves, signal), 0)]
         lines += [line("limit", [end] * count, 1) for end in ends]
-        panels.append(panel(f"{signal} [{unit_of(signal, report['units'][joint])}]", lines))
+        panels.append(panel(f"{signal} [{unit_of(signal, report.units[joint])}]", lines))
     return panels
 
 
@@ -66,8 +64,8 @@ def unit_of(signal: str, torque: str) -> str:
     return {"q": way, "v": f"{way}/s", "a": f"{way}/s²"}.get(signal, torque)
 
 
-def _gain(report: Mapping[str, Any]) -> float | None:
+def _gain(report: ExcitationReport) -> float | None:
     """How many times smaller the criterion is than of a random motion."""
-    kind = report["criterion"]
-    before, after = report["criteria"]["random"][kind], report["criteria"]["design"][kind]
+    kind = report.criterion
+    before, after = (getattr(report.criteria[motion], kind) for motion in ("random", "design"))
     return before / after if before and after else None

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from idtool.diagnosis.records import Residual
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.certificate import GAP, ROUNDING
+from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.bodies import body_views
+from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.curves import curves
-from idtool.reporting.pages.figures import by_unit
 from idtool.reporting.pages.prior import PRIOR, prior_view
 from idtool.reporting.pages.residuals import residual_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
+from idtool.reporting.results.fit import FitReport
 
 Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]
 
@@ -43,7 +43,7 @@ _SECTIONS = (
 )
 
 
-def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None = None) -> str:
+def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None) -> str:
     """report.html.
 
     Parameters
@@ -57,37 +57,38 @@ def fit_page(fit: Fit, report: dict[str, Any], command: str, maps: Maps | None =
     maps
         What the prior and the identified model leave of the torque, by joint; None: not asked for.
     """
-    units = report["units"]
-    own, prior = report["rms"]["validation"], report["rms"]["prior_validation"]
+    units = report.units
+    own, prior = report.rms.validation, report.rms.prior_validation
     held_out = own is not None
-    shown, views = fit.validation if held_out else fit.train, body_views(report["bodies"])
+    shown, views = fit.validation if held_out else fit.train, report_views(report.bodies)
     robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
     left = {"residuals": residual_views(*maps, units, _NAMES, _MODELS)} if maps else {}
-    prior_chosen = report["regularization"]["automatic"] is not None
+    prior_chosen = report.regularization.automatic is not None
     shown_if = {_RESIDUALS: bool(maps), PRIOR: prior_chosen}
     sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     path = prior_view(report) if prior_chosen else {}
     return render(
-        f"{Path(report['urdf']).stem}: identified dynamics",
-        with_robot(with_trust(with_simulation(sections, report), report), robot),
+        f"{Path(report.urdf).stem}: identified dynamics",
+        with_robot(with_trust(with_simulation(sections, report.simulation), report), robot),
         ["torques.js", "lines.js", "positions.js", "residuals.js", "solids.js", "robot.js", "bodies.js", "trust.js"],
         {
             **curves(shown, "identified", units, position=False),
-            **simulation_view(fit.simulation, report, "identified"),
+            **simulation_view(fit.simulation, report.simulation, "identified"),
             **views,
             **robot,
             **left,
             **path,
         },
         report=report,
+        simulation=report.simulation,
         groups=by_unit(units),
-        **simulation_text(report),
+        **simulation_text(report.simulation),
         **trust_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
-        worse=[name for name in report["joints"] if held_out and own[name] >= prior[name]],
-        worst=max(report["joints"], key=lambda name: (own or report["rms"]["train"])[name]),
+        worse=[name for name in report.joints if own and prior and own[name] >= prior[name]],
+        worst=max(report.joints, key=lambda name: (own or report.rms.train)[name]),
         determined=fit.uncertainty.identifiable,
-        gap=(gap := max(abs(report["solver"]["duality_gap"]), ROUNDING)),
+        gap=(gap := max(abs(report.solver.duality_gap), ROUNDING)),
         certified=gap <= GAP,
         closest=fit.estimate.certificate.where,
         command=command,

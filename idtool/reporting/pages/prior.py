@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from idtool.reporting.pages.charts import chart, line, panel
+from idtool.reporting.results.fit import FitReport, PathPointReport
 
 PRIOR = ("How firmly the prior holds", "prior.html")
 
 
-def prior_view(report: Mapping[str, Any]) -> dict[str, Any]:
+def prior_view(report: FitReport) -> dict[str, Any]:
     """What the template and `lines.js` read of it.
 
     Parameters
@@ -18,11 +18,12 @@ def prior_view(report: Mapping[str, Any]) -> dict[str, Any]:
     report
         The content of report.json.
     """
-    automatic = report["regularization"]["automatic"]
-    points = automatic["path"]
-    of = {name: [point[name] for point in points] for name in points[0]}
+    automatic = report.regularization.automatic
+    if automatic is None:
+        return {}
+    of = {name: [getattr(point, name) for point in automatic.path] for name in PathPointReport.model_fields}
     errors = [line("data that were fitted", of["train_error"], 0)]
-    if automatic["standard_error"] is not None:
+    if automatic.standard_error is not None:
         errors.append(line("blocks of time left out", of["validation_error"], 1))
     panels = [
         panel("error / noise", errors, log=True),

@@ -13,6 +13,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.records import Residual
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
 from idtool.reporting.pages.charts import significant
+from idtool.reporting.results.diagnosis import DiagnosisReport, ErrorLevel
 
 _MOST_VALUES = 16_000  # that all residuals hold together: some 130 kB of text
 _LEAST_POINTS = 12  # of a curve
@@ -27,7 +28,7 @@ _AXES = {
 }
 
 
-def gap_views(report: Mapping[str, Any]) -> dict[str, Any]:
+def gap_views(report: DiagnosisReport) -> dict[str, Any]:
     """What is drawn of the gap: errors by step, for all joints together and for each.
 
     Parameters
@@ -40,20 +41,20 @@ def gap_views(report: Mapping[str, Any]) -> dict[str, Any]:
     ``names`` of the models, the first the one without effects, and ``joints``: of each ``name``, and of its ``torque``
     and ``rollout`` (None where there was none) the ``unit`` and ``values``; of its torque the noise ``floor`` too.
     """
-    steps = [(i, step) for i, step in enumerate(report["steps"], 1) if step["effect"] != UNKNOWN]
-    names = ["the model given", *(f"{i}: {effect_name(step['effect'])} on {on(step)}" for i, step in steps)]
-    first, last = report["before"], report["after"]
-    torques = [_held_out(first), *(step["validation_rms_after"] for _, step in steps)]
-    rollouts = [first["simulation"], *(step["evidence"]["simulation_after"] for _, step in steps)]
+    steps = [(i, step) for i, step in enumerate(report.steps, 1) if step.effect != UNKNOWN]
+    names = ["the model given", *(f"{i}: {effect_name(step.effect)} on {on(step)}" for i, step in steps)]
+    first, last = report.before, report.after
+    torques = [_held_out(first), *(step.validation_rms_after for _, step in steps)]
+    rollouts = [first.simulation, *(step.evidence.simulation_after for _, step in steps)]
     if len(names) > 1 and torques[-1] != _held_out(last):  # what came to be superfluous was taken out again
         names, torques = [*names, "in the end"], [*torques, _held_out(last)]
-        rollouts.append(last["simulation"])
-    units = {"overall": together(report["units"]), **report["units"]}
-    lengths = {"overall": together(position_units(report["units"])), **position_units(report["units"])}
+        rollouts.append(last.simulation)
+    units = {"overall": together(report.units), **report.units}
+    lengths = {"overall": together(position_units(report.units)), **position_units(report.units)}
     views = []
     for joint, unit in units.items():
-        floor = significant([report["noise_floor"][joint]])[0]
-        moved = significant([rms and rms[joint] for rms in rollouts])
+        floor = significant([report.noise_floor[joint]])[0]
+        moved = significant([rms[joint] if rms else None for rms in rollouts])
         views.append(
             {
                 "name": "all joints" if joint == "overall" else joint,
@@ -64,9 +65,8 @@ def gap_views(report: Mapping[str, Any]) -> dict[str, Any]:
     return {"names": names, "joints": views}
 
 
-def _held_out(level: Mapping[str, Any]) -> Mapping[str, float]:
-    found: Mapping[str, float] = level["validation"] or level["train"]
-    return found
+def _held_out(level: ErrorLevel) -> Mapping[str, float | None]:
+    return level.validation or level.train
 
 
 def residual_views(

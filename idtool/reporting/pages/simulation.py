@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.estimation.evaluation.replay import Replay
+from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import Sections
 from idtool.reporting.pages.charts import chart, line, numbers, panel
 from idtool.reporting.pages.curves import drawn
-from idtool.reporting.pages.figures import by_unit
+from idtool.reporting.results.rollouts import Simulation
 
 SIMULATION = ("Simulation", "simulation.html")
 
@@ -22,20 +22,20 @@ _COLORS = {"model": 5, "prior": 1, "baseline": 0}  # as in the plots over time
 _BASELINES = {"open_loop": "stays where it was", "closed_loop": "q = qcmd"}
 
 
-def with_simulation(sections: Sections, report: Mapping[str, Any]) -> Sections:
+def with_simulation(sections: Sections, simulation: Simulation | None) -> Sections:
     """The sections, without that on the simulation where there was none."""
-    return [section for section in sections if section != SIMULATION or report["simulation"] is not None]
+    return [section for section in sections if section != SIMULATION or simulation is not None]
 
 
-def simulation_view(replay: Replay | None, report: Mapping[str, Any], model: str) -> dict[str, Any]:
+def simulation_view(replay: Replay | None, simulation: Simulation | None, model: str) -> dict[str, Any]:
     """What is drawn of a simulation, of bounded size; nothing where there was none.
 
     Parameters
     ----------
     replay
         The simulation.
-    report
-        The content of report.json or validation.json.
+    simulation
+        Its record; None where there was none.
     model
         Whose motion is the ``simulated`` one.
 
@@ -43,23 +43,21 @@ def simulation_view(replay: Replay | None, report: Mapping[str, Any], model: str
     -------
     ``simulation``, as `curves` has the torques, each joint with the ``range`` of positions to show, and ``charts``.
     """
-    found = report["simulation"]
-    if replay is None or found is None:
+    if replay is None or simulation is None:
         return {}
-    names = {"measured": "measured", "simulated": model, **({"prior": "prior"} if found["prior"] else {})}
-    view = drawn(replay.traces, names, found["units"], _MOST_VALUES)
+    names = {"measured": "measured", "simulated": model, **({"prior": "prior"} if simulation.prior else {})}
+    view = drawn(replay.traces, names, simulation.units, _MOST_VALUES)
     for log in view["logs"]:
         for joint in log["joints"]:
             joint["range"] = _shown(numbers(joint["measured"]), numbers(joint.get("simulated", [])))
-    return {"simulation": view, "charts": _charts(found)}
+    return {"simulation": view, "charts": _charts(simulation)}
 
 
-def simulation_text(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What the template says of a simulation beside the report."""
-    found = report["simulation"]
-    if found is None:
+def simulation_text(simulation: Simulation | None) -> dict[str, Any]:
+    """What the template says of a simulation beside its record."""
+    if simulation is None:
         return {}
-    return {"position_groups": by_unit(found["units"]), "baseline": _BASELINES[found["kind"]]}
+    return {"position_groups": by_unit(simulation.units), "baseline": _BASELINES[simulation.kind]}
 
 
 def _shown(measured: Array, simulated: Array) -> list[float]:
@@ -72,17 +70,18 @@ def _shown(measured: Array, simulated: Array) -> list[float]:
     return [float(f"{low - edge:.4g}"), float(f"{high + edge:.4g}")]
 
 
-def _charts(found: Mapping[str, Any]) -> dict[str, Any]:
+def _charts(simulation: Simulation) -> dict[str, Any]:
     """What `lines.js` draws: error against time since the restart."""
-    horizons = found["horizon"]
+    horizons = simulation.horizon
     if len(horizons) < 2:
         return {}
     lines = []
     for name, key in {"model": "position", "prior": "prior", "baseline": "baseline"}.items():
-        if all(at[key] for at in horizons):
-            label = _BASELINES[found["kind"]] if name == "baseline" else name
-            lines.append(line(label, [at[key]["overall"] for at in horizons], _COLORS[name]))
-    title = f"RMS error [{by_unit(found['units'])[-1][0]}]"
+        errors = [getattr(horizon, key) for horizon in horizons]
+        if all(errors):
+            label = _BASELINES[simulation.kind] if name == "baseline" else name
+            lines.append(line(label, [error["overall"] for error in errors], _COLORS[name]))
+    title = f"RMS error [{by_unit(simulation.units)[-1][0]}]"
     caption = "Position error against time since the restart, all joints"
-    seconds = [at["seconds"] for at in horizons]
+    seconds = [horizon.seconds for horizon in horizons]
     return {"horizon": chart(caption, seconds, "time since the restart [s]", [panel(title, lines, log=True)], log=True)}

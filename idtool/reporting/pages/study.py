@@ -11,10 +11,12 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.estimation.evaluation.validation import Evaluation
+from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.charts import chart, line, numbers, over_time, panel, thinned
+from idtool.reporting.pages.charts import chart, line, over_time, panel, thinned
 from idtool.reporting.pages.curves import curves
-from idtool.reporting.pages.figures import by_unit
+from idtool.reporting.results.study import Advantage, Convergence, LearningCurve, StudyReport
+from idtool.reporting.results.study import Learning as LearningReport
 
 _SECTIONS = (
     ("What was found", "study_findings.html"),
@@ -82,7 +84,7 @@ class Learning:
     together: int | None = None
 
 
-def study_page(evaluation: Evaluation, report: dict[str, Any], command: str) -> str:
+def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str:
     """study.html.
 
     Parameters
@@ -94,23 +96,23 @@ def study_page(evaluation: Evaluation, report: dict[str, Any], command: str) -> 
     command
         The command line that made it.
     """
-    units = report["units"]
+    units = report.units
     return render(
-        f"{Path(report['urdf']).stem}: what each constraint set is worth",
+        f"{Path(report.urdf).stem}: what each constraint set is worth",
         _SECTIONS,
         ["torques.js", "lines.js"],
         {**curves(evaluation, "identified", units), "charts": charts(report)},
         report=report,
         groups=by_unit(units),
-        learning=learning(report["learning"]),
-        **_short(report["learning"]),
-        online=_online(report["adaptation"]),
+        learning=learning(report.learning),
+        **_short(report.learning),
+        online=_online(report.adaptation),
         where="Fig. 4 of the paper: on the held-out data, with the tightest set",
         command=command,
     )
 
 
-def learning(found: Mapping[str, Any]) -> Learning:
+def learning(found: LearningReport) -> Learning:
     """What Fig. 5 says in words.
 
     Parameters
@@ -118,9 +120,9 @@ def learning(found: Mapping[str, Any]) -> Learning:
     found
         ``learning`` of study.json.
     """
-    counts, names = found["counts"], list(found["curves"])
-    medians = _table(found["curves"], "median")
-    advantage, error = (_table(found["advantage"], kind) for kind in ("advantage", "advantage_error"))
+    counts, names = found.counts, list(found.curves)
+    medians = _table(found.curves, "median")
+    advantage, error = (_table(found.advantage, kind) for kind in ("advantage", "advantage_error"))
     # A single draw, of all the data, has a median only. NaN is apart.
     single, near = np.isnan(advantage).any(axis=0), np.ptp(medians, axis=0) <= _ALIKE * medians.min(axis=0)
     apart = np.flatnonzero(~np.where(single, near, np.ptp(advantage, axis=0) <= np.log1p(_ALIKE)))
@@ -147,9 +149,9 @@ def _compared(name: str, counts: Sequence[int], advantage: Array, error: Array) 
     return Comparison(name, *_share(mean, sure), clear, (counts[at], *_share(advantage[at], error[at])))
 
 
-def _table(found: Mapping[str, Any], kind: str) -> Array:
+def _table(found: Mapping[str, LearningCurve | Advantage], kind: str) -> Array:
     """The values of a kind, shape (sets, counts)."""
-    return np.array([numbers(values[kind]) for values in found.values()])
+    return np.array([getattr(values, kind) for values in found.values()])
 
 
 def _share(advantage: float, error: float) -> tuple[float, float]:
@@ -157,16 +159,16 @@ def _share(advantage: float, error: float) -> tuple[float, float]:
     return float(-np.expm1(-advantage)), float(np.exp(-advantage) * error)
 
 
-def _short(found: Mapping[str, Any]) -> dict[str, Any]:
+def _short(found: LearningReport) -> dict[str, Any]:
     """The number of samples nearest to a short log's, and by how much sets violate realizability there."""
-    index = int(np.argmin(np.abs(np.log(np.array(found["counts"]) / _SHORT))))
-    amounts = {name: numbers(values)[index] for name, values in found["violation"].items()}
-    return {"short": found["counts"][index], "breaking": {name: x for name, x in amounts.items() if x > 0}}
+    index = int(np.argmin(np.abs(np.log(np.array(found.counts) / _SHORT))))
+    amounts = {name: float(values[index]) for name, values in found.violation.items()}
+    return {"short": found.counts[index], "breaking": {name: x for name, x in amounts.items() if x > 0}}
 
 
-def _online(found: Mapping[str, Any] | None) -> tuple[list[tuple[str, float]], list[str]]:
+def _online(found: Convergence) -> tuple[list[tuple[str, float]], list[str]]:
     """The sets whose error fell below 10 % with their times, the first first, and the others."""
-    times = found["time_to_10_percent"] if found else {}
+    times = found.time_to_10_percent
     reached: dict[float, list[str]] = {}
     for name, t in times.items():
         if t is not None:
@@ -175,35 +177,33 @@ def _online(found: Mapping[str, Any] | None) -> tuple[list[tuple[str, float]], l
     return ordered, [name for name, t in times.items() if t is None]
 
 
-def charts(report: Mapping[str, Any]) -> dict[str, Any]:
+def charts(report: StudyReport) -> dict[str, Any]:
     """What `lines.js` draws: Fig. 5, the advantages, the violations and, where it was run, Remark 5."""
-    found = report["learning"]
-    first, *others = found["curves"]
+    found = report.learning
+    first, *others = found.curves
     error = [
-        line(name, curve["median"], _color(name, found["curves"]), (curve["lower"], curve["upper"]))
-        for name, curve in found["curves"].items()
+        line(name, curve.median, _color(name, found.curves), (curve.lower, curve.upper))
+        for name, curve in found.curves.items()
     ]
     gains = []
     for name in others:
-        advantage, wide = (numbers(found["advantage"][name][kind]) for kind in ("advantage", "advantage_error"))
+        advantage, wide = found.advantage[name].advantage, found.advantage[name].advantage_error
         y, lower, upper = (-100 * np.expm1(-advantage - k * wide) for k in (0, -_BAND, _BAND))
-        gains.append(line(name, y, _color(name, found["curves"]), (lower, upper)))
-    title = f"RMS torque error [{by_unit(report['units'])[-1][0]}]"
+        gains.append(line(name, y, _color(name, found.curves), (lower, upper)))
+    title = f"RMS torque error [{by_unit(report.units)[-1][0]}]"
     panels = {
         "learning": ("Fig. 5: held-out error", panel(title, error, log=True)),
         "advantage": (f"Held-out error below that with {first}", panel("error less by [%]", gains, level=0)),
-        "violation": ("Worst violation of realizability", panel("violation, relative", _lines(found["violation"]))),
+        "violation": ("Worst violation of realizability", panel("violation, relative", _lines(found.violation))),
     }
     drawn = {
-        name: chart(caption, found["counts"], "samples to fit", [one], log=True)
-        for name, (caption, one) in panels.items()
+        name: chart(caption, found.counts, "samples to fit", [one], log=True) for name, (caption, one) in panels.items()
     }
-    if online := report["adaptation"]:
-        kept = thinned(len(online["t"]), _MOST_TIMES)
-        lines = _lines({name: numbers(values)[kept] for name, values in online["error"].items()})
-        error_over_time = panel("relative error", lines, log=True, level=0.1)
-        t = numbers(online["t"])[kept]
-        drawn["online"] = over_time("Remark 5: error of the parameters, online", t, [error_over_time])
+    online = report.adaptation
+    kept = thinned(len(online.t), _MOST_TIMES)
+    lines = _lines({name: values[kept] for name, values in online.error.items()})
+    error_over_time = panel("relative error", lines, log=True, level=0.1)
+    drawn["online"] = over_time("Remark 5: error of the parameters, online", online.t[kept], [error_over_time])
     return drawn
 
 

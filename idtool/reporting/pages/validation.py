@@ -8,12 +8,13 @@ from typing import Any
 from idtool.common.arrays import Array
 from idtool.estimation.evaluation.replay import Replay
 from idtool.estimation.evaluation.validation import Evaluation
+from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.bodies import bodies_of, body_views
+from idtool.reporting.pages.bodies import model_views
 from idtool.reporting.pages.curves import curves
-from idtool.reporting.pages.figures import by_unit
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
+from idtool.reporting.results.validation import ValidationReport
 from idtool.robot.model import Model
 
 _SECTIONS = (
@@ -28,7 +29,7 @@ _SECTIONS = (
 
 def validation_page(
     evaluation: Evaluation,
-    report: dict[str, Any],
+    report: ValidationReport,
     command: str,
     replay: Replay | None = None,
     bodies: tuple[Model, Mapping[str, Array]] | None = None,
@@ -48,19 +49,24 @@ def validation_page(
     bodies
         The tree of bodies, and coefficients of the same models, shape (p,) each: the robot is drawn.
     """
-    units = report["units"]
+    units = report.units
     robot: dict[str, Any] = {"robot": None}
     if bodies:
-        views = body_views(bodies_of(bodies[0], bodies[1]["model"], bodies[1].get("prior")))["bodies"]
+        views = model_views(bodies[0], bodies[1]["model"], bodies[1].get("prior"))["bodies"]
         robot = robot_view(bodies[0], views, evaluation.traces, "model's")
     return render(
         "Validation of a dynamics model",
-        with_robot(with_simulation(_SECTIONS, report), robot),
+        with_robot(with_simulation(_SECTIONS, report.simulation), robot),
         ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js"],
-        {**curves(evaluation, "model", units, position=False), **simulation_view(replay, report, "model"), **robot},
+        {
+            **curves(evaluation, "model", units, position=False),
+            **simulation_view(replay, report.simulation, "model"),
+            **robot,
+        },
         report=report,
+        simulation=report.simulation,
         groups=by_unit(units),
-        **simulation_text(report),
+        **simulation_text(report.simulation),
         where="On the validation logs",
         command=command,
     )

@@ -95,11 +95,6 @@ def new_table(title: str, names: str | Sequence[str], *groups: str | Sequence[st
     return Table(title, [Column(heading, left=True) for heading in kept], columns)
 
 
-def units_of(report: dict[str, Any]) -> str:
-    """The units of a report's torques."""
-    return " or ".join(dict.fromkeys(report["units"].values()))
-
-
-def figure(x: float | None) -> str:
-    """A figure to four digits; a dash for none."""
-    return "-" if x is None else f"{x:.4g}"
+def units_of(units: Mapping[str, str]) -> str:
+    """The units of the joints' torques, each once."""
+    return " or ".join(dict.fromkeys(units.values()))

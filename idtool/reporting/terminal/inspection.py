@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 
-from idtool.data.inspection import Inspection
-from idtool.reporting.terminal.base import STYLE, Terminal, figure, new_table
+from idtool.reporting.figures import figure
+from idtool.reporting.results.inspection import InspectionReport
+from idtool.reporting.terminal.base import STYLE, Terminal, new_table
 from idtool.reporting.terminal.tables import Words
 
 
-def show_inspection(terminal: Terminal, inspection: Inspection) -> None:
+def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
     """What is in a log, and the findings."""
     terminal.say(
         f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "

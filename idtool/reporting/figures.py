@@ -24,12 +24,17 @@ def number(x: float | None, digits: int = 3) -> str:
     return f"{x:.{max(digits - 1 - size, 0)}f}" if -5 < size < 6 else f"{x:.{digits - 1}e}"
 
 
+def figure(x: float | None) -> str:
+    """A figure to four digits; a dash for none."""
+    return number(x, 4)
+
+
 def with_error(x: float | None, error: float | None) -> tuple[str, str]:
     """A figure and its standard error, to two digits of the error."""
     if x is None:
         return "–", ""
-    if error is None:
-        return number(x, 4), "not determined"
+    if error is None or not math.isfinite(error):
+        return figure(x), "not determined"
     size = math.floor(math.log10(error)) if error else -9
     if not -9 < size < 6:
         return number(x, 4), number(error, 2)

@@ -1,0 +1,66 @@
+"""`adapt`: identification online, row by row."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.model import Model, Source
+from idtool.api.records import Progress, Saved, notes, silent, table
+from idtool.common.outputs import as_json
+from idtool.reporting.adaptation_report import adaptation_report
+from idtool.reporting.figures import figure
+from idtool.reporting.results.adaptation import AdaptationReport
+
+
+class AdaptationResult(AdaptationReport, Saved):
+    """Parameters identified online, over time; its fields are those of adapt.json."""
+
+    _made_by: str
+
+    def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
+        from idtool.reporting.pages import adapt_page
+
+        return {"adapt.json": as_json(self.to_json()), "adapt.html": adapt_page(self, made_by)}
+
+    def __repr__(self) -> str:
+        title = f"AdaptationResult: {self.samples} updates at {self.update_hz:.4g} Hz"
+        rows = [
+            [name, figure(body.mass), "yes" if body.realizable else "no"] for name, body in self.final.bodies.items()
+        ]
+        return "\n".join([title, *table(["body", "mass [kg]", "realizable"], rows), *notes(self.warnings)])
+
+
+def adapt(
+    model: Model | Source, logs: Logs, *, forgetting: float = 20.0, progress: Progress | None = None
+) -> AdaptationResult:
+    """Identify online, one update for each decimated row, within the constraints; `idtool adapt` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    logs
+        The logs: paths, read as the configuration says, or `Log`.
+    forgetting
+        Time constant with which samples lose their weight [s]; infinity: never.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used. Messages name options as the command line does.
+    """
+    from idtool.estimation.command_delay import with_delay
+    from idtool.estimation.identified import choose_sets
+    from idtool.estimation.online.adapt import adapt as identify_online
+
+    tell = progress or silent
+    experiment, delay, _ = with_delay(experiment_of(model, logs, holdout=0.0, progress=tell), tell)
+    sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
+    found = identify_online(experiment, sets, forgetting, progress=tell)
+    warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *remarks]
+    result = AdaptationResult.extending(adaptation_report(found, experiment, warnings))
+    result._made_by = call("adapt", model, logs, **changed(adapt, forgetting=forgetting))
+    return result

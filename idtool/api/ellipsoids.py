@@ -1,0 +1,110 @@
+"""`ellipsoids` and `check`: bounds of a robot's links from their geometry, and whether their inertias can exist."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from idtool.api.model import Model, Source, as_model
+from idtool.api.records import notes, table
+from idtool.common.outputs import as_yaml, check_file, write_all
+from idtool.estimation.problem.check import check as check_links
+from idtool.estimation.problem.check import nearest_bodies, repaired
+from idtool.reporting.check_report import check_report
+from idtool.reporting.figures import figure
+from idtool.reporting.results.base import Ellipsoid
+from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
+from idtool.robot.bounding import bounding_ellipsoids
+
+
+class EllipsoidsResult(EllipsoidsReport):
+    """Bounding ellipsoids of a robot's links."""
+
+    _header: str
+
+    @property
+    def yaml(self) -> str:
+        """The ellipsoids as a part of a configuration."""
+        ellipsoids = self.to_json()["bounding_ellipsoids"]
+        return as_yaml({"bounding_ellipsoids": ellipsoids}, self._header)
+
+    def save(self, file: str | os.PathLike[str]) -> Path:
+        """Write the ellipsoids as YAML; OutputError if the file cannot be written."""
+        path = Path(file)
+        write_all(path.parent, {path.name: self.yaml})
+        return path
+
+    def __repr__(self) -> str:
+        return "\n".join([f"EllipsoidsResult: {', '.join(self.bounding_ellipsoids)}", *notes(self.warnings)])
+
+
+class CheckResult(CheckReport):
+    """Which of a robot's links have an inertia that no body can have."""
+
+    _repaired: bytes
+
+    @property
+    def ok(self) -> bool:
+        """Whether all links can exist."""
+        return not any(link.violations for link in self.links.values())
+
+    def save(self, file: str | os.PathLike[str]) -> Path:
+        """Write the nearest URDF whose bodies can exist; OutputError if the file cannot be written."""
+        path = Path(file)
+        check_file(path, [])
+        write_all(path.parent, {path.name: self._repaired})
+        return path
+
+    def __repr__(self) -> str:
+        rows = [[name, figure(link.mass), "; ".join(link.violations) or "ok"] for name, link in self.links.items()]
+        return "\n".join([f"CheckResult {self.urdf}", *table(["link", "mass [kg]", "inertia"], rows)])
+
+
+def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResult:
+    """Bounding ellipsoids of the links' meshes and primitives; `idtool ellipsoids` as a function.
+
+    Parameters
+    ----------
+    urdf
+        The URDF, or a model.
+    margin
+        Share by which the semi-axes grow.
+
+    Raises
+    ------
+    IdtoolError
+        If the URDF cannot be read.
+    """
+    robot = as_model(urdf).robot if isinstance(urdf, Model) else Model.bare(urdf).robot
+    found, reasons = bounding_ellipsoids(robot, margin)
+    result = EllipsoidsResult(
+        bounding_ellipsoids={link: [Ellipsoid(**ellipsoid.to_dict())] for link, ellipsoid in found.items()},
+        warnings=[f"link {link}: no ellipsoid; {why}" for link, why in reasons.items()],
+    )
+    result._header = (
+        f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes {margin:.0%} longer; m, rad."
+    )
+    return result
+
+
+def check(model: Model | Source, *, repair: bool = False) -> CheckResult:
+    """Find the links whose inertia no body can have; `idtool ellipsoids --check` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF; bounds in its configuration are heeded.
+    repair
+        Whether to find the nearest inertias that some body can have.
+
+    Raises
+    ------
+    IdtoolError
+        If the URDF or the configuration cannot be used.
+    """
+    model = as_model(model)
+    links = check_links(model.robot, model.settings)
+    nearest = nearest_bodies(links) if repair else {}
+    result = CheckResult.extending(check_report(model.robot, links, nearest))
+    result._repaired = repaired(model.robot, nearest)
+    return result

@@ -1,0 +1,239 @@
+"""`excite`: a trajectory that makes the parameters visible."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import cast
+
+from idtool.api.data import listed
+from idtool.api.log import Log
+from idtool.api.model import Model, Source, as_model
+from idtool.api.records import Progress, notes, silent, table
+from idtool.common.exceptions import ConfigError
+from idtool.common.interrupt import held_back
+from idtool.common.names import nearest
+from idtool.common.outputs import check_log, write_all
+from idtool.data.logs import write_log
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
+from idtool.estimation.dataset.knowledge import knowledge
+from idtool.estimation.dataset.weights import free_noise
+from idtool.excitation.criteria import Criterion
+from idtool.excitation.design import Design, Logged, Wishes, design
+from idtool.excitation.task import Task, make_task
+from idtool.reporting.excitation_report import excitation_report
+from idtool.reporting.figures import figure
+from idtool.reporting.results.excitation import ExcitationReport
+from idtool.robot.model import build_model
+
+CRITERIA = ("d", "a", "e", "condition")
+ALL = ""  # in place of a joint: all joints
+
+
+class ExcitationResult(ExcitationReport):
+    """A designed trajectory, and the standard errors to expect of it."""
+
+    _design: Design
+
+    @property
+    def log(self) -> Log:
+        """The trajectory as a log of commands; q and v are those that a perfect controller would give."""
+        return Log.from_record(self._design.log(Path("excitation.mcap")))
+
+    def save(self, file: str | os.PathLike[str], made_by: str = "idtool.excite(…)") -> tuple[Path, Path]:
+        """Write the trajectory as a log, and a page beside it.
+
+        Parameters
+        ----------
+        file
+            The log, MCAP or CSV by its ending.
+        made_by
+            What the page says it was made by.
+
+        Returns
+        -------
+        The log and the page.
+
+        Raises
+        ------
+        OutputError
+            If they cannot be written.
+        """
+        from idtool.reporting.pages.excite import excite_page
+
+        path = Path(file)
+        check_log(path, [])
+        report = self.model_copy(update={"file": str(path)})
+        page = excite_page(report, made_by)
+        with held_back():
+            write_all(path.parent, {f"{path.stem}.html": page})
+            write_log(path, self._design.log(path))
+        return path, path.with_suffix(".html")
+
+    def __repr__(self) -> str:
+        title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
+        rows = [[p.name, figure(p.prior), figure(p.standard_error), p.unit] for p in self.base_parameters]
+        head = ["base parameter", "prior", "± se", "unit"]
+        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+
+
+def excite(
+    model: Model | Source,
+    *,
+    logs: Source | Sequence[Source] = (),
+    pattern: str = "fourier",
+    criterion: str = "d",
+    favour: Sequence[str] = (),
+    duration: float = 20.0,
+    slow: float = 0.2,
+    rate: float = 1000.0,
+    max_frequency: float | None = None,
+    noise: float | Mapping[str, float] | None = None,
+    margin: float = 0.1,
+    clearance: float = 0.01,
+    start: Mapping[str, float] | None = None,
+    tip: str | None = None,
+    iterations: int = 200,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> ExcitationResult:
+    """Design a trajectory that makes the parameters visible; `idtool excite` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    logs
+        Logs that there are already: the trajectory is what to do next.
+    pattern
+        ``fourier``, ``bspline``, or ``shell``, the paper's motion.
+    criterion
+        ``d``: all parameters; ``a``: the mean error; ``e``: the worst combination; or ``condition``.
+    favour
+        What the criterion is for: bodies, joints' friction, or parameters (``hip.coulomb``).
+    duration
+        Of the trajectory [s].
+    slow
+        Share of it for slow sweeps and standstill, for friction.
+    rate
+        Samples per second [Hz].
+    max_frequency
+        Highest frequency [Hz]; None: by the limits.
+    noise
+        RMS torque noise in the filter's band [N·m or N], of all joints or by joint; None: from the logs, or 1 % of the
+        largest torque.
+    margin
+        Share of each limit left unused; of the effort, twice that.
+    clearance
+        Least distance between links [m].
+    start
+        Pose at start and end, by joint [rad or m].
+    tip
+        Link that follows the shell; None: every limb's last.
+    iterations
+        Of the search.
+    seed
+        Of what is drawn; None: the configuration's.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If the model, the configuration or a log cannot be used. Messages name options as the command line does.
+    """
+    tell = progress or silent
+    _check(criterion, duration, rate, margin, clearance, max_frequency)
+    model = as_model(model)
+    wishes = Wishes(
+        pattern=pattern,
+        seconds=duration,
+        slow=slow,
+        highest=max_frequency,
+        iterations=iterations,
+        seed=model.settings.seed if seed is None else seed,
+        start=dict(start or {}),
+        tip=tip,
+    )
+    given = [Path(str(path)) for path in listed(logs)]
+    experiment = _experiment(model, given, tell)
+    task, logged = _task(model, experiment, noise, rate, margin, clearance, criterion, favour, tell)
+    found = design(task, experiment.config if experiment else model.settings, wishes, logged, tell)
+    sources = experiment.sources if experiment else sources_of(model.robot, model.settings)
+    warnings = experiment.warnings if experiment else ()
+    names = [str(path) for path in given]
+    report = excitation_report(found, sources, str(model.robot.path), names, wishes.seed, warnings)
+    result = ExcitationResult.extending(report)
+    result._design = found
+    return result
+
+
+def _check(
+    criterion: str, duration: float, rate: float, margin: float, clearance: float, max_frequency: float | None
+) -> None:
+    """Before anything is read: whether the options can be meant."""
+    if criterion not in CRITERIA:
+        raise ConfigError("--criterion", f"{criterion} is none; {nearest(criterion, CRITERIA)}")
+    for option, value, least, most in (
+        ("--duration", duration, 3.0, 3600.0),
+        ("--rate", rate, 20.0, 20_000.0),
+        ("--margin", margin, 0.0, 0.45),
+        ("--clearance", clearance, 0.0, 1.0),
+        ("--max-frequency", 1.0 if max_frequency is None else max_frequency, 0.01, 1000.0),
+    ):
+        if not least <= value <= most:
+            raise ConfigError(option, f"{value:g} is not from {least:g} to {most:g}")
+
+
+def _experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:
+    """The logs that there are already; None without any."""
+    if not logs:
+        return None
+    experiment, _, _ = with_delay(prepare(model.robot, model.settings, logs, holdout=0.0), progress)
+    return experiment
+
+
+def _task(
+    model: Model,
+    experiment: Experiment | None,
+    noise: float | Mapping[str, float] | None,
+    rate: float,
+    margin: float,
+    clearance: float,
+    criterion: str,
+    favour: Sequence[str],
+    progress: Progress,
+) -> tuple[Task, Logged | None]:
+    """The robot and what is to be determined, and what logs determine already: of the joints logged, where some are."""
+    measured: dict[str, float] = {}
+    logged = None
+    if experiment is not None:
+        tree, equation, known, settings = experiment.model, experiment.equation, experiment.known, experiment.config
+        reduction = experiment.reduce(progress)
+        logged = Logged(reduction, free_noise(equation, reduction, known))
+        measured = dict(zip(tree.names, logged.noise.tolist(), strict=True))
+    else:
+        robot, settings = model.robot, model.settings
+        moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and not joint.mimic]
+        tree = build_model(robot, settings, moving)
+        equation = LinearModel(tree.names, build_effects(tree, settings))
+        known = knowledge(settings, tree, equation)
+    given = dict(noise) if isinstance(noise, Mapping) else {} if noise is None else {ALL: noise}
+    of_all = dict.fromkeys(tree.names, given.pop(ALL)) if ALL in given else {}
+    task = make_task(
+        tree,
+        equation,
+        known,
+        settings,
+        noise={**measured, **of_all, **given},
+        rate=rate,
+        margin=margin,
+        clearance=clearance,
+        criterion=cast(Criterion, criterion),
+        favour=favour,
+    )
+    return task, logged

@@ -1,0 +1,99 @@
+"""`export`: the identified model for a simulator."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Literal
+
+from idtool.api.records import notes
+from idtool.common.exceptions import ConfigError
+from idtool.common.outputs import check_file, write_all
+from idtool.reporting.export import read_identified, to_drake, to_mujoco
+from idtool.reporting.export.identified import CONFIG, URDF
+from idtool.reporting.results.export import ExportedPart, ExportReport
+
+Simulator = Literal["mujoco", "drake"]
+
+
+class ExportResult(ExportReport):
+    """The identified model as a simulator's file, and what of it the file cannot carry."""
+
+    _text: bytes
+    _folder: Path
+    _name: str
+
+    @property
+    def text(self) -> str:
+        """The file's content."""
+        return self._text.decode()
+
+    @property
+    def default_file(self) -> Path:
+        """Where the file is written unless another place is given."""
+        return self._folder / self._name
+
+    def save(self, file: str | os.PathLike[str] | None = None) -> Path:
+        """Write the file.
+
+        Parameters
+        ----------
+        file
+            Where to; None: beside the identified model.
+
+        Returns
+        -------
+        The file.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written, or would take the place of the identified model.
+        """
+        path = self.default_file if file is None else Path(file)
+        check_file(path, [self._folder / URDF, self._folder / CONFIG])
+        write_all(path.parent, {path.name: self._text})
+        return path
+
+    def __repr__(self) -> str:
+        kinds = dict.fromkeys(part.what for part in self.carried)
+        missing = dict.fromkeys(f"{part.what} of {part.of}" for part in self.not_carried)
+        lines = [f"ExportResult {self._name}: carries {', '.join(kinds)}"]
+        lines += [f"  not carried: {name}" for name in missing]
+        return "\n".join([*lines, *notes(self.warnings)])
+
+
+def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool = False) -> ExportResult:
+    """Turn the identified model into a file for a simulator; `idtool export` as a function.
+
+    Parameters
+    ----------
+    folder
+        The folder that a fit was saved to.
+    to
+        The simulator.
+    rotor_bodies
+        For MuJoCo: a rotor that joint inertias cannot carry in full becomes a body that a constraint holds.
+
+    Raises
+    ------
+    IdtoolError
+        If the folder holds no identified model, or the simulator would refuse it.
+    """
+    if rotor_bodies and to != "mujoco":
+        raise ConfigError("--rotor-bodies", f"is for mujoco; leave it out for {to}")
+    place = Path(folder)
+    place = place.parent if place.is_file() else place
+    identified = read_identified(place)
+    made = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
+    warnings = list(identified.model.warnings)
+    if to == "mujoco" and any(part.what == "rotor" for part in made.not_carried):
+        warnings.append("--rotor-bodies carries the rotors in full, each as a body with a coordinate of its own")
+    result = ExportResult(
+        file=None,
+        carried=[ExportedPart(**vars(part)) for part in made.carried],
+        not_carried=[ExportedPart(**vars(part)) for part in made.not_carried],
+        warnings=warnings,
+    )
+    result._text, result._folder, result._name = made.text, place, made.name
+    return result

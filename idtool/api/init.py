@@ -1,0 +1,141 @@
+"""`init`: a first configuration."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from idtool.api.model import Source
+from idtool.api.records import Progress, notes, silent
+from idtool.common.names import stem
+from idtool.common.outputs import OutputError, write_all
+from idtool.common.safe_yaml import read_yaml
+from idtool.data.description import robot_and_logs
+from idtool.reporting.results.setup import InitReport, StartErrors, TodoItem, TrialReport
+from idtool.setup import Start, start
+
+
+class InitResult(InitReport):
+    """A first configuration; its fields are those that `idtool init --json` prints."""
+
+    _text: str
+
+    @property
+    def text(self) -> str:
+        """The configuration as commented YAML."""
+        return self._text
+
+    def save(self, *, force: bool = False) -> Path:
+        """Write the configuration to ``file``.
+
+        Parameters
+        ----------
+        force
+            Whether to overwrite a file that is there.
+
+        Returns
+        -------
+        The file.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        file = Path(self.file)
+        check_configuration(file, [], force)
+        write_all(file.parent, {file.name: self._text})
+        return file
+
+    def __repr__(self) -> str:
+        todo = [f"  to fill in: {item.key}: {item.what}" for item in self.left]
+        found = [f"  {line}" for line in self.found]
+        return "\n".join([f"InitResult {self.file}", *found, *todo, *notes(self.warnings)])
+
+
+def init(
+    urdf: Source,
+    logs: Source | Sequence[Source] = (),
+    *,
+    config: Source | None = None,
+    file: Source | None = None,
+    progress: Progress | None = None,
+) -> InitResult:
+    """Draft a configuration with all that URDF and logs tell; `idtool init` as a function, which writes nothing yet.
+
+    Parameters
+    ----------
+    urdf
+        The URDF, or a bag of ROS that holds it as ``/robot_description``.
+    logs
+        The logs.
+    config
+        A configuration with what is known already, such as controller gains: its keys are kept as they are.
+    file
+        Where it is to be written; None: ``<urdf stem>.yaml`` beside the URDF, where the other functions look for it.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If a log or the configuration cannot be used, or no joint can be identified.
+    """
+    given = [Path(path) for path in ([logs] if isinstance(logs, str | os.PathLike) else logs)]
+    known = None if config is None else Path(config)
+    beside = default_configuration(Path(urdf))
+    place = beside if file is None else Path(file)
+    robot, every = robot_and_logs(Path(urdf), given)
+    found = start(robot, every, (read_yaml(known) if known else None) or {}, known, progress or silent)
+    result = InitResult(
+        file=str(place),
+        urdf=str(urdf),
+        logs=[str(path) for path in given],
+        band_hz=found.band_hz,
+        config=dict(found.data),
+        rms=None if found.rms is None else StartErrors(**found.rms),
+        trials=[TrialReport(**asdict(trial)) for trial in found.trials],
+        found=found.found,
+        left=[TodoItem(**asdict(item)) for item in found.left],
+        needed=[item.key for item in found.needed],
+        warnings=found.warnings,
+        next=_next(found, place, [Path(urdf), *given], place.resolve() == beside.resolve()),
+    )
+    result._text = found.text
+    return result
+
+
+def default_configuration(urdf: Path) -> Path:
+    """The file beside a URDF that its configuration is read from."""
+    return urdf.with_name(f"{stem(urdf)}.yaml")
+
+
+def check_configuration(file: Path, inputs: Sequence[Path], force: bool) -> None:
+    """Before anything is read: whether the file may and can be written.
+
+    Raises
+    ------
+    OutputError
+        If not.
+    """
+    if any(file.resolve() == path.resolve() for path in inputs):
+        raise OutputError(file, "is a file that is read; give another --out")
+    if file.is_dir():
+        raise OutputError(file, "is a folder; give a file as --out")
+    if file.exists() and not force:
+        raise OutputError(file, "is there already; give --force to overwrite it, or another --out")
+    folder = next(folder for folder in file.absolute().parents if folder.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(folder, "cannot be written to; give another --out")
+
+
+def _next(found: Start, file: Path, given: Sequence[Path], beside: bool) -> str:
+    """The next command: the fit, or the same again with what it cannot do without filled in."""
+    arguments = list(map(str, given))
+    if found.needed:
+        out = [] if beside else ["--out", str(file)]
+        return shlex.join(["idtool", "init", *arguments, "--config", str(file), *out, "--force"])
+    return shlex.join(["idtool", "fit", *arguments, *([] if beside else ["--config", str(file)])])

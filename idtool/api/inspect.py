@@ -1,0 +1,36 @@
+"""`inspect`: what is in a log, and what is wrong with it."""
+
+from __future__ import annotations
+
+from idtool.api.data import LogSource
+from idtool.api.log import Log
+from idtool.api.records import notes
+from idtool.data.inspection import inspect_log
+from idtool.reporting.results.inspection import InspectionReport
+
+
+class InspectionResult(InspectionReport):
+    """What is in a log, and what is wrong with it."""
+
+    def __repr__(self) -> str:
+        joints = ", ".join(self.joints)
+        title = f"InspectionResult {self.path}: {self.samples} samples at {self.rate_hz:.4g} Hz, {joints}"
+        findings = [f"  {f.severity}: {f.joint + ': ' if f.joint else ''}{f.what}" for f in self.findings]
+        return "\n".join([title, *findings, *notes(self.warnings)])
+
+
+def inspect(log: LogSource) -> InspectionResult:
+    """Tell what is in a log and what is wrong with it; `idtool inspect` as a function.
+
+    Parameters
+    ----------
+    log
+        A path, or a `Log`.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read.
+    """
+    record = (log if isinstance(log, Log) else Log(log)).record
+    return InspectionResult(**inspect_log(record).to_dict())

@@ -1,0 +1,28 @@
+"""`regression`: every case of a manifest, fitted and held to its recorded bounds."""
+
+from __future__ import annotations
+
+from idtool.api.records import Progress, silent
+from idtool.estimation.regression import find_manifest, read_manifest, run_case
+from idtool.reporting.results.validation import RegressionCase, RegressionReport
+
+
+def regression(progress: Progress | None = None) -> RegressionReport:
+    """Run the regression; `idtool validate` without arguments.
+
+    Parameters
+    ----------
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If there is no manifest, or a file in it cannot be used.
+    """
+    manifest = find_manifest()
+    cases = []
+    for case in read_manifest(manifest):
+        for outcome in run_case(case, manifest.parent, progress or silent):
+            cases.append(RegressionCase(**vars(outcome), ok=outcome.ok))
+    return RegressionReport(cases=cases)

@@ -1,0 +1,82 @@
+"""`study`: what each constraint set, prior and estimator is worth on the same data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.model import Model, Source
+from idtool.api.records import Progress, Saved, notes, silent, table
+from idtool.common.exceptions import ConfigError
+from idtool.common.outputs import as_json
+from idtool.estimation.evaluation.validation import Evaluation
+from idtool.reporting.figures import figure
+from idtool.reporting.results.study import StudyReport
+from idtool.reporting.study_report import study_report
+
+_FEWEST_DRAWS = 5
+
+
+class StudyResult(StudyReport, Saved):
+    """All constraint sets, priors and estimators side by side; its fields are those of study.json."""
+
+    _validation: Evaluation
+    _made_by: str
+
+    def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
+        from idtool.reporting.pages import study_page
+
+        return {"study.json": as_json(self.to_json()), "study.html": study_page(self._validation, self, made_by)}
+
+    def __repr__(self) -> str:
+        units = " or ".join(dict.fromkeys(self.units.values()))
+        title = f"StudyResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
+        rows = []
+        for name, found in self.sets.items():
+            errors = (found.rms.train["overall"], found.rms.validation["overall"])
+            rows.append([name, *map(figure, errors), str(found.violations)])
+        head = ["constraints", "train", "held out", "unrealizable"]
+        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+
+
+def study(
+    model: Model | Source,
+    logs: Logs,
+    *,
+    validate: Logs = (),
+    holdout: float = 0.3,
+    draws: int = 40,
+    progress: Progress | None = None,
+) -> StudyResult:
+    """Compare all constraint sets, priors and estimators, and error against sample count; `idtool study` as a function.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    logs
+        Logs to fit to: paths, read as the configuration says, or `Log`.
+    validate
+        Whole logs for validation; where given, nothing is held out of the others.
+    holdout
+        Share at the end of every log that is kept for validation, from 0 to below 1.
+    draws
+        Random draws of samples for each count, at least 5.
+    progress
+        Told the stage and the share of it that is done; None: silence.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used. Messages name options as the command line does.
+    """
+    from idtool.estimation.study.study import study as compare
+
+    if draws < _FEWEST_DRAWS:
+        raise ConfigError("--draws", f"{draws} is too few; give {_FEWEST_DRAWS} or more")
+    tell = progress or silent
+    found = compare(experiment_of(model, logs, validate, holdout, tell), tell, draws)
+    result = StudyResult.extending(study_report(found))
+    result._validation = found.validation
+    result._made_by = call("study", model, logs, validate=validate, **changed(study, holdout=holdout, draws=draws))
+    return result

@@ -1,0 +1,43 @@
+"""The record of a check of a URDF's inertials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.estimation.problem.check import LinkCheck
+from idtool.reporting.results.ellipsoids import CheckedLink, CheckReport, RepairedLink
+from idtool.robot.inertia import mass_com_inertia, six
+from idtool.robot.urdf.reading import Robot
+
+
+def check_report(robot: Robot, checks: Sequence[LinkCheck], nearest: Mapping[str, Array]) -> CheckReport:
+    """What `idtool ellipsoids --check` prints as JSON.
+
+    Parameters
+    ----------
+    robot
+        From the URDF.
+    checks
+        Its links.
+    nearest
+        Inertials that some body can have, for those that none can, shape (10,) each.
+    """
+    links = {}
+    for link in checks:
+        name, pi = link.body.name, link.body.pi
+        links[name] = CheckedLink(
+            mass=float(pi[0]),
+            violations=link.violations,
+            nearest=_repaired(pi, nearest[name]) if name in nearest else None,
+        )
+    return CheckReport(links=links, urdf=str(robot.path))
+
+
+def _repaired(pi: Array, nearest: Array) -> RepairedLink:
+    mass, com, inertia = mass_com_inertia(nearest)
+    before = mass_com_inertia(pi)[2]
+    moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
+    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=six(inertia).tolist(), moved=moved)

@@ -1,0 +1,203 @@
+"""The record of a designed trajectory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.common.names import some
+from idtool.common.provenance import Source
+from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.excitation.design import Design
+from idtool.excitation.limits import QUANTITIES
+from idtool.excitation.task import Task
+from idtool.reporting.results.base import reproducible
+from idtool.reporting.results.excitation import (
+    Clearance,
+    Criteria,
+    ExcitationCurves,
+    ExcitationReport,
+    ExpectedBody,
+    ExpectedParameter,
+    ExpectedTerm,
+    JointCurves,
+    JointLimitsReport,
+    LimitUtilization,
+    MotionPart,
+)
+from idtool.reporting.trust_report import combination_name, quantity, terms_report
+from idtool.robot.inertia import SIZE
+
+_CURVE = 500  # instants of each curve
+_TINY = 1e-3  # of a base parameter's size: a prior that small is none to compare with
+_ROUNDING = 1e-9  # of its size
+_LARGE = 1.0  # relative standard error from which a parameter is as good as unknown
+
+
+def excitation_report(
+    design: Design, sources: Sequence[Source], urdf: str, logs: Sequence[str], seed: int, warnings: Sequence[str]
+) -> ExcitationReport:
+    """What `idtool excite` prints as JSON.
+
+    Parameters
+    ----------
+    design
+        The trajectory.
+    sources
+        What was read.
+    urdf, logs
+        The URDF, and the logs that there were already.
+    seed
+        Of what was drawn.
+    warnings
+        What a user should know of the logs, a sentence each.
+    """
+    task, trajectory = design.task, design.trajectory
+    starts = trajectory.starts.tolist()
+    parts = zip(trajectory.parts, starts[:-1], starts[1:], strict=True)
+    return ExcitationReport(
+        **reproducible(sources),
+        file=None,
+        urdf=urdf,
+        logs=logs,
+        seed=seed,
+        samples=math.floor(trajectory.seconds * task.rate + 1e-9) + 1,
+        joints=task.model.names,
+        units=task.model.units,
+        duration=trajectory.seconds,
+        rate_hz=task.rate,
+        highest_hz=design.highest,
+        parts=[MotionPart(pattern=part.pattern.name, start=start, end=end) for part, start, end in parts],
+        home=_by_joint(task, trajectory.parts[0].pattern.home),
+        noise=_by_joint(task, task.noise),
+        criterion=task.aim.criterion,
+        criteria={
+            name: Criteria(**{kind: _finite(value) for kind, value in values.items()})
+            for name, values in design.criteria.items()
+        },
+        base_parameters=_base_parameters(design),
+        bodies=_bodies(design),
+        terms=_terms(design),
+        limits={joint: _limits(task, j) for j, joint in enumerate(task.model.names)},
+        use={
+            joint: LimitUtilization(**dict(zip(QUANTITIES, design.use[:, j].tolist(), strict=True)))
+            for j, joint in enumerate(task.model.names)
+        },
+        clearance=_clearance(design),
+        evaluations=design.evaluations,
+        interrupted=design.interrupted,
+        curves=_curves(design),
+        warnings=list(dict.fromkeys([*warnings, *_warnings(design)])),
+    )
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None
+
+
+def _by_joint(task: Task, values: Array) -> dict[str, float]:
+    return dict(zip(task.model.names, values.tolist(), strict=True))
+
+
+def _base_parameters(design: Design) -> list[ExpectedParameter]:
+    task, base = design.task, design.task.base
+    coefficients = task.equation.coefficients
+    prior = base.B @ task.theta
+    chosen = len(task.aim.favoured) < len(base)
+    found = []
+    for i, own in enumerate(base.own):
+        error = float(design.errors.base[i])
+        before = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
+        comparable = abs(prior[i]) > _TINY * task.size[i]
+        value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.size[i] else 0.0
+        found.append(
+            ExpectedParameter(
+                name=combination_name(base, i, coefficients),
+                terms=terms_report(base, i, coefficients),
+                unit=coefficients[own].unit,
+                prior=value,
+                standard_error=_finite(error),
+                relative=_finite(error / abs(prior[i])) if comparable else None,
+                logged_standard_error=_finite(before),
+                favoured=bool(chosen and i in task.aim.favoured),
+            )
+        )
+    return found
+
+
+def _bodies(design: Design) -> dict[str, ExpectedBody]:
+    """Standard errors of bodies' parameters, None for what no motion determines by itself."""
+    errors = design.errors.coefficients
+    bodies = {}
+    for i, body in enumerate(design.task.model.bodies):
+        own = errors[SIZE * i : SIZE * (i + 1)]
+        bodies[body.name] = ExpectedBody(standard_error=[_finite(error) for error in own])
+    return bodies
+
+
+def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
+    """Standard errors of friction and other terms, by joint and name."""
+    inertial = SIZE * len(design.task.model.bodies)
+    coefficients = design.task.equation.coefficients[inertial:]
+    terms: dict[str, dict[str, ExpectedTerm]] = {}
+    for c, error in zip(coefficients, design.errors.coefficients[inertial:], strict=True):
+        term = ExpectedTerm(prior=c.prior, standard_error=_finite(error), unit=c.unit)
+        terms.setdefault(c.owner, {})[c.name] = term
+    return terms
+
+
+def _limits(task: Task, j: int) -> JointLimitsReport:
+    full = task.full
+    return JointLimitsReport(
+        position=[float(full.lower[j]), float(full.upper[j])],
+        velocity=float(full.velocity[j]),
+        acceleration=float(full.acceleration[j]),
+        effort=_finite(full.effort[j]),
+    )
+
+
+def _clearance(design: Design) -> Clearance | None:
+    if design.nearest is None:
+        return None
+    links, distance, at = design.nearest
+    return Clearance(links=links, distance=_finite(distance), t=at, wanted=design.task.clearance)
+
+
+def _curves(design: Design) -> ExcitationCurves:
+    """The motion and its predicted torque at a few instants."""
+    task, trajectory = design.task, design.trajectory
+    t = np.linspace(0, trajectory.seconds, _CURVE)
+    samples = trajectory.at(t)
+    q, v, a = samples
+    tau = task.torque(samples, t)
+    joints = {}
+    for j, joint in enumerate(task.model.names):
+        joints[joint] = JointCurves(q=q[j].tolist(), v=v[j].tolist(), a=a[j].tolist(), tau=tau[j].tolist())
+    return ExcitationCurves(t=t.tolist(), joints=joints)
+
+
+def _warnings(design: Design) -> list[str]:
+    """What a user should know, a plain sentence each."""
+    task = design.task
+    said = [*task.model.warnings, *task.full.notes]
+    if task.noise_assumed:
+        said.append(f"torque noise is not known; 1 % of the largest torque is taken: {some(task.noise_assumed)}")
+    if task.collision is None or not task.collision.pairs:
+        said.append("no geometry of links that could collide was found: self-collision was not checked")
+    said += task.collision.warnings if task.collision else ()
+    untold = untold_names(design, task.base)
+    if untold:
+        said.append(f"as good as untold by this trajectory: {some(untold)}; make it longer, or choose another pattern")
+    if design.interrupted:
+        said.append("the search was interrupted: this is the best trajectory so far")
+    return said
+
+
+def untold_names(design: Design, base: BaseParameters) -> list[str]:
+    """The base parameters whose standard error is larger than their size, by their own coefficients' names."""
+    coefficients = design.task.equation.coefficients
+    large = design.errors.base > _LARGE * design.task.size
+    return [quantity(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]

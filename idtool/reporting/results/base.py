@@ -1,0 +1,168 @@
+"""What the records of all commands share: immutable, complete, and dumped as JSON in the order of their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Self, TypeVar, cast, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema
+from pydantic_core import core_schema
+
+from idtool.common.arrays import Array
+from idtool.common.provenance import Source as ProvenanceSource
+from idtool.common.provenance import provenance
+from idtool.common.version import VERSION
+
+T_co = TypeVar("T_co", covariant=True)
+
+SCHEMA = 1  # version of the JSON files' form
+
+
+class ReadOnly(Mapping[str, T_co]):
+    """A dictionary that cannot be changed and, unlike `types.MappingProxyType`, can be copied and pickled."""
+
+    __slots__ = ("_data",)
+
+    def __init__(self, data: Mapping[str, T_co]) -> None:
+        self._data = dict(data)
+
+    def __getitem__(self, key: str) -> T_co:
+        return self._data[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __repr__(self) -> str:
+        return repr(self._data)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._data)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        """The schema of a dictionary of its values' type."""
+        arguments = get_args(source)
+        values = handler(arguments[0]) if arguments else core_schema.any_schema()
+        dictionary = core_schema.dict_schema(core_schema.str_schema(), values)
+        return core_schema.no_info_after_validator_function(
+            cls,
+            core_schema.no_info_before_validator_function(dict, dictionary),
+            serialization=core_schema.wrap_serializer_function_ser_schema(
+                lambda value, serialize: serialize(dict(value)), schema=dictionary
+            ),
+        )
+
+
+def _vector(values: Sequence[float | None]) -> Array:
+    """Numbers as an array that cannot be written to, NaN for None."""
+    array = np.array([np.nan if value is None else value for value in values], dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _numbers(array: Array) -> list[float | None]:
+    """The numbers of an array, None for those that are not finite."""
+    return [value if np.isfinite(value) else None for value in array.tolist()]
+
+
+def _vector_schema(_source: Any, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    numbers = core_schema.list_schema(core_schema.nullable_schema(core_schema.float_schema()))
+    serialization = core_schema.plain_serializer_function_ser_schema(_numbers, return_schema=numbers)
+    return core_schema.no_info_after_validator_function(_vector, numbers, serialization=serialization)
+
+
+#: An array of numbers, shape (n,), that cannot be written to; NaN where the JSON has null.
+Vector = Annotated[Array, GetPydanticSchema(_vector_schema)]
+
+
+@dataclass(frozen=True)
+class Keys:
+    """What the keys of a dictionary are, for the reference."""
+
+    name: str
+
+
+ByJoint = Annotated[ReadOnly[float], Keys("joint")]
+ByJointOrNone = Annotated[ReadOnly[float | None], Keys("joint")]
+Units = Annotated[ReadOnly[str], Keys("joint")]
+Interval = tuple[float, float]
+Sentences = tuple[str, ...]
+
+
+def field(description: str) -> Any:
+    """A field that must be given, and what the reference says of it."""
+    return Field(description=description)
+
+
+class Record(BaseModel):
+    """A part of a result, which cannot be changed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
+
+
+class Result(Record):
+    """The whole of what one command found, the content of its JSON file."""
+
+    idtool: str = Field(VERSION, description="Version of idtool.")
+    schema_version: int = Field(SCHEMA, alias="schema", description="Version of this schema.")
+
+    __eq__ = object.__eq__  # arrays in it have no truth value
+    __hash__ = object.__hash__
+
+    @classmethod
+    def extending(cls, result: Result) -> Self:
+        """A result of this class with the fields of another, which are valid already."""
+        fields = {name: getattr(result, name) for name in type(result).model_fields}
+        return cast(Self, cls.model_construct(**fields))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of the JSON file, as plain data; a copy."""
+        return self.model_dump(mode="json")
+
+
+class Source(Record):
+    """A file that was read."""
+
+    kind: str = field("`URDF`, `configuration` or `log`; of `--prior`, `prior's URDF` and `prior's configuration`.")
+    path: str = field("The file as it was named; of a rosbag2 folder, each of its files.")
+    sha256: str | None = field("SHA-256 of its bytes; null for a log that was made of arrays.")
+
+
+class ReproducibleResult(Result):
+    """A result that names what it was computed from, and with which versions."""
+
+    versions: Annotated[ReadOnly[str], Keys("library")] = field("Versions of Python and of the libraries that matter.")
+    inputs: tuple[Source, ...] = field("All files that were read.")
+
+
+def reproducible(sources: Sequence[ProvenanceSource]) -> dict[str, Any]:
+    """``versions`` and ``inputs`` of a `ReproducibleResult`."""
+    return provenance(sources)
+
+
+class Samples(Record):
+    """How many samples of the logs were used."""
+
+    train: int = field("Samples that were fitted.")
+    validation: int = field("Samples that were held out.")
+
+
+class Ellipsoid(Record):
+    """A solid ellipsoid in the link's frame."""
+
+    center: tuple[float, float, float] = field("Centre [m].")
+    semi_axes: tuple[float, float, float] = field("Semi-axes [m].")
+    rpy: tuple[float, float, float] = field("Roll, pitch and yaw of its axes [rad].")
+
+
+class Term(Record):
+    """A coefficient's part in a combination."""
+
+    of: str = field("Body or joint that the coefficient belongs to.")
+    what: str = field("The coefficient's name.")
+    share: float = field("Factor by which the coefficient enters the combination.")

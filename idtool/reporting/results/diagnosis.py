@@ -1,0 +1,158 @@
+"""Records of `idtool diagnose`: diagnosis.json."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from idtool.reporting.results.base import (
+    ByJointOrNone,
+    Keys,
+    ReadOnly,
+    Record,
+    ReproducibleResult,
+    Samples,
+    Sentences,
+    Units,
+    Vector,
+    field,
+)
+from idtool.reporting.results.fit import (
+    BodyReport,
+    FrictionIntervals,
+    FrictionReport,
+    KnownValue,
+    ReflectedInertia,
+    SolverReport,
+)
+
+ByParameter = Annotated[ReadOnly[Any], Keys("parameter")]
+ByState = Annotated[ReadOnly[Vector], Keys("state")]
+
+
+class ErrorLevel(Record):
+    """RMS errors of a model by joint, and `overall` joints and samples."""
+
+    train: ByJointOrNone = field("Torque error on the data that were fitted [N·m or N].")
+    validation: ByJointOrNone | None = field("Torque error on held-out data; null where nothing was held out.")
+    simulation: ByJointOrNone | None = field(
+        "Position error of the rollouts [rad or m]; null where nothing was simulated."
+    )
+
+
+class Location(Record):
+    """Where model and data disagree."""
+
+    joints: tuple[str, ...] = field("The joints.")
+    windows: tuple[tuple[float, float], ...] = field("Stretches of time [s].")
+    region: str = field("The region of the state space, as a sentence.")
+
+
+class CandidateReport(Record):
+    """An effect that was weighed."""
+
+    effect: str = field("Its id, see [Effects](effects.md).")
+    joint: str | None = field("The joint it acts on; null if it has none.")
+    link: str | None = field("The link it acts on; null if it has none.")
+    score: float | None = field("Share of the residual that it explains on data it was not fitted to.")
+    standard_error: float | None = field("Standard error of the score.")
+    parameters: int = field("How many parameters it has.")
+    reason: str = field("Why it was not chosen.")
+
+
+class Evidence(Record):
+    """What speaks for a step."""
+
+    score: float | None = field("Share of the residual that it explains on data it was not fitted to.")
+    standard_error: float | None = field("Standard error of the score.")
+    significance: float | None = field("Its gain in standard errors.")
+    pair: bool = field("Whether the data cannot tell it from the first alternative.")
+    separate: str = field("The experiment that would tell the two apart; empty without a pair.")
+    simulation_before: ByJointOrNone | None = field("Position error of the rollouts before the step [rad or m].")
+    simulation_after: ByJointOrNone | None = field("Position error of the rollouts after the step.")
+    rollout_worse: tuple[str, ...] = field("Joints whose rollouts got worse while the torque got better.")
+    sentence: str = field("The step as a sentence.")
+    doubt: str = field("What speaks against it, such as a payload heavier than the robot; empty: nothing.")
+
+
+class StepReport(Record):
+    """An effect that was added to the model."""
+
+    effect: str = field("Its id, see [Effects](effects.md), or `unknown`.")
+    joint: str | None = field("The joint it acts on; null if it has none.")
+    link: str | None = field("The link it acts on; null if it has none.")
+    parameters: ByParameter = field("Its parameters, see [Effects](effects.md).")
+    standard_error: ByParameter = field("Their standard errors.")
+    units: Annotated[ReadOnly[str | None], Keys("parameter")] = field("Their units; null: none.")
+    where: Location = field("Where model and data disagreed.")
+    evidence: Evidence = field("What speaks for it.")
+    validation_rms_before: ByJointOrNone = field("Held-out torque error before the step [N·m or N].")
+    validation_rms_after: ByJointOrNone = field("Held-out torque error after the step.")
+    alternatives: tuple[CandidateReport, ...] = field("Candidates that came near.")
+    rejected: tuple[CandidateReport, ...] = field("All other candidates.")
+
+    @property
+    def sentence(self) -> str:
+        """The step as a sentence."""
+        return self.evidence.sentence
+
+
+class DataFault(Record):
+    """Something that is wrong with the logs."""
+
+    fault: str = field("Its id, see [Reading a diagnosis](howto/diagnosis.md#1-faults-of-the-data).")
+    joint: str | None = field("The joint; null: the log, or all joints.")
+    detail: str = field("What was seen and what to do.")
+    undone: bool = field("Whether idtool undoes it, so that nothing is to be done.")
+
+
+class ResidualMap(Record):
+    """A joint's residual against its state, for drawing."""
+
+    against: ByState = field("Centres of the bins of `position`, `velocity`, `torque`, `acceleration` and `time`.")
+    mean: ByState = field("Mean of the residual in each bin [N·m or N].")
+    rms: ByState = field("RMS of the residual in each bin.")
+    frequency: Vector = field("Frequencies [Hz].")
+    density: Vector = field("Amplitude density at each frequency.")
+    angle: Vector = field("Periods per turn of the joint.")
+    amplitude: Vector = field("Amplitude at each number of periods.")
+
+
+class ResidualMaps(Record):
+    """Residuals before and after the diagnosis."""
+
+    before: Annotated[ReadOnly[ResidualMap], Keys("joint")] = field("Residuals of the model as given.")
+    after: Annotated[ReadOnly[ResidualMap], Keys("joint")] = field("Residuals of the model with the effects.")
+
+
+class DiagnosisReport(ReproducibleResult):
+    """Result of `idtool diagnose`."""
+
+    urdf: str = field("The URDF.")
+    logs: tuple[str, ...] = field("The logs.")
+    joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
+    units: Units = field("Unit of torque or force: `N·m` or `N`.")
+    inertia: Literal["refit", "fixed"] = field("Whether inertia was identified anew at every step or kept.")
+    verdict: Literal["no_disagreement", "explained", "partly_explained", "unexplained"] = field("The verdict.")
+    before: ErrorLevel = field("Errors of the model without the effects.")
+    after: ErrorLevel = field("Errors of the model with the effects.")
+    noise_floor: ByJointOrNone = field("Torque error that no model can go below [N·m or N].")
+    gap_closed: ByJointOrNone = field("(before − after) / (before − floor); null where there was next to no gap.")
+    rollout_worse: tuple[str, ...] = field("Joints whose rollouts got worse while the torque got better.")
+    steps: tuple[StepReport, ...] = field("Effects that were added, in order.")
+    removed: Sentences = field("Effects that were added and removed again, one sentence each.")
+    data_faults: tuple[DataFault, ...] = field("Faults of the logs.")
+    samples: Samples = field("Samples used.")
+    band_hz: float = field("Cut-off of the low-pass [Hz].")
+    friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Friction of the final model.")
+    friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
+    rotors: Annotated[ReadOnly[Annotated[ReadOnly[ReflectedInertia], Keys("joint")]], Keys("rotor")] = field(
+        "Reflected inertia of the final model's rotors."
+    )
+    bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Bodies of the final model.")
+    known: tuple[KnownValue, ...] = field("What was known otherwise.")
+    solver: SolverReport = field("The final model's solution.")
+    residual_maps: ResidualMaps = field("Residuals for drawing.")
+    warnings: Sentences = field("What a user should know, one sentence each.")
+    seconds: float = field("Wall time [s].")
+    summary: str = field("The verdict as sentences.")
+    next: Sentences = field("What to do next, one sentence each.")

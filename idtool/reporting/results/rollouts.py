@@ -1,0 +1,51 @@
+"""Records of a model run forwards along logs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from idtool.reporting.results.base import ByJointOrNone, Record, Units, field
+
+RolloutKind = Literal["open_loop", "closed_loop"]
+
+
+class WindowCount(Record):
+    """How many windows of the logs were simulated; of long logs, a selection spread over them."""
+
+    simulated: int = field("Windows that were simulated.")
+    of: int = field("Windows that there are.")
+
+
+class MotionErrors(Record):
+    """RMS errors of a simulated motion; null where rollouts diverged."""
+
+    position: ByJointOrNone = field("RMS position error [rad or m].")
+    velocity: ByJointOrNone = field("RMS velocity error [rad/s or m/s].")
+
+
+class Horizon(Record):
+    """RMS position errors at one time after a restart."""
+
+    seconds: float = field("Time since the restart [s].")
+    position: ByJointOrNone = field("Error of the model [rad or m].")
+    baseline: ByJointOrNone = field("Error of the baseline.")
+    prior: ByJointOrNone | None = field("Error of the prior; null without one.")
+
+
+class Simulation(Record):
+    """How far a model run forwards is from the measured motion."""
+
+    kind: RolloutKind = field("`open_loop`: under the logged torque; `closed_loop`: under the controller.")
+    window: float | None = field("Time between restarts from the measured state [s]; null: never restarted.")
+    windows: WindowCount = field("How many windows were simulated.")
+    seconds: float = field("Simulated time [s].")
+    units: Units = field("`rad` or `m`.")
+    position: ByJointOrNone = field("RMS position error of the model [rad or m].")
+    velocity: ByJointOrNone = field("RMS velocity error of the model [rad/s or m/s].")
+    baseline: MotionErrors = field(
+        "Errors of a robot that stays where it was (open loop) or follows its command at once (closed loop)."
+    )
+    prior: MotionErrors | None = field("Errors of the prior; null without one.")
+    horizon: tuple[Horizon, ...] = field("Errors against the time since a restart; empty in closed loop.")
+    lost: int = field("Rollouts of the model that diverged and were stopped.")
+    prior_lost: int | None = field("Rollouts of the prior that diverged; null without one.")

@@ -1,0 +1,70 @@
+"""Records of `idtool validate`: validation.json, and the regression."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+
+from idtool.reporting.results.base import (
+    ByJoint,
+    ByJointOrNone,
+    Keys,
+    ReadOnly,
+    Record,
+    ReproducibleResult,
+    Result,
+    Sentences,
+    Units,
+    field,
+)
+from idtool.reporting.results.rollouts import Simulation
+
+
+class ModelErrors(Record):
+    """RMS torque errors by joint, and `overall` joints and samples."""
+
+    model: ByJoint = field("Of the model [N·m or N].")
+    prior: ByJoint | None = Field(None, description="Of `--prior`; absent without it.")
+
+    @model_serializer(mode="wrap")
+    def _without_absent_prior(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        errors: dict[str, Any] = serialize(self)
+        if self.prior is None:
+            del errors["prior"]
+        return errors
+
+
+class ValidationReport(ReproducibleResult):
+    """Result of `idtool validate`."""
+
+    joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
+    units: Units = field("Unit of torque or force: `N·m` or `N`.")
+    samples: int = field("Samples used.")
+    band_hz: float = field("Cut-off of the low-pass [Hz].")
+    rms: ModelErrors = field("RMS torque errors within the filter's band.")
+    rms_raw: ModelErrors = field("RMS torque errors against the torque as logged.")
+    nrms: ByJointOrNone = field("`rms.model` over the standard deviation of the measured torque.")
+    simulation: Simulation | None = field(
+        "The model run forwards; null with `--no-simulation`, or where the model cannot be simulated."
+    )
+    bound: ByJoint = field("Bounds of `--max-rms`, by joint or `overall` [N·m or N].")
+    ok: Annotated[ReadOnly[bool], Keys("joint")] = field("Whether each bound was met.")
+    warnings: Sentences = field("What a user should know, one sentence each.")
+
+
+class RegressionCase(Record):
+    """One bound of the regression."""
+
+    case: str = field("Case in `sample_logs/manifest.yaml`.")
+    joint: str = field("A joint, or `overall`.")
+    rms: float = field("RMS torque error [N·m or N].")
+    bound: float = field("Its bound.")
+    prior: float = field("Error of the URDF as given.")
+    ok: bool = field("Whether the bound was met.")
+
+
+class RegressionReport(Result):
+    """Result of `idtool validate` without a URDF: the regression."""
+
+    cases: tuple[RegressionCase, ...] = field("All bounds.")

@@ -1,0 +1,22 @@
+"""The result of `idtool export`."""
+
+from __future__ import annotations
+
+from idtool.reporting.results.export import ExportedPart, ExportReport
+from idtool.reporting.terminal.base import Terminal
+
+
+def show_export(terminal: Terminal, report: ExportReport) -> None:
+    """What is carried, a line a kind, and what is not, those alike on one line."""
+    for what in dict.fromkeys(part.what for part in report.carried):
+        names = dict.fromkeys(part.of for part in report.carried if part.what == what)
+        terminal.say(f"carried: {what} of {', '.join(names)}")
+    groups: dict[tuple[str, str], list[ExportedPart]] = {}
+    for part in report.not_carried:
+        groups.setdefault((part.what, part.detail), []).append(part)
+    for (what, detail), parts in groups.items():
+        sizes = [(abs(part.value), part.unit) for part in parts if part.value is not None]
+        size = ", up to {:.3g} {}".format(*max(sizes)) if sizes else ""
+        terminal.say(f"not carried: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
+    terminal.say(f"written: {report.file}")
+    terminal.warn(report.warnings)
