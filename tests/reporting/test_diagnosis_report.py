@@ -22,6 +22,7 @@ from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step
 from idtool.diagnosis.words import doubted
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
+from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.terminal import Terminal
 from idtool.reporting.terminal.diagnosis import show_diagnosis
 
@@ -45,8 +46,8 @@ def found(leg: tuple[Fit, Fit]) -> Diagnosis:
 def report_of(diagnosis: Diagnosis, inertia: str = "refit") -> dict[str, Any]:
     """The content of diagnosis.json, as a reader gets it."""
     report = diagnosis_report(diagnosis, inertia)
-    read = strict_json(json.dumps(report, allow_nan=False))
-    assert read == report  # plain data: nothing is turned into something else on the way
+    read = strict_json(json.dumps(report.to_json(), allow_nan=False))
+    assert DiagnosisReport.model_validate(read).to_json() == read  # it comes back as it was
     return dict(read)
 
 
@@ -56,7 +57,9 @@ def said(diagnosis: Diagnosis, explain: bool = False, color: bool = False) -> st
     terminal.console = Console(
         file=out, width=250, highlight=False, force_terminal=color, color_system="standard" if color else None
     )
-    show_diagnosis(terminal, report_of(diagnosis), Path("out"), ("diagnosis.json", "diagnosis.html"), explain)
+    show_diagnosis(
+        terminal, diagnosis_report(diagnosis, "refit"), Path("out"), ("diagnosis.json", "diagnosis.html"), explain
+    )
     return out.getvalue()
 
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete
+from records import partial
 
 from idtool.reporting.pages import adapt_page
 from idtool.reporting.pages.adapt import settling_time
 from idtool.reporting.pages.charts import significant, thinned
+from idtool.reporting.results.adaptation import AdaptationReport
 
 JOINTS = (SCRIPT, SLIDE)
 BODIES = (BODY, "thigh", "shank")
@@ -81,7 +83,7 @@ def report() -> dict[str, Any]:
 
 
 def page_of(report: dict[str, Any]) -> Page:
-    return Page(adapt_page(report, f"idtool adapt {SCRIPT}"))
+    return Page(adapt_page(partial(AdaptationReport, report), f"idtool adapt {SCRIPT}"))
 
 
 def test_the_page_is_complete_in_itself_and_safe(report: dict[str, Any]) -> None:

@@ -11,10 +11,12 @@ import jinja2
 import numpy as np
 import pytest
 from pages import BODY, SCRIPT, Page, body_of
+from records import partial
 
 import idtool
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.bodies import body_views
+from idtool.reporting.pages.bodies import report_views
+from idtool.reporting.results.fit import BodyReport
 from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.shapes import known_shapes
 
@@ -29,12 +31,13 @@ SHAPES: dict[str, dict[str, Any]] = {
 def page_of(bodies: dict[str, dict[str, Any]]) -> Page:
     """A page of this section alone."""
     scripts = ["solids.js", "bodies.js"]
-    return Page(render("t", [("Bodies", "bodies_3d.html")], scripts, body_views(bodies), report={"bodies": bodies}))
+    records = {name: partial(BodyReport, body) for name, body in bodies.items()}
+    return Page(render("t", [("Bodies", "bodies_3d.html")], scripts, report_views(records), report={"bodies": records}))
 
 
 def view_of(**extra: Any) -> dict[str, Any]:
     """What is drawn of one body."""
-    (view,) = body_views({"b": body_of(**extra)})["bodies"]
+    (view,) = report_views({"b": partial(BodyReport, body_of(**extra))})["bodies"]
     return dict(view)
 
 
@@ -118,7 +121,7 @@ def test_the_split_of_a_union_stands_beside_the_figure() -> None:
 def test_robots_of_many_bodies_stay_small() -> None:
     hull = {"kind": "hull", "vertices": np.random.default_rng(1).normal(size=(100, 3)).tolist()}
     bodies = {f"body {i}": body_of(shapes=[hull]) for i in range(400)}
-    views = body_views(bodies)
+    views = report_views({name: partial(BodyReport, body) for name, body in bodies.items()})
     assert len(json.dumps(views)) < 8e5
     assert 100 < len(views["bodies"]) < 400
     assert views["hidden"] == 400 - len(views["bodies"])

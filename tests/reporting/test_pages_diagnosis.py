@@ -11,6 +11,7 @@ import pytest
 from commands import JOINTS
 from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
 from pages import SCRIPT, Page, complete, evaluation_of
+from records import partial
 from replays import experiment_of, replay_of
 
 from idtool.diagnosis.records import Diagnosis, Level, Where
@@ -18,6 +19,7 @@ from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.pages import diagnosis_page, number
 from idtool.reporting.pages.diagnosis import parameter_texts
+from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,11 @@ def found(leg: tuple[Fit, Fit]) -> Diagnosis:
 
 
 def page_of(diagnosis: Diagnosis, command: str = "idtool diagnose leg.urdf", **changes: Any) -> Page:
-    return Page(diagnosis_page(diagnosis, {**diagnosis_report(diagnosis, "refit"), **changes}, command))
+    return Page(
+        diagnosis_page(
+            diagnosis, partial(DiagnosisReport, {**diagnosis_report(diagnosis, "refit").to_json(), **changes}), command
+        )
+    )
 
 
 def test_the_page_is_complete_in_itself(found: Diagnosis) -> None:
@@ -236,22 +242,24 @@ def test_the_worst_joint_is_the_one_that_is_open(found: Diagnosis) -> None:
 )
 def test_parameters_in_words(values: dict[str, Any], errors: dict[str, Any], text: str) -> None:
     units = {name: "m" if isinstance(value, list) else None for name, value in values.items()}
-    assert parameter_texts({"parameters": values, "standard_error": errors, "units": units}) == [text]
+    assert parameter_texts(partial(StepReport, {"parameters": values, "standard_error": errors, "units": units})) == [
+        text
+    ]
 
 
 def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.random.Generator) -> None:
     """Twelve joints, eight steps and some hundred candidates each."""
     joints = [f"joint number {j}" for j in range(12)]
     units = dict.fromkeys(joints, "N·m")
-    report = diagnosis_report(found, "refit")
+    report = diagnosis_report(found, "refit").to_json()
     for key in ("noise_floor", "gap_closed", "friction", "friction_intervals"):
         report[key] = dict.fromkeys([*joints, "overall"], next(iter(report[key].values())))
     rms = dict.fromkeys([*joints, "overall"], 0.5)
     report["before"] = report["after"] = dict.fromkeys(("train", "validation", "simulation"), rms)
     other = diagnosis_report(
-        replace(found, steps=(step_of(rejected=(candidate("backlash", reason="x" * 80),) * 200),)), ""
+        replace(found, steps=(step_of(rejected=(candidate("backlash", reason="x" * 80),) * 200),)), "refit"
     )
-    step = {**other["steps"][0], "validation_rms_before": rms, "validation_rms_after": rms}
+    step = {**other.steps[0].model_dump(mode="json"), "validation_rms_before": rms, "validation_rms_after": rms}
     step["evidence"] = {**step["evidence"], "simulation_before": rms, "simulation_after": rms}
     body = next(iter(report["bodies"].values()))
     report |= {"joints": joints, "units": units, "steps": [step] * 8, "bodies": {f"body {i}": body for i in range(30)}}
@@ -262,7 +270,7 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     many = residual(1 / 3, points=500, lines=50_000)
     maps = dict.fromkeys(joints, replace(many, mean={name: rng.normal(size=500) for name in many.mean}))
     large: Any = replace(found, first=fit, last=fit, maps_before=maps, maps_after=maps)  # type: ignore[arg-type]
-    page = Page(diagnosis_page(large, report, "idtool diagnose"))
+    page = Page(diagnosis_page(large, partial(DiagnosisReport, report), "idtool diagnose"))
     complete(page)
     assert len(page.data["residuals"]["joints"]) == 12
     assert "diagnosis.json holds them" in page.text

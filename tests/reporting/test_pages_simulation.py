@@ -12,9 +12,9 @@ from pages import Page, complete, evaluation_of
 from replays import experiment_of, replay_of
 
 from idtool.estimation.evaluation.replay import Departure, Replay
-from idtool.estimation.evaluation.simulation_report import simulation_report
 from idtool.reporting.pages import validation_page
 from idtool.reporting.report import validation_report
+from idtool.reporting.simulation_report import simulation_report
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def page_of(replay: Replay | None, **changes: Any) -> Page:
     evaluation = evaluation_of({name: np.ones((2, 4)) for name in ("measured", "model", "prior")})
     simulation = simulation_report(replay, "model", experiment_of(UNITS))
     if simulation:
-        simulation |= changes
+        simulation = simulation.model_copy(update=changes)
     report = validation_report(evaluation, UNITS, 40.0, {}, simulation)
     return Page(validation_page(evaluation, report, "idtool validate x", replay))
 

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, complete, evaluation_of, study_of
+from records import partial
 
 from idtool.reporting.pages import study_page
 from idtool.reporting.pages.study import Learning, learning
+from idtool.reporting.results.study import Learning as LearningRecord
+from idtool.reporting.results.study import StudyReport
 
 JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
@@ -26,7 +29,7 @@ def page_of(report: dict[str, Any], angle: bool = True, command: str = "idtool s
     t = np.linspace(0, 10, 400)
     measured = np.stack([np.sin(t), np.cos(t), np.sin(2 * t)])
     curves = {"measured": measured, "identified": 0.9 * measured} | ({"q": 0.5 * measured} if angle else {})
-    return Page(study_page(evaluation_of(curves), report, command))
+    return Page(study_page(evaluation_of(curves), partial(StudyReport, report), command))
 
 
 def of_draws(draws: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -47,9 +50,14 @@ def of_draws(draws: dict[str, np.ndarray]) -> dict[str, Any]:
     return {"counts": counts, "draws": len(y), "curves": curves, "advantage": advantage, "violation": violation}
 
 
+def said_of(data: dict[str, Any]) -> Learning:
+    """What is said of ``learning`` of study.json."""
+    return learning(partial(LearningRecord, data))
+
+
 def found(errors: dict[str, list[float]]) -> Learning:
     """What is said where two draws of each count have these errors."""
-    return learning(of_draws({name: np.array([y, y]) for name, y in errors.items()}))
+    return said_of(of_draws({name: np.array([y, y]) for name, y in errors.items()}))
 
 
 def drawn(rng: np.random.Generator, gains: dict[str, list[float]], draws: int = 40) -> dict[str, Any]:
@@ -85,7 +93,7 @@ def test_a_report_on_many_samples_stays_small(report: dict[str, Any], rng: np.ra
     rms = {**dict.fromkeys(report["units"], 1.0), "overall": 1.0}
     for entry in (*report["sets"].values(), *report["estimators"].values()):
         entry["rms"] = {"train": rms, "validation": rms}
-    page = Page(study_page(evaluation_of(curves, logs=6), report, "idtool study x"))
+    page = Page(study_page(evaluation_of(curves, logs=6), partial(StudyReport, report), "idtool study x"))
     complete(page)
     online = page.data["charts"]["online"]
     assert len(online["x"]["values"]) <= 1000
@@ -95,7 +103,7 @@ def test_a_report_on_many_samples_stays_small(report: dict[str, Any], rng: np.ra
 
 
 def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
-    said = learning(report["learning"])
+    said = said_of(report["learning"])
     assert said.order == ("ellipsoid", "full", "semi", "none")
     assert said.together == 100
     assert said.counts == (1, 2, 5, 10, 20, 30, 50)
@@ -116,7 +124,7 @@ GAINS = {"none": [0.0] * 8, "semi": [0.0] * 8, "full": [0.3] * 4 + [0.0] * 4, "e
 
 
 def test_known_advantages_are_found(rng: np.random.Generator) -> None:
-    said = [learning(drawn(rng, {k: [*gain[:4], *gain[:4]] for k, gain in GAINS.items()})) for _ in range(200)]
+    said = [said_of(drawn(rng, {k: [*gain[:4], *gain[:4]] for k, gain in GAINS.items()})) for _ in range(200)]
     for name in ("full", "ellipsoid"):
         compared = [next(c for c in one.compared if c.name == name) for one in said]
         gains = np.array([c.gain for c in compared])
@@ -129,7 +137,7 @@ def test_known_advantages_are_found(rng: np.random.Generator) -> None:
 def test_sets_alike_are_seldom_called_clearly_different(rng: np.random.Generator) -> None:
     # A twentieth is what twice the standard error would give; √4 counts fewer standard errors, a seventh.
     gains = {name: [0.0] * 8 for name in ("none", "a", "b", "c", "d")} | {"full": GAINS["full"]}
-    said = [learning(drawn(rng, gains)) for _ in range(200)]
+    said = [said_of(drawn(rng, gains)) for _ in range(200)]
     clear = [c.clear for one in said for c in one.compared if c.name != "full"]
     assert len(clear) == 800
     assert np.mean(clear) < 0.015
@@ -155,7 +163,7 @@ def test_a_difference_that_the_solver_leaves_is_none() -> None:
 def test_curves_that_stay_apart_are_said_to(report: dict[str, Any]) -> None:
     draws = {"none": [9.0, 5.0, 3.0, 1.2], "full": [2.0, 1.5, 1.2, 1.1]}
     report["learning"] = of_draws({name: np.array([y, y]) for name, y in draws.items()})
-    said = learning(report["learning"])
+    said = said_of(report["learning"])
     assert said.together is None
     assert said.counts == (1, 2)
     assert "Fitted to 2 or fewer samples, best first: full, none." in page_of(report).plain
@@ -167,7 +175,7 @@ def test_curves_that_part_again_are_not_together() -> None:
 
 def test_errors_whose_medians_only_agree_are_apart() -> None:
     errors = np.array([[2.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
-    assert learning(of_draws({"none": errors, "full": np.ones((3, 2))})).together == 2
+    assert said_of(of_draws({"none": errors, "full": np.ones((3, 2))})).together == 2
 
 
 def test_curves_that_never_part_have_no_best(report: dict[str, Any]) -> None:
@@ -187,7 +195,7 @@ def test_a_set_without_pairs_is_not_compared(report: dict[str, Any]) -> None:
     draws = {name: np.array([[y, 1.0, 1.0]] * 3) for name, y in (("none", 9), ("full", 3), ("semi", 8))}
     draws["full"][:2, 0] = np.nan
     report["learning"] = of_draws(draws)
-    said = learning(report["learning"])
+    said = said_of(report["learning"])
     assert (said.order, said.together) == (("semi", "none"), 2)
     assert "semi, none. " in page_of(report).plain
     assert "too few draws were solved at one of the counts: full." in page_of(report).plain
@@ -202,8 +210,8 @@ def test_a_set_without_pairs_is_not_compared(report: dict[str, Any]) -> None:
 def test_all_the_data_are_one_draw(report: dict[str, Any]) -> None:
     last = np.array([[9.0, 1.0]] + [[9.0, np.nan]] * 2)
     apart, together = ({"none": last, "full": last / ratio} for ratio in ([3.0, 1.2], [3.0, 1.02]))
-    assert learning(of_draws(apart)).together is None
-    assert learning(of_draws(together)).together == 2
+    assert said_of(of_draws(apart)).together is None
+    assert said_of(of_draws(together)).together == 2
     report["learning"] = of_draws(together)
     (gains,) = page_of(report).data["charts"]["advantage"]["panels"]
     assert gains["lines"][0]["lower"] == [pytest.approx(100 * 2 / 3, rel=1e-3), None]
@@ -232,14 +240,6 @@ def test_the_first_to_converge_online_is_named(report: dict[str, Any]) -> None:
     assert "first with full and ellipsoid, after 1.15 s." in page_of(report).plain
     report["adaptation"]["time_to_10_percent"] = dict.fromkeys(("none", "full", "ellipsoid"))
     assert "No set's parameter error fell below 10 %" in page_of(report).plain
-
-
-def test_a_study_without_the_online_part(report: dict[str, Any]) -> None:
-    report["adaptation"] = None
-    page = page_of(report)
-    assert "Not run." in page.text
-    assert set(page.data["charts"]) == {"learning", "advantage", "violation"}
-    assert page.levels == ["good", "good", "note"]
 
 
 def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, basis_of, trust_of
+from records import partial
 
 from idtool.reporting.pages import by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, between, trust_view, with_trust
+from idtool.reporting.results.fit import FitReport
 
 JOINTS = "Joints", "friction.html"
 SECTIONS = (("Found", "trust_findings.html"), JOINTS, RESTS, BASE, LOGS, BIAS)
@@ -42,16 +44,17 @@ def logs_of(values: Sequence[Sequence[float | None]], errors: Sequence[Sequence[
 
 def page_of(report: dict[str, Any]) -> Page:
     """A page of these sections alone."""
+    record = partial(FitReport, report)
     return Page(
         render(
             "t",
-            with_trust(SECTIONS, report),
+            with_trust(SECTIONS, record),
             ["trust.js"],
             {},
-            report=report,
+            report=record,
             groups=by_unit(report["units"]),
             where="On the held-out data",
-            **trust_view(report),
+            **trust_view(record),
         )
     )
 
@@ -240,11 +243,11 @@ def test_both_estimates_stand_side_by_side(report: dict[str, Any]) -> None:
 
 
 def test_what_was_not_asked_has_no_section(report: dict[str, Any]) -> None:
-    assert with_trust(SECTIONS, report) == [*SECTIONS[:2], RESTS, BASE]
+    assert with_trust(SECTIONS, partial(FitReport, report)) == [*SECTIONS[:2], RESTS, BASE]
     report |= {"base_parameters": None, "bias": None}
     for body in report["bodies"].values():
         body["rests_on"] = None
-    assert with_trust(SECTIONS, report) == [*SECTIONS[:2]]
+    assert with_trust(SECTIONS, partial(FitReport, report)) == [*SECTIONS[:2]]
     assert page_of(report).levels == []
 
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pages import Page, complete, evaluation_of
+from records import partial
 
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.pages import merged, rounded, validation_page
 from idtool.reporting.report import validation_report
+from idtool.reporting.results.validation import ValidationReport
 
 Array = NDArray[np.float64]
 
@@ -20,7 +22,7 @@ def validated(evaluation: Evaluation, **extra: Any) -> Page:
     """The page of a validation, its bounds met by the first joint and not by the whole."""
     units = dict.fromkeys(evaluation.spread, "N·m")
     contents = validation_report(evaluation, units, 40.0, {next(iter(units)): 0.5, "overall": 0.3})
-    return Page(validation_page(evaluation, contents | extra, "idtool validate x"))
+    return Page(validation_page(evaluation, partial(ValidationReport, contents.to_json() | extra), "idtool validate x"))
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -11,8 +10,9 @@ import pytest
 from commands import LEG, column_set, config_with, csv_text, fitted, idtool, sample_table, validated
 from replays import experiment_of, replay_of
 
-from idtool.estimation.evaluation.replay import Departure, Replay
-from idtool.estimation.evaluation.simulation_report import simulation_notes, simulation_report
+from idtool.estimation.evaluation.replay import Departure, Replay, simulation_notes
+from idtool.reporting.figures import number
+from idtool.reporting.simulation_report import simulation_report
 
 UNITS = {"j0": "N·m", "j1": "N"}
 FLAT = {name: np.zeros((2, 40)) for name in ("measured", "model", "prior")}
@@ -21,7 +21,7 @@ FLAT = {name: np.zeros((2, 40)) for name in ("measured", "model", "prior")}
 def reported(replay: Replay | None, model: str = "model") -> dict[str, Any] | None:
     """As JSON has it."""
     report = simulation_report(replay, model, experiment_of(UNITS))
-    return None if report is None else dict(json.loads(json.dumps(report, allow_nan=False)))
+    return None if report is None else report.model_dump(mode="json")
 
 
 def of_all(value: float) -> Any:
@@ -111,9 +111,9 @@ def test_the_terminal_has_the_reports_figures(tmp_path: Any) -> None:
     title = "Simulated position, RMS error, rad: open loop, 1 s at a time"
     for name in ("abad", "hip", "knee", "overall"):
         figures = (x["position"][name] for x in (report, report["prior"], report["baseline"]))
-        assert row(text, name, title) == [f"{x:.4g}" for x in figures]
+        assert row(text, name, title) == [number(x, 4) for x in figures]
     after = report["horizon"][1]
-    wanted = [f"{after[key]['overall']:.4g}" for key in ("position", "prior", "baseline")]
+    wanted = [number(after[key]["overall"], 4) for key in ("position", "prior", "baseline")]
     assert row(text, "after 50 ms", title) == wanted
     assert "Simulated" not in idtool("validate", *arguments, "--no-simulation").out
 

@@ -14,16 +14,18 @@ import pytest
 from commands import Result, csv_text, idtool, sample_table
 from diagnoses import diagnosis_of, fits, step_of
 from pages import Page
+from records import partial
 from rich.console import Console
 
-from idtool.cli.export import _show as show_export
 from idtool.diagnosis.faults import Fault
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.export import Export, Part
 from idtool.reporting.pages import diagnosis_page
+from idtool.reporting.results.export import ExportReport
+from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.terminal import Terminal
 from idtool.reporting.terminal.diagnosis import show_diagnosis
+from idtool.reporting.terminal.export import show_export
 from idtool.reporting.terminal.simulation import show_simulation
 
 CODE = re.compile(r"\x1b\[([\d;?]*)([a-zA-Z])")
@@ -146,9 +148,13 @@ def test_a_warning_is_followed_by_what_to_do_once_for_those_alike() -> None:
 
 def test_export_names_every_part_in_full() -> None:
     names = [f"{'FL_hip_rotor' * 6}_{i}" for i in range(9)]
-    carried = tuple(Part("rotor", name, "as it is") for name in names)
-    lost = tuple(Part("friction", name, "there is none", 0.1 * i, "N·m") for i, name in enumerate(names))
-    text = said(lambda terminal: show_export(terminal, Export("m.xml", b"", carried, lost), Path("m.xml")))
+    carried = [{"what": "rotor", "of": name, "detail": "as it is"} for name in names]
+    lost = [
+        {"what": "friction", "of": name, "detail": "there is none", "value": 0.1 * i, "unit": "N·m"}
+        for i, name in enumerate(names)
+    ]
+    report = partial(ExportReport, {"file": "m.xml", "carried": carried, "not_carried": lost})
+    text = said(lambda terminal: show_export(terminal, report))
     assert text.splitlines() == [
         f"carried: rotor of {', '.join(names)}",
         f"not carried: friction of {', '.join(names)}: there is none, up to 0.8 N·m",
@@ -171,7 +177,7 @@ def simulated(position: float | None, at: dict[float, float | None], kind: str =
             for seconds, x in at.items()
         ],
     }
-    return said(lambda terminal: show_simulation(terminal, found))
+    return said(lambda terminal: show_simulation(terminal, partial(Simulation, found)))
 
 
 def test_a_model_worse_than_none_is_said_to_be_and_from_when_on() -> None:

@@ -15,10 +15,14 @@ from typing import Any
 import pytest
 from commands import LEG, csv_text, idtool, sample_table
 from diagnoses import candidate, diagnosis_of, faulty, fits, step_of
+from records import partial
 from rich.text import Text
 
-from idtool.estimation.regression import Outcome
 from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.results.diagnosis import DiagnosisReport
+from idtool.reporting.results.setup import InitReport
+from idtool.reporting.results.study import StudyReport
+from idtool.reporting.results.validation import RegressionReport
 from idtool.reporting.terminal import Terminal
 from idtool.reporting.terminal.base import new_table
 from idtool.reporting.terminal.diagnosis import show_diagnosis
@@ -88,7 +92,8 @@ def shows(folder: Path) -> dict[str, Callable[[], object]]:
         return run
 
     terminal = Terminal(quiet=True, as_json=False)
-    case = [Outcome("leg on the other leg's log", name, 0.123456, 0.5, 1234.5) for name in NAMES.values()]
+    outcome = {"case": "leg on the other leg's log", "rms": 0.123456, "bound": 0.5, "prior": 1234.5, "ok": True}
+    cases = partial(RegressionReport, {"cases": [{**outcome, "joint": name} for name in NAMES.values()]})
     logs = ("leg.urdf", "one.csv", "two.csv")
     tried = {"friction": dict.fromkeys(NAMES.values(), 1.234567), "found": dict.fromkeys(NAMES.values(), 0.1)}
     said: dict[str, list[str]] = {key: [] for key in ("warnings", "found", "left", "needed")}
@@ -96,13 +101,13 @@ def shows(folder: Path) -> dict[str, Callable[[], object]]:
     quick = ("--iterations", "1", "--duration", "3")
     return {
         "inspect": command("inspect", "one.csv"),
-        "init": lambda: show_start(terminal, start),
+        "init": lambda: show_start(terminal, partial(InitReport, start)),
         "fit": command("fit", *logs, "--out", "fit"),
         "validate": command("validate", *logs, "--prior", "leg.urdf", "--max-rms", "100"),
-        "regression": lambda: show_regression(terminal, case),
+        "regression": lambda: show_regression(terminal, cases),
         "diagnose": lambda: show_diagnosis(terminal, diagnosed(folder), folder, (), explain=True),
         "adapt": command("adapt", *logs[:2]),
-        "study": lambda: show_study(terminal, studied(), folder),
+        "study": lambda: show_study(terminal, partial(StudyReport, studied()), folder),
         "excite": command("excite", "leg.urdf", "--log", "one.csv", *quick, "--out", "e.csv"),
         "check": command("ellipsoids", "leg.urdf", "--check", "--repair", "repaired.urdf"),
     }
@@ -130,14 +135,14 @@ def studied() -> dict[str, Any]:
     }
 
 
-def diagnosed(folder: Path) -> dict[str, Any]:
+def diagnosed(folder: Path) -> DiagnosisReport:
     """A report of diagnose with all that can be in it."""
     first, last = fits(folder)
     rival = candidate("load_dependent_friction", "knee", score=0.6, reason="explains less of what was held out")
     diagnosis = faulty(diagnosis_of(first, last, step_of(alternatives=(rival,))))
     worse = replace(diagnosis.after, simulation=dict.fromkeys(("abad", "hip", "knee", "overall"), 0.123))
     report = diagnosis_report(replace(diagnosis, after=worse), "refit")
-    return dict(json.loads(renamed(json.dumps(report))))
+    return DiagnosisReport.model_validate(json.loads(renamed(json.dumps(report.to_json()))))
 
 
 COMMANDS = ("inspect", "init", "fit", "validate", "regression", "diagnose", "adapt", "study", "excite", "check")

@@ -104,6 +104,9 @@ class Record(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
 
+    def __str__(self) -> str:
+        return repr(self)
+
 
 class Result(Record):
     """The whole of what one command found, the content of its JSON file."""

@@ -118,9 +118,8 @@ class BodyReport(Record):
         moments = ", ".join(f"{x:.4g}" for x in self.inertia_com[[0, 2, 5]])
         existence = "realizable" if self.realizable else "no body can have this"
         error = f" ± {self.standard_error[0]:.2g}" if self.standard_error[0] >= 0 else ""
-        return f"{self.kind}: {self.mass:.4g}{error} kg at ({com}) m, Ixx, Iyy, Izz {moments} kg·m², {existence}"
-
-    __str__ = __repr__
+        mass = f"{self.mass:.4g}{error} kg"
+        return f"{self.kind.capitalize()}: {mass} at ({com}) m, Ixx, Iyy, Izz {moments} kg·m², {existence}"
 
 
 class FrictionErrors(Record):
