@@ -17,7 +17,7 @@ from pages import Page
 from rich.console import Console
 
 from idtool.cli.export import _show as show_export
-from idtool.diagnosis.faults import Fault
+from idtool.diagnosis.data_faults import Fault
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.export import Export, Part
