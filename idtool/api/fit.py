@@ -12,7 +12,7 @@ from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
 from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
 from idtool.common.outputs import as_json, as_yaml
-from idtool.diagnosis.faults import faults
+from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.maps import residual_maps
 from idtool.diagnosis.records import Residual
 from idtool.estimation.dataset.experiment import Experiment
@@ -189,7 +189,7 @@ def fit_experiment(
     """
     found = identify(experiment, progress, simulate, question, method)
     if question:
-        wrong = [fault for fault in faults(experiment, progress) if fault.fault in _SERIOUS]
+        wrong = [fault for fault in find_data_faults(experiment, progress) if fault.fault in _SERIOUS]
         said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)
         found = replace(found, warnings=(*said, *found.warnings))
     thetas = (experiment.equation.prior, found.estimate.theta)

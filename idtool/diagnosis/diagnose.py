@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.diagnosis.contest import SURE, candidate, share
-from idtool.diagnosis.faults import faults
+from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.floor import Floor, noise_floor
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.level import level
@@ -76,7 +76,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     """
     started = time.perf_counter()
     experiment, delay, _ = with_delay(experiment, progress)
-    wrong = faults(experiment, progress)
+    wrong = find_data_faults(experiment, progress)
     if options.inertia == "fixed":
         experiment = with_fixed_inertia(experiment)
     search = Search(experiment, options.effects, options.most, progress)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.faults import Fault
+from idtool.diagnosis.data_faults import Fault
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import shown, some
-from idtool.data.inspection.findings import BAND
+from idtool.data.inspection.channel_findings import BAND
 from idtool.data.logs import Log
 from idtool.data.signals import default_cutoff
 from idtool.estimation.dataset.experiment import Progress

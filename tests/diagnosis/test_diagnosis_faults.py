@@ -15,8 +15,8 @@ from paths import CHECKOUT, REAL
 from spatial_arm import ARM, JOINTS, recorded, reference, spec_of
 
 from idtool.data.logs.log import Log, make_log
-from idtool.diagnosis.fault_fit import FaultFit
-from idtool.diagnosis.faults import faults
+from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.data_faults.channel_fit import ChannelFit
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config, read_config
 from idtool.robot.urdf.reading import read_robot
@@ -82,7 +82,7 @@ def sample(robot: str, change: Change = lambda s: None, log: Path = TRAIN) -> Ex
 
 def named(experiment: Experiment) -> Named:
     """Kinds and joints of all faults."""
-    return {(fault.fault, fault.joint) for fault in faults(experiment, silent)}
+    return {(fault.fault, fault.joint) for fault in find_data_faults(experiment, silent)}
 
 
 def at(*joints: str) -> list[int]:
@@ -256,7 +256,13 @@ def little_jitter(s: Signals) -> None:
     s["t"] += 1e-5 * np.random.default_rng(0).normal(size=len(s["t"]))
 
 
-@pytest.mark.parametrize("change", [off, coarse, late_torque, no_velocity, little_jitter], ids=lambda c: c.__name__)
+def drifting_clock(s: Signals) -> None:
+    s["t"] += 5e-3 * np.sin(s["t"])
+
+
+@pytest.mark.parametrize(
+    "change", [off, coarse, late_torque, no_velocity, little_jitter, drifting_clock], ids=lambda c: c.__name__
+)
 def test_what_sensors_do_is_no_fault(arm: Signals, of_arm: Callable[..., Experiment], change: Change) -> None:
     assert named(of_arm(changed(arm, change))) == set()
 
@@ -348,10 +354,10 @@ def test_a_torque_at_the_drives_limit_is_not_cut_off(of_arm: Callable[..., Exper
 
 
 def test_details_say_what_to_do(arm: Signals, of_arm: Callable[..., Experiment]) -> None:
-    (fault,) = faults(of_arm(changed(arm, times(-1, "tau", "lift"))), silent)
+    (fault,) = find_data_faults(of_arm(changed(arm, times(-1, "tau", "lift"))), silent)
     assert "\n" not in fault.detail
     assert "`log.scale`" in fault.detail
-    (fault,) = faults(of_arm(changed(arm, late)), silent)
+    (fault,) = find_data_faults(of_arm(changed(arm, late)), silent)
     assert "6 ± " in fault.detail
     assert "undoes it" in fault.detail
     assert fault.undone
@@ -366,9 +372,10 @@ def test_a_fault_of_several_logs_is_told_once(of_arm: Callable[..., Experiment])
 
     config = read_config(LEG.with_suffix(".yaml"))
     both = prepare(read_robot(LEG), config, [TRAIN, TRAIN], seen_as=seen)
-    found = faults(both, silent)
+    found = find_data_faults(both, silent)
     assert [(fault.fault, fault.joint) for fault in found if not fault.undone] == [("wrong_sign", "hip")]
     assert {fault.joint for fault in found if fault.undone} == {"abad", "hip", "knee"}
+    assert all(fault.detail.endswith("(leg_train.mcap and 1 more log)") for fault in found if fault.undone)
 
 
 def test_the_sample_logs() -> None:
@@ -395,7 +402,7 @@ def test_the_fit_is_made_from_a_sample_of_bounded_size(of_arm: Callable[..., Exp
     """A log ten times as long gives no more rows."""
     t = np.arange(10 * len(arm["t"])) * 1e-3
     longer = {"t": t, **{name: np.concatenate([arm[name], arm[name][::-1]] * 5) for name in ("q", "tau")}}
-    rows = [sum(len(motion.t) for motion in FaultFit(of_arm(s)).motions) for s in (arm, longer)]
+    rows = [sum(len(motion.t) for motion in ChannelFit(of_arm(s)).motions) for s in (arm, longer)]
     assert rows[1] < 8 * 400
     assert rows[0] > 800
 
@@ -410,6 +417,6 @@ def test_the_real_logs() -> None:
     assert found == {("time_jitter", None), ("stale", None), *lags}
     config = read_config(CHECKOUT / "configs" / "go2.yaml").model_copy(update={"rotors": {}})
     logs = [REAL / "go2" / f"chirp_{k}.csv" for k in (4, 5, 6, 7)]
-    (fault,) = faults(prepare(read_robot(REAL / "go2" / "go2.urdf"), config, logs), silent)
+    (fault,) = find_data_faults(prepare(read_robot(REAL / "go2" / "go2.urdf"), config, logs), silent)
     assert (fault.fault, fault.joint) == ("time_jitter", None)
     assert "3 more logs" in fault.detail

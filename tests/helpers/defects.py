@@ -61,6 +61,17 @@ def clipped(name: str, level: float) -> Callable[[Signals], None]:
     return clip
 
 
+def frozen(name: str) -> Callable[[Signals], None]:
+    def stopped(s: Signals) -> None:
+        s[name][4000:4200, 1] = s[name][4000, 1]
+
+    return stopped
+
+
+def exchanged_velocities(s: Signals) -> None:
+    s["v"][:, [1, 2]] = s["v"][:, [2, 1]]
+
+
 def another_joints_velocity(s: Signals) -> None:
     s["v"][:, 1] = s["v"][:, 2]
 
@@ -125,10 +136,13 @@ def hidden_jitter(s: Signals) -> None:
     moved_to(s, s["t"] + 2.5e-4 * np.random.default_rng(0).normal(size=len(s["t"])))
 
 
-def repeated_rows(s: Signals) -> None:
-    rows = np.arange(0, len(s["t"]), 8)[1:]
-    for name in ("q", "v", "tau"):
-        s[name][rows] = s[name][rows - 1]
+def repeated_rows(every: int) -> Callable[[Signals], None]:
+    def repeated(s: Signals) -> None:
+        rows = np.arange(0, len(s["t"]), every)[1:]
+        for name in ("q", "v", "tau"):
+            s[name][rows] = s[name][rows - 1]
+
+    return repeated
 
 
 def skipped_samples(s: Signals) -> None:

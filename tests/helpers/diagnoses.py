@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from commands import LEG, csv_text, sample_table
 
-from idtool.diagnosis.faults import Fault
+from idtool.diagnosis.data_faults import Fault
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step, Where
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit

@@ -17,7 +17,7 @@ from pages import Page
 from records import partial
 from rich.console import Console
 
-from idtool.diagnosis.faults import Fault
+from idtool.diagnosis.data_faults import Fault
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.pages import diagnosis_page

@@ -1,7 +1,8 @@
-"""What is in a log, and what is wrong with it.
+"""The contents of a log, and what is wrong with it: the one place for all data faults that a log shows by itself.
 
-`inspect_log` looks at a log and nothing else: no model, no configuration. Ranges and counts come from every sample;
-shares and statistics of a long log from stretches spread over it, 2¹⁷ samples in all.
+`inspect_log` looks at a log and nothing else: no model, no configuration. Ranges, counts, jumps and frozen stretches
+come from every sample, block by block; shares and statistics of a long log from stretches spread over it, 2¹⁷ samples
+in all. `clock`, `joint`, `measures`, `torque`, `velocity` and `frozen` make the figures, `findings` judges them.
 
 Letters: t stamps [s], q position [rad or m], v velocity [rad/s or m/s], tau torque or force [N·m or N], dt nominal
 sample time [s], N samples, nj joints.
@@ -12,10 +13,12 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.data.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling, step_jitter
-from idtool.data.inspection.findings import find
+from idtool.data.inspection.findings import all_findings
 from idtool.data.inspection.joint import inspect_joint
+from idtool.data.inspection.jumps import position_jumps
 from idtool.data.inspection.measures import quantisation, span
 from idtool.data.inspection.records import (
+    FaultKind,
     Finding,
     Gap,
     Inspection,
@@ -28,9 +31,10 @@ from idtool.data.inspection.records import (
 )
 from idtool.data.inspection.velocity import velocity_lag
 from idtool.data.logs.log import Log
-from idtool.data.logs.times import doubtful_unit
+from idtool.data.logs.times import describe_doubt, doubtful_unit
 
 __all__ = [
+    "FaultKind",
     "Finding",
     "Gap",
     "Inspection",
@@ -75,17 +79,22 @@ def _inspected(log: Log) -> Inspection:
     stretches = _stretches(log.segments)
     spans = {name: span(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
-    joints, moving = {}, np.zeros(len(fresh), dtype=bool)
+    jumps = position_jumps(log, stretches)
+    joints: dict[str, Joint] = {}
+    moving = np.zeros(len(fresh), dtype=bool)
     for i, name in enumerate(log.joints):
-        joints[name], moves = inspect_joint(log, i, spans, stretches, fresh)
+        joints[name], moves = inspect_joint(log, i, spans, jumps[i], stretches, fresh)
         moving |= moves
     repeated = 1 - float(fresh[moving].mean()) if moving.any() else 0.0
-    stamps = _stamps(log, stretches, [i for i, j in enumerate(joints.values()) if j.moves and j.velocity], repeated)
+    comparable = [i for i, joint in enumerate(joints.values()) if joint.moves and joint.velocity]
+    stamps = _stamps(log, stretches, comparable, repeated)
     t = log.t[np.isfinite(log.t)]
     duration = float(t[-1] - t[0])
     runs = [(s.stop - s.start - 1, float(log.t[s.stop - 1] - log.t[s.start])) for s in log.segments]
     steps, seconds = (sum(column) for column in zip(*runs, strict=True))
-    in_seconds = doubtful_unit(log.dt, log.segments, log.signals) is None
+    unit = doubtful_unit(log.dt, log.segments, log.signals)
+    # a doubtful unit of the times is a finding, and need not be said twice
+    known = None if unit is None else ": ".join(describe_doubt(log.dt, unit, log.signals))
     return Inspection(
         path=str(log.path),
         duration=duration,
@@ -96,20 +105,20 @@ def _inspected(log: Log) -> Inspection:
         segments=len(log.segments),
         stamps=stamps,
         joints=joints,
-        findings=find(log.dt, duration, len(log), len(log.segments), stamps, joints, in_seconds),
-        warnings=log.warnings,
+        findings=all_findings(log, duration, stamps, joints, unit),
+        warnings=tuple(warning for warning in log.warnings if warning != known),
     )
 
 
 def _stretches(segments: tuple[slice, ...]) -> list[slice]:
-    """Stretches of the segments, evenly spread over the log, that hold at most about `_MOST` samples in all."""
+    """Stretches of the segments, evenly spread over the log, of at most about `_MOST` samples in all."""
     cut = [slice(a, min(a + _STRETCH, s.stop)) for s in segments for a in range(s.start, s.stop, _STRETCH)]
     total = sum(s.stop - s.start for s in segments)
     if total <= _MOST:
         cut = list(segments)
     cut = [s for s in cut if s.stop - s.start >= _SHORTEST] or cut
-    keep = np.linspace(0, len(cut) - 1, min(max(len(cut) * _MOST // total, 1), len(cut), _MOST // _SHORTEST))
-    return [cut[i] for i in keep.astype(int)]
+    count = min(max(len(cut) * _MOST // total, 1), len(cut), _MOST // _SHORTEST)
+    return [cut[i] for i in np.linspace(0, len(cut) - 1, count).astype(int)]
 
 
 def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:
@@ -117,10 +126,10 @@ def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float
     lost = gaps(log)
     short = sum(s.stop - s.start for s in log.segments if (s.stop - s.start) * log.dt < _SHORT)
     resolution = quantisation(log.t[stretches[0]])
-    told = None
+    instants = None
     if "v" in log.signals:
         q, v = log.signals["q"], log.signals["v"]
-        told = sampling([(log.t[s], q[s][:, moving], v[s][:, moving]) for s in stretches], log.dt)
+        instants = sampling([(log.t[s], q[s][:, moving], v[s][:, moving]) for s in stretches], log.dt)
     return Stamps(
         step_jitter=step_jitter(log.t, log.dt, log.segments),
         jitter_rms_ms=1e3 * log.dt * jitter(log.t, log.dt, log.segments),
@@ -133,5 +142,5 @@ def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float
         longest_gaps=lost[:_LONGEST_GAPS],
         short=short / sum(s.stop - s.start for s in log.segments),
         repeated=repeated,
-        sampling=told,
+        sampling=instants,
     )

@@ -1,4 +1,4 @@
-"""The clock of a log: what the stamps say, and what position and velocity betray of the real instants.
+"""The clock of a log: its stamps, and the real instants by position and velocity.
 
 Letters: t stamps [s], q position [rad or m], v velocity [rad/s or m/s], dt nominal sample time [s], N samples,
 nj joints.
@@ -15,7 +15,7 @@ from idtool.data.inspection.records import Gap, Sampling
 from idtool.data.logs.log import Log
 
 _AROUND = 9  # stamps to either side of a gap
-_FEWEST = 200  # samples that tell the time, for a statement
+_FEWEST = 200  # steps that tell the time, for a statement
 _UNCERTAIN = 0.1  # standard error of a step, in samples, above which it does not tell the time
 _SKIP = 1.6  # steps longer than this skip a sample
 
@@ -47,7 +47,7 @@ def step_jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
 
 
 def clock_deviation(t: Array) -> Array:
-    """What a uniform clock, its rate fitted, leaves of the stamps of one segment [s], shape (N,)."""
+    """Deviation of the stamps of one segment from a uniform clock, its rate fitted [s], shape (N,)."""
     k = np.arange(len(t)) - 0.5 * (len(t) - 1)
     centred = t - t.mean()
     return np.asarray(centred - k * (k @ centred) / max(float(k @ k), 1.0))
@@ -55,17 +55,19 @@ def clock_deviation(t: Array) -> Array:
 
 def gaps(log: Log) -> tuple[Gap, ...]:
     """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
-    found, first = [], float(log.t[np.isfinite(log.t)][0])
+    first = float(log.t[np.isfinite(log.t)][0])
+    lost_time = []
     for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
         # several stamps to either side, extrapolated to the gap: a single one may be off
         k = np.arange(_AROUND)
-        left, right = log.t[before][: -_AROUND - 1 : -1], log.t[after][:_AROUND]
-        end = float(np.median(left + log.dt * k[: len(left)]))
-        start = float(np.median(right - log.dt * k[: len(right)]))
+        last = log.t[before][: -_AROUND - 1 : -1]
+        following = log.t[after][:_AROUND]
+        end = float(np.median(last + log.dt * k[: len(last)]))
+        start = float(np.median(following - log.dt * k[: len(following)]))
         lost = start - end - log.dt * (after.start - before.stop + 1)
         if lost > 0.5 * log.dt:
-            found.append(Gap(end - first, lost))
-    return tuple(sorted(found, key=lambda gap: -gap.lost))
+            lost_time.append(Gap(end - first, lost))
+    return tuple(sorted(lost_time, key=lambda gap: -gap.lost))
 
 
 def fresh_rows(log: Log, stretch: slice) -> Mask:
@@ -105,14 +107,14 @@ def sample_steps(q: Array, v: Array, dt: float) -> tuple[Array, Array]:
     information = np.sum(expected**2 * weight, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.sum(step * expected * weight, axis=1) / information
-        rest = (step - steps[:, None] * expected) ** 2 * weight
-        variance = np.nansum(rest) / max(np.isfinite(rest).sum(), 1) * q.shape[1] / (q.shape[1] - 1)
+        residual = (step - steps[:, None] * expected) ** 2 * weight
+        variance = np.nansum(residual) / max(np.isfinite(residual).sum(), 1) * q.shape[1] / (q.shape[1] - 1)
         error = np.sqrt(variance / information)
     return steps, error
 
 
 def sampling(stretches: Sequence[tuple[Array, Array, Array]], dt: float) -> Sampling | None:
-    """What the joints' motion tells of the real instants; None where it does not tell.
+    """The real instants of the samples by the joints' motion; None where it does not tell them.
 
     Parameters
     ----------
@@ -128,13 +130,13 @@ def sampling(stretches: Sequence[tuple[Array, Array, Array]], dt: float) -> Samp
     if not parts:
         return None
     steps, error, stamps = np.concatenate(parts, axis=1)
-    told = error < _UNCERTAIN
-    if told.sum() < _FEWEST:
+    certain = error < _UNCERTAIN
+    if certain.sum() < _FEWEST:
         return None
-    noise = 2 * float(np.mean(error[told] ** 2))
-    steps[~told] = np.nan
+    noise = 2 * float(np.mean(error[certain] ** 2))
+    steps[~certain] = np.nan
     return Sampling(
-        skipped=float(np.mean(steps[told] > _SKIP)),
+        skipped=float(np.mean(steps[certain] > _SKIP)),
         jitter_ms=1e3 * dt * _instant_jitter(steps, noise),
         stamp_error_ms=1e3 * dt * _instant_jitter(steps - stamps, noise),
     )

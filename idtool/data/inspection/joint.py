@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from idtool.common.arrays import Array, Mask
+from idtool.data.inspection.jumps import Jumps
 from idtool.data.inspection.measures import Span, noise_level, power_band, quantisation, stale_share, stuck_share
 from idtool.data.inspection.records import Joint, Signal, Velocity
 from idtool.data.inspection.torque import torque_source
@@ -24,12 +25,11 @@ _STANDSTILL = 0.02  # of the fastest motion
 _SMOOTH = 0.05  # s over which the speed is averaged to tell standstill
 _CLOCK = 50  # samples over which the stamps are smoothed into a rate
 _BEYOND = 1.02  # speed over the v that is stuck
-_JUMP = 10.0  # times what all but 1 in 200 steps of q stay below
-_TURN = 0.5  # rad off a full turn that a jump may be
+_GOES_ON = 0.1  # speed at the extremes of q, over the rms speed: a joint that rests there is slower
 
 
 def inspect_joint(
-    log: Log, i: int, spans: Mapping[str, Span], stretches: Sequence[slice], fresh: Mask
+    log: Log, i: int, spans: Mapping[str, Span], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
 ) -> tuple[Joint, Mask]:
     """Inspect joint ``i``.
 
@@ -41,6 +41,8 @@ def inspect_joint(
         Index of the joint.
     spans
         Of every signal, over the whole log.
+    jumps
+        Of its position.
     stretches
         Stretches without a gap that statistics are taken from.
     fresh
@@ -60,6 +62,7 @@ def inspect_joint(
     moves = "q" in changing and bool(spans["q"].high[i] - spans["q"].low[i] > _MOVES * finest)
     source, derivatives = ("v", 0) if "v" in changing else ("q", 1)
     speed = _speed(runs[source], derivatives, log.dt) if source in runs else np.zeros(len(fresh))
+    speed_rms = float(np.sqrt(np.mean(speed**2)))
     moving = moves & (speed > _STANDSTILL * np.percentile(speed, 99.5))
     signals = {}
     for name in names:
@@ -69,17 +72,18 @@ def inspect_joint(
         stuck = stuck_share(x[m], low, high, steps[name])
         if name == "v" and stuck and not _exceeds(runs, low, high, log.dt):
             stuck = 0.0
+        if name == "q" and stuck and "v" in changing and not _goes_on(runs, low, high, speed_rms):
+            stuck = 0.0
         signals[name] = Signal(low, high, rms, int(bad), steps[name], noise[name], stale, stuck)
-    jumps, wraps = _jumps(runs["q"]) if moves else (0, False)
     joint = Joint(
         signals=signals,
         moves=moves,
         standstill=1 - float(moving.mean()),
-        speed_rms=float(np.sqrt(np.mean(speed**2))),
+        speed_rms=speed_rms,
         band_hz=power_band(runs[source], log.dt, derivatives) if moves else None,
-        jumps=jumps,
-        wraps=wraps,
-        velocity=_velocity(log, runs, stretches) if moves and "v" in changing and not jumps else None,
+        jumps=jumps.number if moves else 0,
+        wraps=jumps.wraps and moves,
+        velocity=_velocity(log, runs, stretches) if moves and "v" in changing and not jumps.number else None,
         torque=torque_source(runs, signals["tau"]) if moves and "tau" in changing else None,
     )
     return joint, moving
@@ -110,34 +114,36 @@ def _exceeds(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: f
     return bool(np.median(np.abs(speed[at])) > _BEYOND * np.median(np.abs(v[at])))
 
 
-def _jumps(runs: Sequence[Array]) -> tuple[int, bool]:
-    """Number of steps of q far beyond all others, and whether they are about a full turn."""
-    step = np.concatenate([np.abs(np.diff(x)) for x in runs])
-    jumps = step[step > _JUMP * np.percentile(step, 99.5)]
-    return len(jumps), bool(len(jumps) and abs(float(np.median(jumps)) - 2 * np.pi) < _TURN)
+def _goes_on(runs: Mapping[str, Sequence[Array]], low: float, high: float, speed_rms: float) -> bool:
+    """Whether v goes on where q is at an extreme; else the joint rests there, as at an end stop."""
+    q = np.concatenate(runs["q"])
+    v = np.concatenate(runs["v"])
+    at = (q <= low) | (q >= high)
+    return bool(np.median(np.abs(v[at])) > _GOES_ON * speed_rms) if at.any() else False
 
 
 def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence[slice]) -> Velocity | None:
-    """Agreement of v with q, the stretches weighted by what they tell."""
-    found: list[Agreement] = []
+    """Agreement of v with q, the stretches weighted by their information."""
+    agreements: list[Agreement] = []
     power = []
-    for q, v, s in zip(runs["q"], runs["v"], stretches, strict=True):
+    for q, v, stretch in zip(runs["q"], runs["v"], stretches, strict=True):
         # where samples were lost without a gap the stamps show it; smoothed, they give the rate
-        rate = gaussian_filter1d(np.gradient(log.t[s]) / log.dt, _CLOCK)
-        one = velocity_agreement(q, v * rate, log.dt)
-        if not np.isnan(one.agreement):
-            found.append(one)
+        rate = gaussian_filter1d(np.gradient(log.t[stretch]) / log.dt, _CLOCK)
+        agreement = velocity_agreement(q, v * rate, log.dt)
+        if not np.isnan(agreement.agreement):
+            agreements.append(agreement)
             power.append(float(v @ v) + np.finfo(float).tiny)
-    if not found:
+    if not agreements:
         return None
-    lag, gain, agreement, error = np.array(found).T
-    agreement = float(np.average(agreement, weights=power))
-    residual = float(np.sqrt((1 - agreement) * sum(power) / sum(len(v) for v in runs["v"])))
-    told = np.isfinite(lag)
-    if not told.any():
-        return Velocity(None, None, None, agreement, residual)
-    weight = 1 / np.maximum(error[told], 1e-9) ** 2
-    mean = float(np.average(lag[told], weights=weight))
-    scatter = float(np.average((lag[told] - mean) ** 2, weights=weight)) / max(told.sum() - 1, 1)
-    error = float(np.sqrt(max(1 / weight.sum(), scatter)))
-    return Velocity(1e3 * mean, 1e3 * error, float(np.average(gain[told], weights=weight)), agreement, residual)
+    lag, gain, explained, error = np.array(agreements).T
+    share = float(np.average(explained, weights=power))
+    residual = float(np.sqrt((1 - share) * sum(power) / sum(len(v) for v in runs["v"])))
+    related = np.isfinite(lag)
+    if not related.any():
+        return Velocity(None, None, None, share, residual)
+    weight = 1 / np.maximum(error[related], 1e-9) ** 2
+    mean_lag = float(np.average(lag[related], weights=weight))
+    mean_gain = float(np.average(gain[related], weights=weight))
+    scatter = float(np.average((lag[related] - mean_lag) ** 2, weights=weight)) / max(related.sum() - 1, 1)
+    lag_error = float(np.sqrt(max(1 / weight.sum(), scatter)))
+    return Velocity(1e3 * mean_lag, 1e3 * lag_error, mean_gain, share, residual)

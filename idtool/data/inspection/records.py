@@ -1,4 +1,4 @@
-"""What an inspection finds: plain frozen records that turn into JSON."""
+"""The results of an inspection: plain frozen records that turn into JSON."""
 
 from __future__ import annotations
 
@@ -9,6 +9,17 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 Severity = Literal["note", "warning", "problem"]
+FaultKind = Literal[
+    "wrong_unit",
+    "wrong_sign",
+    "wrong_joint_order",
+    "dropped_samples",
+    "clipped",
+    "stale",
+    "velocity_lag",
+    "time_jitter",
+    "wrapped_position",
+]
 
 
 @dataclass(frozen=True)
@@ -26,12 +37,19 @@ class Finding:
         One sentence with the figure.
     meaning
         What it means for the fit, and what to do about it. The same words for the same defect, whatever the joint.
+    fault
+        The kind of data fault, which a diagnosis names too; None: too little to spoil a fit, of no kind in the table
+        of `idtool.diagnosis.data_faults`, or for the model to decide.
+    undone
+        Whether the fault is undone, so that nothing is to be done.
     """
 
     severity: Severity
     joint: str | None
     what: str
     meaning: str
+    fault: FaultKind | None = None
+    undone: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,7 +137,8 @@ class Signal:
         Share of samples that repeat the one before while the signal is on its way, those that repeat in every joint
         left out; None where it hardly ever is.
     stuck
-        Share of samples that sit at the lowest or highest value as on an end stop.
+        Share of samples that sit at the lowest or highest value as on an end stop; 0 where q or v rests there, by the
+        other of the two.
     """
 
     minimum: float
@@ -138,6 +157,25 @@ class Signal:
 
 
 @dataclass(frozen=True)
+class Frozen:
+    """The stretches in which a channel repeats one value while its joint moves.
+
+    Attributes
+    ----------
+    stretches
+        Number of them.
+    seconds
+        Their length in all [s].
+    start
+        Where the first begins [s after the first stamp].
+    """
+
+    stretches: int
+    seconds: float
+    start: float
+
+
+@dataclass(frozen=True)
 class Velocity:
     """A measured velocity against the derivative of the position.
 
@@ -150,7 +188,7 @@ class Velocity:
     agreement
         Share of v's power in the band of the motion that dq/dt explains, 0..1.
     residual
-        What is left, root mean square [rad/s or m/s].
+        The rest, root mean square [rad/s or m/s].
     """
 
     lag_ms: float | None
@@ -207,7 +245,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in a log, and what is wrong with it.
+    """The contents of a log, and what is wrong with it.
 
     Attributes
     ----------
@@ -232,7 +270,7 @@ class Inspection:
     findings
         Problems first, then warnings, then notes; those with the same meaning side by side.
     warnings
-        What the reader had to say.
+        Of the reader; a doubtful unit of the times is among the findings.
     """
 
     path: str

@@ -1,4 +1,4 @@
-"""Whether a logged torque was measured or is the command.
+"""The source of a logged torque: a sensor, or the command.
 
 Letters: q position [rad or m], v velocity [rad/s or m/s], tau torque or force [N·m or N], N samples.
 """
@@ -14,14 +14,14 @@ from idtool.data.inspection.records import Signal, TorqueSource
 
 Runs = Mapping[str, Sequence[Array]]
 
-_LAW = 1e-3  # of tau's deviation: what a control law's rounding may leave
+_LAW = 1e-3  # of tau's deviation: a control law's rounding leaves no more
 _DELAYS = (0, 1, 2)  # samples by which the law may act late
 _POOR = 1e-2  # an acceleration this close to a line in q and v makes any torque look like a law
 _NOISELESS = 1e-5  # of tau's deviation: no sensor is that quiet
 _SAME_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
 _OWN_NOISE = 0.7
 _DROWNED = 2.0  # fast changes over noise
-_HELD = 0.3  # share of repeated values
+_REPEATED = 0.3  # share of repeated values
 _FEWEST = 256  # samples of a stretch
 _WINDOW = 50  # samples
 _RESOLUTION = 1.5 / np.sqrt(12)  # noise below this many steps may be the rounding's
@@ -46,7 +46,7 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
     law = _law(runs, tau)
     if law is not None:
         return TorqueSource("commanded", law)
-    if (tau.stale or 0.0) > _HELD:
+    if (tau.stale or 0.0) > _REPEATED:
         return TorqueSource("unknown", f"{tau.stale:.0%} of its values repeat: a slow sensor or a slow controller")
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _NOISELESS * spread:
@@ -95,7 +95,7 @@ def _rows(runs: Runs, names: Sequence[str], delay: int) -> Array:
 
 
 def _line(columns: Array, x: Array) -> tuple[Array, float]:
-    """Gains of the best line in the columns and a constant, and what it leaves over x's deviation."""
+    """Gains of the best line in the columns and a constant, and the deviation from it over that of x."""
     centred = columns - columns.mean(axis=0)
     gains = np.linalg.lstsq(centred, x - x.mean(), rcond=None)[0]
     return gains, float(np.std(x - centred @ gains) / max(np.std(x), np.finfo(float).tiny))

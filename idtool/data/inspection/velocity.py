@@ -23,7 +23,7 @@ _REACH = 5  # standard deviations at which the Gaussian is cut off
 
 
 class Agreement(NamedTuple):
-    """How a velocity follows the derivative of its position.
+    """Agreement of a velocity with the derivative of its position.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.provenance import Source
-from idtool.data.logs.times import doubtful_unit
+from idtool.data.logs.times import describe_doubt, doubtful_unit
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
@@ -115,8 +115,7 @@ def make_log(
     if bad.any():
         warnings += (f"{int(bad.sum())} samples hold values that are not finite and were left out",)
     if unit := doubtful_unit(dt, segments, held):
-        what = f"which are in {unit}, as v tells" if "v" in held else f"which look like {unit}"
-        warnings += (f"samples are {dt:.3g} s apart by their times, {what}: write them in seconds",)
+        warnings += (": ".join(describe_doubt(dt, unit, held)),)
     return Log(path, joints, t, held, segments, dt, warnings)
 
 

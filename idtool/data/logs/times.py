@@ -75,3 +75,19 @@ def doubtful_unit(dt: float, segments: Sequence[slice], signals: Mapping[str, Ar
     way, expected = np.diff(q, axis=0), 0.5 * dt * (v[1:] + v[:-1])
     scale = np.nansum(way * expected) / max(float(np.nansum(expected**2)), np.finfo(float).tiny)  # least squares
     return unit if 1 / _AGREES < scale * _UNITS[unit] < _AGREES else None
+
+
+def describe_doubt(dt: float, unit: str, signals: Mapping[str, Array]) -> tuple[str, str]:
+    """Why times are doubtful, and what to do about it.
+
+    Parameters
+    ----------
+    dt
+        Nominal sample time [s].
+    unit
+        The unit that they seem to be in, from `doubtful_unit`.
+    signals
+        Those of the log, by name.
+    """
+    evidence = f"which are in {unit}, as v tells" if "v" in signals else f"which look like {unit}"
+    return f"samples are {dt:.3g} s apart by their times, {evidence}", "write them in seconds"

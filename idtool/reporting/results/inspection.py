@@ -94,6 +94,8 @@ class FindingReport(Record):
     joint: str | None = field("The joint; null: the whole log.")
     what: str = field("What was found.")
     meaning: str = field("What it means for the fit, and what to do.")
+    fault: str | None = field("Id of the data fault, which a diagnosis names too; null: too little to spoil a fit.")
+    undone: bool = field("Whether idtool undoes it, so that nothing is to be done.")
 
 
 class InspectionReport(Result):

@@ -1,6 +1,6 @@
 """The unit of all torques, by the URDF's masses, and whether a torque at its extremes is cut off.
 
-Letters as in `fault_fit`.
+Letters as in `channel_fit`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from scipy.optimize import nnls
 from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.data.inspection import Joint
-from idtool.diagnosis.fault_fit import Change, FaultFit
-from idtool.diagnosis.fault_record import Fault
+from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
+from idtool.diagnosis.data_faults.fault import Fault
 from idtool.estimation.dataset.reduction import Factor
 
 _WEIGHT, _INERTIA = 0.03, 0.3  # share of a torque's power that either must make up to tell the unit
@@ -27,7 +27,7 @@ _BEYOND = 3.0  # standard errors, and
 _BEYOND_SHARE = 0.01  # of the extreme, that the torque must go on beyond it
 
 
-def torque_unit(fit: FaultFit, change: Change, T: Array) -> Iterator[Fault]:
+def torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Fault]:
     """A fault where all torques are another multiple of what the URDF's bodies take than a wrong URDF explains.
 
     Weight is believed before inertia, to which rotors may add any amount.
@@ -48,26 +48,26 @@ def torque_unit(fit: FaultFit, change: Change, T: Array) -> Iterator[Fault]:
     if logs[0] > 0 and _place_holders(fit):
         return
     factor = float(np.exp(np.median(logs)))
-    what = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
-    do = "if it is a motor's torque, a current, mN·m or the like set its `log.scale`; else the URDF's masses are wrong"
-    yield Fault("wrong_unit", None, f"{what} at {some(list(factors))}: {do}")
+    ratio = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
+    advice = "if it is a motor's torque, a current, mN·m or the like set its `log.scale`"
+    yield Fault("wrong_unit", None, f"{ratio} at {some(list(factors))}: {advice}; else the URDF's masses are wrong")
 
 
-def _place_holders(fit: FaultFit) -> bool:
+def _place_holders(fit: ChannelFit) -> bool:
     """Whether the URDF's masses only hold a place: next to none, or the same for three links and more."""
     masses = np.array([body.pi[0] for body in fit.bodies if body.kind == "link"])
     return bool(np.median(masses) < _LIGHT or (len(masses) > 2 and np.ptp(masses) == 0))
 
 
-def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:
+def _factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:
     """By joint, what to multiply weight and inertia with, where they tell."""
     rows: list[list[Array]] = [[np.zeros((5, 0))] for _ in fit.equation.joints]
     for motion in map(change, fit.motions):
         still = replace(motion, v=0 * motion.v, a=0 * motion.a)
-        moved, held = (fit.equation.columns(m) for m in (motion, still))
-        torques = T @ np.stack([block[-1] for block in moved])
+        moving, resting = (fit.equation.columns(m) for m in (motion, still))
+        torques = T @ np.stack([block[-1] for block in moving])
         for j, own in enumerate(rows):
-            rigid, gravity = fit.rigid(j, moved[j]), fit.rigid(j, held[j])
+            rigid, gravity = fit.rigid(j, moving[j]), fit.rigid(j, resting[j])
             v = motion.v[j]
             own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.still[j]), torques[j]]))
     weight: dict[str, float] = {}
@@ -80,13 +80,13 @@ def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float],
         share, rest = nnls((x[:-1] / np.where(size[:-1] > 0, size[:-1], 1.0)[:, None]).T, x[-1] / size[-1])
         if rest**2 > 1 - _EXPLAINED:
             continue
-        for found, k, least in ((weight, 0, _WEIGHT), (inertia, 1, _INERTIA)):
+        for factors, k, least in ((weight, 0, _WEIGHT), (inertia, 1, _INERTIA)):
             if share[k] ** 2 > least and size[k] > _NONE * size[:2].max():
-                found[name] = float(share[k] * size[-1] / size[k])
+                factors[name] = float(share[k] * size[-1] / size[k])
     return weight, inertia
 
 
-def cut_off(fit: FaultFit, j: int, joint: Joint) -> Iterator[Fault]:
+def cut_off(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Fault]:
     """A fault where the torque of joint j goes on beyond the extremes at which its channel stays.
 
     A drive's limit keeps the torque itself there, which is no fault. So the torque equation gets a column more, which
@@ -112,16 +112,16 @@ def cut_off(fit: FaultFit, j: int, joint: Joint) -> Iterator[Fault]:
         total = factor if total is None else total + factor
     if total is None:
         return
-    missing, error = _last(total)
+    missing, error = _missing(total)
     level = max(abs(tau.minimum), abs(tau.maximum))
     if missing > max(_BEYOND * error, _BEYOND_SHARE * level):
-        what = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
+        extremes = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
         beyond = f"where by the motion it goes on for {missing:.2g} in the mean"
-        yield Fault("clipped", name, f"{what}, {beyond}: excite less, or raise the limit")
+        yield Fault("clipped", name, f"{extremes}, {beyond}: excite less, or raise the limit")
 
 
-def _last(factor: Factor) -> tuple[float, float]:
-    """How much of its last column the torque lacks, and the standard error of that."""
+def _missing(factor: Factor) -> tuple[float, float]:
+    """Negative coefficient of the last column, by which the torque is too small there, and its standard error."""
     Y, tau = factor.R[:, :-1], factor.R[:, -1]
     size = np.linalg.norm(Y, axis=0)
     if size[-1] == 0:

@@ -1,4 +1,4 @@
-"""How well bodies that can be explain the torque, when a log's channels are taken for something else than they say.
+"""Fit of realizable bodies to the torque, with a log's channels taken for something else than they say.
 
 A bounded sample of the logs is fitted by the model with all that a joint may well have beside its bodies: friction,
 an offset, a spring and a rotor. So no torque is called impossible that one of them explains. What remains impossible
@@ -32,7 +32,7 @@ Change = Callable[[Motion], Motion]
 
 _PARTS, _ROWS = 8, 384  # stretches of the logs, and samples in the band of each
 _MOST = 64  # stretches, where gaps make them shorter
-EXPLAINED = 1e-3  # of a torque's power: what less is left is no better explained
+EXPLAINED = 1e-3  # of a torque's power: a smaller rest is no better explained
 _QUIET = 1e-6  # of a torque's power that its noise is taken to have at least
 _FEWEST = 4.0  # rows for each coefficient, for a joint to have a say
 _RANK = 1e-8  # of the largest singular value
@@ -45,7 +45,7 @@ _PLAIN = {
 }
 
 
-class FaultFit:
+class ChannelFit:
     """A bounded sample of the logs, and the model to fit to it.
 
     Attributes
@@ -78,13 +78,13 @@ class FaultFit:
         self.groups = _groups(experiment.model.support())
         self.prior = np.concatenate([body.pi for body in self.bodies])
 
-    def posed(self, change: Change) -> Posed:
-        """The sample with position, velocity and acceleration changed."""
+    def reduced(self, change: Change) -> ReducedSample:
+        """The sample with position, velocity and acceleration changed, reduced to factors."""
         total: tuple[Factor, ...] | None = None
         for motion, batch in zip(self.motions, self.batches, strict=True):
             factors = tuple(Factor.of(rows, batch.low_pass.redundancy) for rows in self._rows(change(motion)))
             total = factors if total is None else tuple(a + b for a, b in zip(total, factors, strict=True))
-        return Posed(self, total or ())
+        return ReducedSample(self, total or ())
 
     def _rows(self, motion: Motion) -> Iterator[Array]:
         """Per joint its columns and all torques where it moves, shape (m_j + nv, n)."""
@@ -94,8 +94,8 @@ class FaultFit:
                 moving[joint] &= ~mask
         blocks = self.equation.columns(motion)
         torques = np.stack([block[-1] for block in blocks])
-        for block, kept in zip(blocks, moving, strict=True):
-            yield np.vstack([block[:-1], torques])[:, kept]
+        for block, columns in zip(blocks, moving, strict=True):
+            yield np.vstack([block[:-1], torques])[:, columns]
 
     @cached_property
     def excess(self) -> Array:
@@ -104,8 +104,8 @@ class FaultFit:
         for motion in self.motions:
             for j, block in enumerate(self.equation.columns(motion)):
                 power[:, j] += np.square(self.rigid(j, block)).sum(), np.square(block[-1]).sum()
-        told = power.all(axis=0)
-        return np.where(told, 0.5 * np.log10(np.where(told, power[1], 1) / np.where(told, power[0], 1)), 0.0)
+        known = power.all(axis=0)
+        return np.where(known, 0.5 * np.log10(np.where(known, power[1], 1) / np.where(known, power[0], 1)), 0.0)
 
     def rigid(self, j: int, block: Array) -> Array:
         """Torque of joint j that the URDF's bodies take, from the joint's columns, shape (n,)."""
@@ -115,7 +115,7 @@ class FaultFit:
 
 
 @dataclass(frozen=True)
-class Posed:
+class ReducedSample:
     """The sample reduced, positions being what they are taken for and torques as logged.
 
     Attributes
@@ -126,11 +126,11 @@ class Posed:
         Per joint, that of [Y_j, all torques]; none where no stretch is long enough.
     """
 
-    fit: FaultFit
+    fit: ChannelFit
     factors: tuple[Factor, ...]
 
     def unexplained(self, T: Array) -> Array | None:
-        """What bodies that can be leave of each torque.
+        """Share of each torque's power that bodies that can be leave unexplained.
 
         Parameters
         ----------
@@ -165,31 +165,32 @@ class Posed:
         return np.array([factor.rows < _FEWEST * factor.R.shape[1] for factor in self.factors])
 
     def free(self, T: Array) -> Array:
-        """What any coefficients whatever leave of each torque, each joint by itself: u can't be less; shape (nv,)."""
+        """Share of each torque that any coefficients whatever leave, joint by joint: u can't be less; shape (nv,)."""
         pairs = zip(T, self._powers, strict=True)
-        return np.array([_quotient(row @ left @ row, row @ whole @ row) for row, (left, whole) in pairs])
+        return np.array([_quotient(row @ rest @ row, row @ whole @ row) for row, (rest, whole) in pairs])
 
     @property
     def exchanged(self) -> Array:
-        """What any coefficients whatever leave of the torque of joint k in the equation of joint j, shape (nv, nv)."""
-        return np.array([list(map(_quotient, np.diag(left), np.diag(whole))) for left, whole in self._powers])
+        """Share of joint k's torque that any coefficients whatever leave in joint j's equation, shape (nv, nv)."""
+        return np.array([list(map(_quotient, np.diag(rest), np.diag(whole))) for rest, whole in self._powers])
 
     @cached_property
     def _powers(self) -> list[tuple[Array, Array]]:
         """Per joint, products of all torques with each other: of what its columns leave of them, and of them."""
-        nv, found = len(self.factors), []
+        nv = len(self.factors)
+        powers = []
         for factor in self.factors:
             Y, torques = factor.R[:, :-nv], factor.R[:, -nv:]
             size = np.linalg.norm(Y, axis=0)
             size[size == 0] = 1.0
             rest = torques - Y / size @ np.linalg.lstsq(Y / size, torques, rcond=_RANK)[0]
-            found.append((rest.T @ rest, torques.T @ torques))
-        return found
+            powers.append((rest.T @ rest, torques.T @ torques))
+        return powers
 
 
-def _quotient(left: float, power: float) -> float:
-    """Share of a torque's power that is left, at least 1e-6; 1 of none."""
-    return max(float(left / power), _QUIET) if power > 0 else 1.0
+def _quotient(rest: float, power: float) -> float:
+    """Share of the rest in a torque's power, at least 1e-6; 1 of none."""
+    return max(float(rest / power), _QUIET) if power > 0 else 1.0
 
 
 def _generous(config: Config, joints: tuple[str, ...]) -> Config:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from idtool.data.inspection import FaultKind
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -12,16 +14,16 @@ class Fault:
     Attributes
     ----------
     fault
-        Which; see `idtool.diagnosis.faults`.
+        Its kind; see `idtool.diagnosis.data_faults`.
     joint
         The joint it concerns; None: the log, or all joints.
     detail
-        What was seen and what to do, a plain sentence.
+        The evidence and what to do, a plain sentence.
     undone
         Whether it is undone, so that nothing is to be done.
     """
 
-    fault: str
+    fault: FaultKind
     joint: str | None
     detail: str
     undone: bool = False

@@ -1,6 +1,6 @@
-"""What a log's channels may be taken for: signs, order and units that would make sense of the torque.
+"""Mistakes in a log's channels: signs, order and units that a driver or a logger may have got wrong.
 
-Each trial changes the channels as if one mistake of a driver or a logger were undone. Letters as in `fault_fit`.
+Each changes the channels as if it were undone. Letters as in `channel_fit`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.data.inspection import FaultKind
 from idtool.data.signals import Motion
-from idtool.diagnosis.fault_fit import Change
-from idtool.diagnosis.fault_record import Fault
+from idtool.diagnosis.data_faults.channel_fit import Change
+from idtool.diagnosis.data_faults.fault import Fault
 from idtool.robot.urdf.reading import Joint
 
 _FEW = 4  # joints of which any may be turned at once
@@ -23,15 +24,15 @@ _EXCESS = 1.5  # log10 of a torque over what the URDF says, from which it may be
 
 
 @dataclass(frozen=True)
-class Trial:
+class Mistake:
     """A mistake that may have been made.
 
     Attributes
     ----------
     fault
-        What it would be.
-    what
-        Per joint that it concerns, what it is and what to do, one sentence of two parts.
+        Its kind.
+    details
+        Per joint that it concerns, what is wrong and what to do.
     joints
         Indices of these joints.
     T
@@ -42,12 +43,12 @@ class Trial:
         Mistakes that the data can't tell from it.
     """
 
-    fault: str
-    what: tuple[tuple[str, str], ...]
+    fault: FaultKind
+    details: tuple[tuple[str, str], ...]
     joints: tuple[int, ...]
     T: Array
     position: Change | None = None
-    others: tuple[Trial, ...] = ()
+    others: tuple[Mistake, ...] = ()
 
     def faults(self, names: Sequence[str], before: float, after: float, computed: Set[str]) -> Iterator[Fault]:
         """The mistake as faults, one a joint.
@@ -63,17 +64,17 @@ class Trial:
         """
         shares = f"put right, bodies that can be leave {after:.1%} of the torque's power unexplained, else "
         shares += f"{before:.1%}" if before < 1 else "all of it"
-        for joint, (what, do) in zip(self.joints, self.what, strict=True):
-            also = [f"{names[other.joints[0]]}: {other.what[0][0]}" for other in self.others]
-            or_else = f"; the data can't tell it from {some(also)}" if also else ""
+        alternatives = [f"{names[other.joints[0]]}: {other.details[0][0]}" for other in self.others]
+        or_else = f"; the data can't tell it from {some(alternatives)}" if alternatives else ""
+        for joint, (defect, advice) in zip(self.joints, self.details, strict=True):
             if names[joint] in computed:
-                do = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"
-            yield Fault(self.fault, names[joint], f"{what} ({shares}{or_else}): {do}")
+                advice = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"
+            yield Fault(self.fault, names[joint], f"{defect} ({shares}{or_else}): {advice}")
 
 
-def trials(
+def possible_mistakes(
     group: Sequence[int], joints: Sequence[Joint], turned: set[int], outside: set[int], excess: Array
-) -> list[Trial]:
+) -> list[Mistake]:
     """Mistakes in the channels of joints that share bodies, those to be preferred first where two do as well.
 
     Parameters
@@ -89,23 +90,26 @@ def trials(
     excess
         log10 of the size of each torque over what the URDF's bodies take, shape (nv,).
     """
-    names, nv = [joint.name for joint in joints], len(joints)
+    names = [joint.name for joint in joints]
+    nv = len(joints)
     pairs = list(itertools.combinations(group, 2))
     suspects = list(reversed(_subsets(sorted(outside & set(group)))))  # more before fewer: units are mostly common
     suspects[1:1] = [tuple(group)] if suspects and len(suspects[0]) < len(group) else []
-    found = [_position_unit(which, joints) for which in suspects]
-    found += [_turned_position(j, nv) for j in group if j in turned]
-    found += [_turned_torque(which, nv) for which in _subsets(group)]
-    found += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
-    found += [_turned_position(j, nv) for j in group if j not in turned]
-    found += [_turned_joint(j, nv) for j in group]
-    found += [_joint_order(_swap(nv, i, k), names) for i, k in pairs]
+    mistakes = [_position_unit(which, joints) for which in suspects]
+    mistakes += [_turned_position(j, nv) for j in group if j in turned]
+    mistakes += [_turned_torque(which, nv) for which in _subsets(group)]
+    mistakes += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
+    mistakes += [_turned_position(j, nv) for j in group if j not in turned]
+    mistakes += [_turned_joint(j, nv) for j in group]
+    mistakes += [_joint_order(_swap(nv, i, k), names) for i, k in pairs]
     if len(group) > 1:
-        found += [_torque_unit(j, 10 ** (-3 * np.sign(excess[j])), nv) for j in group if abs(excess[j]) > _EXCESS]
-    return found
+        for j in group:
+            if abs(excess[j]) > _EXCESS:
+                mistakes.append(_torque_unit(j, 10 ** (-3 * np.sign(excess[j])), nv))
+    return mistakes
 
 
-def torque_order(order: Sequence[int], names: Sequence[str]) -> Trial:
+def torque_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
     """Torques that stand in another order.
 
     Parameters
@@ -116,49 +120,55 @@ def torque_order(order: Sequence[int], names: Sequence[str]) -> Trial:
         Of all joints.
     """
     which = tuple(j for j, k in enumerate(order) if j != k)
-    what = tuple((f"its torque stands under {names[order[j]]}", "put the order of tau right") for j in which)
-    return Trial("wrong_joint_order", what, which, np.eye(len(names))[list(order)])
+    details = tuple((f"its torque stands under {names[order[j]]}", "put the order of tau right") for j in which)
+    return Mistake("wrong_joint_order", details, which, np.eye(len(names))[list(order)])
 
 
-def _turned_torque(which: tuple[int, ...], nv: int) -> Trial:
-    what = "tau has the opposite sign of the torque that moves the joint", "set its `log.scale` to -1"
-    return Trial("wrong_sign", (what,) * len(which), which, _diagonal(which, -1.0, nv))
+def _turned_torque(which: tuple[int, ...], nv: int) -> Mistake:
+    detail = "tau has the opposite sign of the torque that moves the joint", "set its `log.scale` to -1"
+    return Mistake("wrong_sign", (detail,) * len(which), which, _diagonal(which, -1.0, nv))
 
 
-def _turned_position(j: int, nv: int) -> Trial:
-    what = "q runs against the direction in which tau acts", "set its `log.scale` to -1"
-    return Trial("wrong_sign", (what,), (j,), np.eye(nv), _scaled((j,), -1.0))
+def _turned_position(j: int, nv: int) -> Mistake:
+    detail = "q runs against the direction in which tau acts", "set its `log.scale` to -1"
+    return Mistake("wrong_sign", (detail,), (j,), np.eye(nv), _scaled((j,), -1.0))
 
 
-def _turned_joint(j: int, nv: int) -> Trial:
-    what = "q, v and tau all run against the joint's axis in the URDF", "set their `log.scale` to -1, or turn the axis"
-    return Trial("wrong_sign", (what,), (j,), _diagonal((j,), -1.0, nv), _scaled((j,), -1.0))
+def _turned_joint(j: int, nv: int) -> Mistake:
+    detail = (
+        "q, v and tau all run against the joint's axis in the URDF",
+        "set their `log.scale` to -1, or turn the axis",
+    )
+    return Mistake("wrong_sign", (detail,), (j,), _diagonal((j,), -1.0, nv), _scaled((j,), -1.0))
 
 
-def _position_unit(which: tuple[int, ...], joints: Sequence[Joint]) -> Trial:
-    what, factors = [], []
+def _position_unit(which: tuple[int, ...], joints: Sequence[Joint]) -> Mistake:
+    details, factors = [], []
     for j in which:
         unit, factor = ("mm", 1e-3) if joints[j].kind == "prismatic" else ("degrees", np.pi / 180)
-        what.append((f"q is in {unit}", f"set its `log.scale` to {factor:.6g}"))
+        details.append((f"q is in {unit}", f"set its `log.scale` to {factor:.6g}"))
         factors.append(factor)
-    return Trial("wrong_unit", tuple(what), which, np.eye(len(joints)), _scaled(which, np.array(factors)))
+    return Mistake("wrong_unit", tuple(details), which, np.eye(len(joints)), _scaled(which, np.array(factors)))
 
 
-def _torque_unit(j: int, factor: float, nv: int) -> Trial:
+def _torque_unit(j: int, factor: float, nv: int) -> Mistake:
     unit = "thousandths" if factor < 1 else "thousands"
-    what = f"tau is in {unit} of the unit of the other joints'", f"set its `log.scale` to {factor:g}"
-    return Trial("wrong_unit", (what,), (j,), _diagonal((j,), factor, nv))
+    detail = f"tau is in {unit} of the unit of the other joints'", f"set its `log.scale` to {factor:g}"
+    return Mistake("wrong_unit", (detail,), (j,), _diagonal((j,), factor, nv))
 
 
-def _joint_order(order: Sequence[int], names: Sequence[str]) -> Trial:
-    own, rows = torque_order(order, names), list(order)
-    what = tuple((f"q, v and tau of it stand under {names[order[j]]}", "put the names right") for j in own.joints)
+def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
+    rows = list(order)
+    of_torques = torque_order(order, names)
+    details = []
+    for j in of_torques.joints:
+        details.append((f"q, v and tau of it stand under {names[order[j]]}", "put the names right"))
 
     def change(motion: Motion) -> Motion:
         q, v, a, still = motion.q[rows], motion.v[rows], motion.a[rows], motion.still[rows]
         return replace(motion, q=q, v=v, a=a, still=still)
 
-    return replace(own, what=what, position=change)
+    return replace(of_torques, details=tuple(details), position=change)
 
 
 def _subsets(group: Sequence[int]) -> list[tuple[int, ...]]:

@@ -1,0 +1,134 @@
+"""Findings on one channel of a joint: missing, not filled, clipped, stale, frozen, too coarse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from idtool.data.inspection.records import Finding, Frozen, Joint, Signal
+from idtool.data.inspection.sentences import counted
+
+STUCK = 0.005  # share of samples while moving: fewer may gather at a turning point
+REPEATS = 0.02  # share of the samples while a channel changes: fewer are not worth a word
+STALE = 0.05  # the same: less makes a channel late by a twentieth of a sample in the mean, which is no matter
+STALE_AND_STUCK = 0.3  # the same of a channel at its extremes, on the way to which it may repeat values
+COARSE = 0.02  # rounding noise over the signal's rms
+BAND = 5.0  # times the velocity's band: about what a fit's filter lets through
+
+
+def missing_channels(name: str, joint: Joint) -> Iterator[Finding]:
+    """Channels that the joint lacks."""
+    if "q" not in joint.signals:
+        meaning = "the joint can't be used; name its column in `log.columns`, or leave it out of `joints`"
+        yield Finding("problem", name, "q is missing", meaning)
+    if "v" not in joint.signals:
+        yield Finding("note", name, "v is missing", "it is differentiated from q")
+    if "tau" not in joint.signals:
+        if "qcmd" in joint.signals:
+            meaning = "it is computed from the command: give the joint's gains under `controller`"
+            yield Finding("note", name, "tau is missing, qcmd is there", meaning)
+        else:
+            meaning = "nothing can be fitted to the joint; name its column in `log.columns`, or log qcmd"
+            yield Finding("problem", name, "tau is missing", meaning)
+
+
+def channel_findings(name: str, joint: Joint, frozen: Mapping[str, Frozen], dt: float) -> Iterator[Finding]:
+    """All findings on single channels of a joint.
+
+    Parameters
+    ----------
+    name, joint
+        The joint.
+    frozen
+        Frozen stretches, by signal.
+    dt
+        Nominal sample time [s].
+    """
+    for signal, figures in joint.signals.items():
+        if figures.not_finite:
+            number = f"{counted(figures.not_finite, 'sample')} of {signal} not finite"
+            yield Finding("warning", name, number, "the rows are left out, and each run of them splits the log")
+        if joint.moves:
+            if signal in ("v", "tau"):
+                yield from _constant(name, signal, figures)
+            if signal in ("q", "v", "tau"):
+                yield from _stale_or_clipped(name, signal, joint)
+            if signal in frozen:
+                yield _frozen(name, signal, frozen[signal])
+            yield from _coarse(name, signal, joint, dt)
+
+
+def _constant(name: str, signal: str, figures: Signal) -> Iterator[Finding]:
+    if figures.constant:
+        instead = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
+        value = f"{signal} is {figures.minimum + 0.0:.4g} throughout while q moves"  # 0, not -0
+        yield Finding("problem", name, value, f"the channel was not filled; {instead}", "stale")
+
+
+def _stale_or_clipped(name: str, signal: str, joint: Joint) -> Iterator[Finding]:
+    """A channel that is read too seldom sits at its extremes too, so that is asked first."""
+    figures = joint.signals[signal]
+    repeats = figures.stale or 0.0
+    stuck = figures.stuck > STUCK
+    share = f"{repeats:.1%} of {signal}'s samples repeat the one before while it changes"
+    meaning = "the channel is read too seldom, and is late by half its period; check the bus"
+    if repeats > (STALE_AND_STUCK if stuck else STALE):
+        yield Finding("warning", name, share, meaning, "stale")
+    elif stuck:
+        yield from _clipped(name, signal, joint)
+    elif repeats > REPEATS:
+        yield Finding("note", name, share, meaning)
+
+
+def _clipped(name: str, signal: str, joint: Joint) -> Iterator[Finding]:
+    """A channel at its extremes. Whether the drive or the sensor cut the torque off is for the model to tell."""
+    figures = joint.signals[signal]
+    extremes = f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {figures.stuck:.1%} of the samples"
+    if signal == "tau":
+        meaning = "what lies beyond was cut off and pulls the fit; excite less, or raise the limit"
+        yield Finding("warning", name, f"tau sits at {extremes}", meaning)
+    elif signal == "v":
+        meaning = "what lies beyond was cut off; set `velocity: differentiated`, or raise the limit"
+        yield Finding("warning", name, f"v sits at {extremes}, while q moves on", meaning, "clipped")
+    elif "v" in joint.signals and not joint.signals["v"].constant:
+        meaning = "what lies beyond was cut off; stay within the encoder's range"
+        yield Finding("warning", name, f"q sits at {extremes}, while v goes on", meaning, "clipped")
+
+
+def _frozen(name: str, signal: str, frozen: Frozen) -> Finding:
+    extent = (
+        f"{signal} keeps one value for {frozen.seconds:.3g} s in all while the joint moves, first "
+        f"{frozen.start:.3f} s into the log"
+    )
+    return Finding("warning", name, extent, "the channel froze: leave those stretches out of the log", "stale")
+
+
+def _coarse(name: str, signal: str, joint: Joint, dt: float) -> Iterator[Finding]:
+    noise = _rounding_noise(signal, joint, dt)
+    if noise > COARSE:
+        disturbed = "velocity" if signal == "q" else signal
+        step = joint.signals[signal].step
+        instead = {
+            "q": "a fit takes the logged v where it is less noisy, else",
+            "v": "a fit differentiates q where that is less noisy, else",
+        }.get(signal, "excite more, or")
+        rounding = f"{signal} comes in steps of {step:.3g}, which make {noise:.0%} of noise in the {disturbed}"
+        yield Finding("warning", name, rounding, f"too coarse: {instead} lower `filter.cutoff_hz`")
+
+
+def _rounding_noise(signal: str, joint: Joint, dt: float) -> float:
+    """Noise that rounding makes, over the rms of the quantity that it disturbs; 0 where it is nothing to a fit.
+
+    Rounding is white noise of step²/12. In v and tau it counts as it is; in q, as the velocity that differentiating
+    it up to a frequency B makes: step² dt (2 pi)² B³ / 18.
+    """
+    figures = joint.signals[signal]
+    if figures.step is None or figures.constant:
+        return 0.0
+    if signal in ("v", "tau"):
+        return float(figures.step / np.sqrt(12) / figures.rms)
+    if signal == "q" and joint.speed_rms > 0:
+        band = min(BAND * (joint.band_hz or 0.0), 0.5 / dt)
+        return float(figures.step * 2 * np.pi * np.sqrt(dt * band**3 / 18) / joint.speed_rms)
+    return 0.0

@@ -1,0 +1,65 @@
+"""Findings on the motion of a joint: at rest, jumping, too fast for the sampling; and on the source of its torque."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from idtool.data.inspection.records import Finding, Frozen, Joint
+from idtool.data.inspection.sentences import counted
+
+STANDSTILL = 0.5  # share of the time
+TURNS = 8 * np.pi  # rad: four turns are degrees, or a wheel
+FAST = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
+
+
+def motion_findings(name: str, joint: Joint, frozen: Frozen | None, dt: float) -> Iterator[Finding]:
+    """All findings on the motion of a joint.
+
+    Parameters
+    ----------
+    name, joint
+        The joint.
+    frozen
+        Frozen stretches of its position.
+    dt
+        Nominal sample time [s].
+    """
+    if "q" not in joint.signals:
+        return
+    if not joint.moves:
+        meaning = "its friction and inertia can't be seen; leave it out of `joints`, and lock it in `locked_joints`"
+        yield Finding("warning", name, "the joint does not move", meaning)
+        return
+    if joint.standstill > STANDSTILL:
+        share = f"the joint stands still {joint.standstill:.0%} of the time"
+        yield Finding("note", name, share, "samples at rest tell gravity within static friction, and little else")
+    yield from _jumps(name, joint, frozen)
+    if joint.band_hz is not None and joint.band_hz > FAST / dt:
+        band = f"99 % of the velocity's power reaches up to {joint.band_hz:.3g} Hz, at {1 / dt:.4g} samples a second"
+        meaning = "accelerations are not to be trusted up there: log faster, or lower `filter.cutoff_hz`"
+        yield Finding("warning", name, band, meaning)
+    q = joint.signals["q"]
+    if q.maximum - q.minimum > TURNS:
+        travel = f"q spans {q.maximum - q.minimum:.4g}"
+        yield Finding("note", name, travel, "a wheel, or degrees: then set `log.scale` of q to 0.0174533")
+
+
+def _jumps(name: str, joint: Joint, frozen: Frozen | None) -> Iterator[Finding]:
+    """Jumps of the position, but for those with which one that was frozen catches up."""
+    jumps = joint.jumps - (frozen.stretches if frozen and not joint.wraps else 0)
+    if jumps > 0:
+        meaning = "velocity and acceleration are wrong around each jump; unwrap q, or cut the log there"
+        if joint.wraps:
+            number = f"{counted(jumps, 'jump')} of q by about a full turn"
+            yield Finding("problem", name, number, meaning, "wrapped_position")
+        else:
+            yield Finding("problem", name, f"{counted(jumps, 'jump')} of q", meaning)
+
+
+def torque_source(name: str, joint: Joint) -> Iterator[Finding]:
+    """A torque that looks commanded."""
+    if joint.torque and joint.torque.kind == "commanded":
+        meaning = "what the drive made of the command is not in it: expect a `time_delay` and a `torque_gain`"
+        yield Finding("note", name, f"tau looks commanded: {joint.torque.reason}", meaning)

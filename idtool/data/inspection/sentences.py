@@ -1,0 +1,8 @@
+"""Words that findings have in common."""
+
+from __future__ import annotations
+
+
+def counted(number: int, noun: str) -> str:
+    """A number with its noun, in the plural but for one."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")

@@ -1,0 +1,116 @@
+"""Findings on the clock of a log and on its completeness: stamps, lost samples, repeated rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from idtool.data.inspection.records import Finding, Severity, Stamps
+from idtool.data.inspection.sentences import counted
+from idtool.data.logs.log import Log
+from idtool.data.logs.times import describe_doubt
+
+JITTER = 0.1  # samples that a step is off: differencing neighbouring positions is then wrong by a tenth of the velocity
+HICCUP = 0.005  # share of samples repeated or lost without a gap: fewer are not worth a word
+REPEATED = 0.05  # share of the samples: the rate is wrong by as much, which the stamps and v show to a fit
+SKIPPED = 0.01  # share of the steps: the rate is wrong by as much, an acceleration by twice that, and no stamp shows it
+DUPLICATES = 0.1  # share of the samples: as many stamps are made up
+LOST = 0.01  # share of the time: less is the ordinary end of a part, which costs a fit nothing
+SHORT = 0.05  # share of samples in segments too short for a filter to settle in
+TOO_SHORT = 0.5  # the same, from which on hardly anything remains
+
+_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit takes the logged v where it is less so"
+
+
+def time_unit(log: Log, unit: str) -> Finding:
+    """The finding that the stamps seem to be in another unit than seconds."""
+    evidence, advice = describe_doubt(log.dt, unit, log.signals)
+    return Finding("problem", None, evidence, advice, "wrong_unit")
+
+
+def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Finding]:
+    """Stamps that are not even, or samples that were not taken at their stamps.
+
+    The steps from stamp to stamp count: a clock that drifts does a fit no harm.
+    """
+    off = _unevenness(dt, stamps)
+    if stamps.step_jitter > JITTER:
+        deviation = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
+        advice = f"{_DIFFERENTIATED}; log the sensor's own time"
+        yield Finding("warning", None, deviation, advice, "time_jitter")
+    elif off > JITTER:
+        deviation = f"by the joints' motion the samples were taken {off:.2g} samples rms off the stamps' even clock"
+        advice = f"the stamps were rounded or made up; {_DIFFERENTIATED}; log the sensor's own time"
+        yield Finding("warning", None, deviation, advice, "time_jitter")
+
+
+def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Finding]:
+    """Samples that were lost without a gap in the stamps.
+
+    Where the stamps stray they may show the loss, so that it is no fault beside the jitter.
+    """
+    if stamps.sampling is None or _unevenness(dt, stamps) > JITTER:
+        return
+    net = stamps.sampling.skipped - stamps.repeated
+    if net > HICCUP:
+        share = f"by the joints' motion {stamps.sampling.skipped:.1%} of the steps took the time of two samples or more"
+        meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
+        if net > SKIPPED and stamps.step_jitter <= JITTER:
+            yield Finding("warning", None, share, meaning, "dropped_samples")
+        else:
+            yield Finding("note", None, share, meaning)
+
+
+def _unevenness(dt: float, stamps: Stamps) -> float:
+    """Standard deviation of the samples' real instants about an even spacing, in samples; 0 where it is not known."""
+    return 0.0 if stamps.sampling is None else stamps.sampling.jitter_ms / (1e3 * dt)
+
+
+def repeated_rows(stamps: Stamps) -> Iterator[Finding]:
+    """Rows that repeat the one before in every joint."""
+    if stamps.repeated > HICCUP:
+        share = f"{stamps.repeated:.1%} of the samples repeat the one before in every joint"
+        meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
+        if stamps.repeated > REPEATED:
+            yield Finding("warning", None, share, meaning, "stale")
+        else:
+            yield Finding("note", None, share, meaning)
+
+
+def gaps(duration: float, stamps: Stamps) -> Iterator[Finding]:
+    """Time that was lost between segments; ``duration`` is that of the log [s]."""
+    if stamps.gaps:
+        longest = stamps.longest_gaps[0]
+        extent = (
+            f"{counted(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
+            f"{longest.start:.3f} s into the log"
+        )
+        meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
+        if stamps.lost > LOST * duration:
+            yield Finding("warning", None, extent, meaning, "dropped_samples")
+        else:
+            yield Finding("note", None, extent, meaning)
+
+
+def short_segments(segments: int, stamps: Stamps) -> Iterator[Finding]:
+    """Segments too short to be of use; ``segments`` is the number of all."""
+    if segments < 2 or stamps.short < SHORT:
+        return
+    extent = f"gaps and missing values cut the log in {segments}: {stamps.short:.0%} of it is in stretches below 0.5 s"
+    too_short = stamps.short > TOO_SHORT
+    severity: Severity = "problem" if too_short else "warning"
+    rest = "hardly anything is left to fit" if too_short else "they may be lost to a fit"
+    meaning = f"shorter than a filter takes to settle, {rest}: fill in single missing values, or log without gaps"
+    yield Finding(severity, None, extent, meaning, "dropped_samples" if stamps.gaps else None)
+
+
+def disordered_stamps(samples: int, stamps: Stamps) -> Iterator[Finding]:
+    """Stamps that do not advance; ``samples`` is the number of all."""
+    if stamps.duplicates:
+        severity: Severity = "warning" if stamps.duplicates > DUPLICATES * samples else "note"
+        number = f"{counted(stamps.duplicates, 'stamp')} equal to the one before"
+        meaning = "a coarse clock, or rows written twice; name the sensor's own time in `log.columns` if it is logged"
+        yield Finding(severity, None, number, meaning)
+    if stamps.backward:
+        number = f"{counted(stamps.backward, 'stamp')} earlier than the one before"
+        meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
+        yield Finding("warning", None, number, meaning)

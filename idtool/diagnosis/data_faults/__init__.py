@@ -1,0 +1,148 @@
+"""Data faults: what is wrong with the logs themselves, before physics is blamed for it.
+
+The faults that a log shows by itself are findings of its inspection, `idtool.data.inspection`. Those that only the
+model tells are found here: signs, order and units of the channels, and torques that are cut off. A torque that is late
+against the position is the effect `time_delay`, and no fault.
+
+=================== ==================================================================================================
+fault               what it is
+=================== ==================================================================================================
+wrong_unit          a channel is in degrees, mm, mN·m, A and the like; all torques by one factor; stamps not in s
+wrong_sign          a channel, or all of a joint's, turned round against the others and the URDF
+wrong_joint_order   torques, velocities or whole joints that stand under each other's names
+dropped_samples     time lost in gaps, or samples lost without one in the stamps
+clipped             a channel sits at its extremes while what it measures goes on beyond
+stale               a channel repeats values while it, or the joint, changes: held, frozen, not filled
+velocity_lag        the measured velocity is late against the position; it is undone
+time_jitter         stamps that are not even, or samples that were not taken at their stamps
+wrapped_position    the position jumps by full turns
+=================== ==================================================================================================
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.data.inspection import FaultKind, Inspection, inspect_log
+from idtool.data.inspection.channel_findings import STUCK
+from idtool.data.inspection.velocity_findings import DISAGREEMENT
+from idtool.diagnosis.data_faults.channel_fit import ChannelFit
+from idtool.diagnosis.data_faults.channel_search import ChannelSearch
+from idtool.diagnosis.data_faults.fault import Fault
+from idtool.diagnosis.data_faults.torque_scale import cut_off, torque_unit
+from idtool.estimation.dataset.experiment import Experiment, Progress
+
+__all__ = ["Fault", "find_data_faults"]
+
+_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
+
+
+def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Fault, ...]:
+    """Faults of the logs.
+
+    Single channels and the clock are judged by themselves, from stretches spread over the logs. Signs, order and units
+    are judged by whether realizable bodies with friction can explain the torque once a mistake is undone, from a sample
+    of bounded length.
+
+    Parameters
+    ----------
+    experiment
+        Model and logs.
+    progress
+        Told the stage and how far it has come.
+
+    Returns
+    -------
+    One fault a kind and joint, in the order of the table above; none in data as it should be.
+    """
+    logs = [run.signals.log for run in experiment.runs]
+    inspections: list[Inspection] = []
+    faults: list[tuple[int | None, Fault]] = []  # with the number of the log; None for all logs
+    for k, log in enumerate(logs):
+        progress("inspecting the logs", k / len(logs))
+        inspections.append(inspect_log(log))
+        own = inspection_faults(inspections[-1], experiment.model.names)
+        wrong_time = [fault for fault in own if (fault.fault, fault.joint) == ("wrong_unit", None)]
+        if wrong_time:  # with it, all derivatives are wrong
+            return tuple(wrong_time)
+        faults += [(k, fault) for fault in own]
+    faults += [(None, fault) for fault in _model_faults(experiment, ChannelFit(experiment), inspections, progress)]
+    return _merged(faults, [log.path.name for log in logs])
+
+
+def inspection_faults(inspection: Inspection, joints: Sequence[str]) -> list[Fault]:
+    """The findings of an inspection that are faults, of the log and of the model's joints."""
+    faults = []
+    for finding in inspection.findings:
+        if finding.fault is not None and (finding.joint is None or finding.joint in joints):
+            detail = f"{finding.what}: {finding.meaning}"
+            faults.append(Fault(finding.fault, finding.joint, detail, finding.undone))
+    return faults
+
+
+def _model_faults(
+    experiment: Experiment, fit: ChannelFit, inspections: Sequence[Inspection], progress: Progress
+) -> Iterator[Fault]:
+    """Faults that the model tells."""
+    model = experiment.model
+    commands = [run.signals.command for run in experiment.runs]
+    computed = {name for j, name in enumerate(model.names) if any(command.joints[j] for command in commands)}
+    limits, gains = _limits(model.names, inspections), _gains(inspections)
+    search = ChannelSearch(fit, model.joints, limits, gains, computed, progress)
+    yield from search.faults()
+    yield from torque_unit(fit, search.position, search.T)
+    for j, name in enumerate(model.names):
+        for inspection in inspections:
+            tau = inspection.joints[name].signals.get("tau")
+            if tau is not None and not tau.constant and tau.stuck > STUCK:
+                yield from cut_off(fit, j, inspection.joints[name])
+                break
+
+
+def _limits(joints: Sequence[str], inspections: Sequence[Inspection]) -> Array:
+    """Least and greatest q of each joint, shape (nv, 2)."""
+    limits = []
+    for name in joints:
+        q = [inspection.joints[name].signals["q"] for inspection in inspections]
+        limits.append((min(x.minimum for x in q), max(x.maximum for x in q)))
+    return np.array(limits)
+
+
+def _gains(inspections: Sequence[Inspection]) -> dict[str, float]:
+    """Gain of v over dq/dt, by joint, where the two agree but for it; of the last log that tells."""
+    gains = {}
+    for inspection in inspections:
+        for name, joint in inspection.joints.items():
+            if joint.velocity and joint.velocity.gain and joint.velocity.agreement > 1 - DISAGREEMENT:
+                gains[name] = joint.velocity.gain
+    return gains
+
+
+def _merged(faults: Sequence[tuple[int | None, Fault]], logs: Sequence[str]) -> tuple[Fault, ...]:
+    """One fault a kind and joint: that of the first log that has it, which is named where there are several logs.
+
+    Parameters
+    ----------
+    faults
+        Each with the number of its log; None for all logs.
+    logs
+        Names of the logs.
+    """
+    alike: dict[tuple[str, str | None], list[tuple[int | None, Fault]]] = defaultdict(list)
+    for k, fault in faults:
+        alike[fault.fault, fault.joint].append((k, fault))
+    merged = []
+    for entries in alike.values():
+        first, fault = entries[0]
+        if first is not None and len(logs) > 1:
+            more = len({k for k, _ in entries if k is not None}) - 1
+            others = f" and {more} more log{'s' if more > 1 else ''}" if more else ""
+            fault = replace(fault, detail=f"{fault.detail} ({logs[first]}{others})")
+        merged.append(fault)
+    return tuple(sorted(merged, key=lambda fault: _KINDS.index(fault.fault)))
