@@ -64,9 +64,9 @@ class Motion:
     a: Array
     tau: Array
     logged: Array
-    still: Array
+    velocity_deadband: Array
     dt: float
-    ahead: Mapping[int, Array] = field(default_factory=dict)
+    motor_minus_link: Mapping[int, Array] = field(default_factory=dict)
     torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
@@ -148,7 +148,7 @@ class Signals:
         self.differentiated = self._choose_velocity(config)
         self.ranges = self._ranges()
         self._say_velocity()
-        self.still = self._stillness()
+        self.velocity_deadband = self._stillness()
 
     def _choose_velocity(self, config: Config) -> Mask:
         missing = ~self.channels.measured
@@ -252,7 +252,7 @@ class Signals:
         q, v, a = self._kinematics(part)
         (tau, *others), logged = self._torques(part, (self.command.delay, *delays))
         torques = np.array(others).reshape(-1, *tau.shape)
-        return Motion(t, q, v, a, tau, logged, self.still, self.log.dt, torques=torques)
+        return Motion(t, q, v, a, tau, logged, self.velocity_deadband, self.log.dt, torques=torques)
 
     def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
         r = DIFFERENCE_REACH

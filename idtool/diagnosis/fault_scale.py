@@ -69,7 +69,7 @@ def _factors(fit: FaultFit, change: Change, T: Array) -> tuple[dict[str, float],
         for j, own in enumerate(rows):
             rigid, gravity = fit.rigid(j, moved[j]), fit.rigid(j, held[j])
             v = motion.v[j]
-            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.still[j]), torques[j]]))
+            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.velocity_deadband[j]), torques[j]]))
     weight: dict[str, float] = {}
     inertia: dict[str, float] = {}
     for name, parts in zip(fit.equation.joints, rows, strict=True):

@@ -17,7 +17,7 @@ from robots import actuated
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot

@@ -18,10 +18,10 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.drive import Drive, stride
-from idtool.dynamics.simulation.integrate import LONGEST_STEP, Rollouts
-from idtool.dynamics.simulation.moment import Moment, between
-from idtool.dynamics.simulation.windows import measured_states, starts
+from idtool.dynamics.simulation.input_torque import InputTorque, samples_per_step
+from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate
+from idtool.dynamics.simulation.rollouts import LONGEST_STEP, Rollouts
+from idtool.dynamics.simulation.windows import measured_states, start_times
 
 _AT_ONCE = 256  # rollouts that advance together
 _FEW = 8  # rollouts, fewer than which are cut into pieces
@@ -33,7 +33,7 @@ _FASTEST = 1e4  # rad/s or m/s: a rollout beyond it has lost its way
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedWindows:
     """Rollouts along windows of a log.
 
     Attributes
@@ -51,12 +51,12 @@ class Simulated:
     q: Array
     v: Array
     tau: Array
-    lost: Mask
+    diverged: Mask
 
 
 def simulate(
     mechanism: Mechanism, signals: Signals, windows: Sequence[slice], tell: Callable[[float], None]
-) -> Iterator[Simulated]:
+) -> Iterator[SimulatedWindows]:
     """Run a model along windows of a log.
 
     Parameters
@@ -92,7 +92,7 @@ def simulate(
 
 def _together(
     mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...], tell: Callable[[float], None]
-) -> Simulated:
+) -> SimulatedWindows:
     """Rollouts that advance together."""
     run = _Run(mechanism, signals, windows)
     run.advance(np.arange(len(windows)), tell)
@@ -109,7 +109,7 @@ def _piece(signals: Signals) -> int:
 
 def _chained(
     mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...], tell: Callable[[float], None]
-) -> Simulated:
+) -> SimulatedWindows:
     """One long rollout, section by section, each in pieces that advance together."""
     (window,) = windows
     q, v, tau = np.empty((3, len(signals.joints), 1, window.stop - window.start))
@@ -118,7 +118,7 @@ def _chained(
         section, here = slice(first, min(first + size + 1, window.stop)), first - window.start
         done = partial(_tell_part, tell, here / q.shape[2], (section.stop - first) / q.shape[2])
         run = _settled(mechanism, signals, section, state, done)
-        state = run.rollouts.state[:, -1:]
+        state = run.rollouts.state_vector[:, -1:]
         some = run.result()
         for w, part in enumerate(some.windows):
             at, length = slice(part.start - window.start, part.stop - window.start), part.stop - part.start
@@ -126,8 +126,8 @@ def _chained(
                 q[:, 0, at], v[:, 0, at], tau[:, 0, at] = q[:, 0, at.start, None], 0.0, tau[:, 0, at.start, None]
             else:
                 q[:, 0, at], v[:, 0, at], tau[:, 0, at] = (x[:, w, :length] for x in (some.q, some.v, some.tau))
-            lost |= bool(some.lost[w])
-    return Simulated(windows, q, v, tau, np.array([lost]))
+            lost |= bool(some.diverged[w])
+    return SimulatedWindows(windows, q, v, tau, np.array([lost]))
 
 
 def _settled(
@@ -147,10 +147,10 @@ def _settled(
     todo, passes = np.arange(len(firsts)), 0
     while todo.size:
         if passes:
-            run.resume(todo, run.rollouts.state[:, todo - 1])
+            run.resume(todo, run.rollouts.state_vector[:, todo - 1])
         run.advance(todo, partial(_tell_part, tell, 1 - todo.size / len(firsts), todo.size / len(firsts)))
         passes += 1
-        todo = 1 + np.flatnonzero((np.abs(run.begun[:, 1:] - run.rollouts.state[:, :-1]) > _JOINED).any(axis=0))
+        todo = 1 + np.flatnonzero((np.abs(run.begun[:, 1:] - run.rollouts.state_vector[:, :-1]) > _JOINED).any(axis=0))
         todo = todo if passes < _PASSES else todo[:1]
     return run
 
@@ -168,74 +168,74 @@ class _Run:
 
     def __init__(self, mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...]) -> None:
         self._signals, self._windows = signals, windows
-        self._t0, self._last = starts(signals, windows), np.array([w.stop - w.start - 1 for w in windows])
-        self._drive, self._offset = Drive(signals, windows, mechanism), mechanism.position_offset[:, None]
+        self._t0, self._last = start_times(signals, windows), np.array([w.stop - w.start - 1 for w in windows])
+        self._drive, self._offset = InputTorque(signals, windows, mechanism), mechanism.position_offset[:, None]
         q, v = measured_states(signals, [window.start for window in windows])
-        step = stride(signals) * signals.log.dt
+        step = samples_per_step(signals) * signals.log.dt
         self._mechanism = mechanism
         with _movable(mechanism):
             self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._drive, min(step, LONGEST_STEP))
             np.linalg.cholesky(self.rollouts.mass_matrix)
-        self.begun = self.rollouts.state
+        self.begun = self.rollouts.state_vector
         self._q, self._v = np.zeros((2, len(q), len(windows), self._last.max() + 1))
         self._lost = np.zeros(len(windows), dtype=bool)
 
-    def resume(self, lanes: Indices, state: Array) -> None:
+    def resume(self, rollout_ids: Indices, state: Array) -> None:
         """Begin some again, in states, shape (states, w)."""
-        self.rollouts.resume(lanes, state, self._t0[lanes])
-        self.begun[:, lanes] = self.rollouts.state[:, lanes]
-        self._lost[lanes] = False
+        self.rollouts.restart(rollout_ids, state, self._t0[rollout_ids])
+        self.begun[:, rollout_ids] = self.rollouts.state_vector[:, rollout_ids]
+        self._lost[rollout_ids] = False
 
-    def advance(self, lanes: Indices, tell: Callable[[float], None]) -> None:
+    def advance(self, rollout_ids: Indices, tell: Callable[[float], None]) -> None:
         """Take some to their ends."""
         rollouts, dt = self.rollouts, self._signals.log.dt
-        self._q[:, lanes, 0] = rollouts.q[:, lanes] - self._offset
-        self._v[:, lanes, 0] = rollouts.v[:, lanes]
+        self._q[:, rollout_ids, 0] = rollouts.q[:, rollout_ids] - self._offset
+        self._v[:, rollout_ids, 0] = rollouts.v[:, rollout_ids]
         until = rollouts.t.copy()
-        until[lanes] = self._t0[lanes] + self._last[lanes] * dt
+        until[rollout_ids] = self._t0[rollout_ids] + self._last[rollout_ids] * dt
 
-        def keep(lanes: Indices, start: Moment, end: Moment) -> None:
-            self._keep(lanes, start, end)
+        def keep(rollout_ids: Indices, start: RolloutState, end: RolloutState) -> None:
+            self._keep(rollout_ids, start, end)
             gone = np.abs(end.v).max(axis=0)
-            lost = lanes[~(gone < _FASTEST)]
+            lost = rollout_ids[~(gone < _FASTEST)]
             if lost.size:
                 self._lose(lost, until)
-            tell(float(np.min((rollouts.t - self._t0)[lanes] / (self._last[lanes] * dt))))
+            tell(float(np.min((rollouts.t - self._t0)[rollout_ids] / (self._last[rollout_ids] * dt))))
 
         with _movable(self._mechanism):
             rollouts.advance(until, keep)
 
-    def _lose(self, lanes: Indices, until: Array) -> None:
+    def _lose(self, rollout_ids: Indices, until: Array) -> None:
         """Stop rollouts that have run away: they stay where they last were."""
-        for lane in lanes:
-            k = int((self.rollouts.t[lane] - self._t0[lane]) / self._signals.log.dt)
-            self._q[:, lane, k:] = self._q[:, lane, max(k - 1, 0)][:, None]
-            self._v[:, lane, k:] = 0.0
-        self._lost[lanes] = True
-        until[lanes] = -np.inf
+        for rollout_id in rollout_ids:
+            k = int((self.rollouts.t[rollout_id] - self._t0[rollout_id]) / self._signals.log.dt)
+            self._q[:, rollout_id, k:] = self._q[:, rollout_id, max(k - 1, 0)][:, None]
+            self._v[:, rollout_id, k:] = 0.0
+        self._lost[rollout_ids] = True
+        until[rollout_ids] = -np.inf
 
-    def _keep(self, lanes: Indices, start: Moment, end: Moment) -> None:
+    def _keep(self, rollout_ids: Indices, start: RolloutState, end: RolloutState) -> None:
         """Take down the samples that lie in a step."""
-        rate, t0, motor = 1 / self._signals.log.dt, self._t0[lanes], self.rollouts.motor
+        rate, t0, motor = 1 / self._signals.log.dt, self._t0[rollout_ids], self.rollouts.motor_coordinates
         begun, ended = ((moment.t - t0) * rate for moment in (start, end))
         first, last = np.floor(begun + _SAME).astype(np.intp) + 1, np.floor(ended + _SAME).astype(np.intp)
         for k in range(int((last - first).max()) + 1):
             some = np.flatnonzero(first + k <= last)
             at, h = first[some] + k, (end.t - start.t)[some]
             share = np.minimum((at - begun[some]) / (ended - begun)[some], 1.0)
-            every = some.size == len(lanes)
-            q, v = between(start if every else start.of(some), end if every else end.of(some), h, share)
-            self._q[:, lanes[some], at] = q[motor] - self._offset
-            self._v[:, lanes[some], at] = v[motor]
+            every = some.size == len(rollout_ids)
+            q, v = interpolate(start if every else start.select(some), end if every else end.select(some), h, share)
+            self._q[:, rollout_ids[some], at] = q[motor] - self._offset
+            self._v[:, rollout_ids[some], at] = v[motor]
 
-    def result(self) -> Simulated:
+    def result(self) -> SimulatedWindows:
         """What was simulated, as sensors would give it."""
         tau = np.empty_like(self._q)
-        lanes = np.arange(len(self._windows))
+        rollout_ids = np.arange(len(self._windows))
         for k in range(tau.shape[2]):
             t = self._t0 + np.minimum(k, self._last) * self._signals.log.dt
-            tau[:, :, k] = self._drive.measured(t, self._q[:, :, k], self._v[:, :, k], lanes)
-        return Simulated(self._windows, self._q, self._v, tau, self._lost)
+            tau[:, :, k] = self._drive.measured_torque(t, self._q[:, :, k], self._v[:, :, k], rollout_ids)
+        return SimulatedWindows(self._windows, self._q, self._v, tau, self._lost)
 
 
 @contextmanager

@@ -16,19 +16,21 @@ _AROUND = 0.25  # periods of the band to either side from which a state is taken
 _FEWEST = 3  # samples to either side for that, at least
 
 
-def stretch_of(signals: Signals, window: slice) -> slice:
+def gapless_range(signals: Signals, window: slice) -> slice:
     """The stretch of the log without a gap that a window lies in."""
     parts: list[slice] = signals.channels.parts()
     return next(part for part in parts if part.start <= window.start < part.stop)
 
 
-def starts(signals: Signals, windows: Sequence[slice]) -> Array:
+def start_times(signals: Signals, windows: Sequence[slice]) -> Array:
     """When windows begin, since the log's first sample [s], shape (W,)."""
     firsts = [signals.channels.times(slice(window.start, window.start + 1))[0] for window in windows]
     return np.asarray(np.array(firsts) - signals.log.t[0])
 
 
-def windows_of(signals: Signals, parts: Sequence[slice], seconds: float | None, again: bool = False) -> list[slice]:
+def split_into_windows(
+    signals: Signals, parts: Sequence[slice], seconds: float | None, again: bool = False
+) -> list[slice]:
     """Windows of so many seconds, one after the other.
 
     Parameters
@@ -45,7 +47,7 @@ def windows_of(signals: Signals, parts: Sequence[slice], seconds: float | None, 
     """
     windows = []
     for part in parts:
-        stretch = stretch_of(signals, part)
+        stretch = gapless_range(signals, part)
         usable = next(whole for whole in signals.ranges if whole.start <= part.start < whole.stop)
         start = stretch.start if part.start == usable.start else part.start
         stop = stretch.stop if part.stop == usable.stop else part.stop
@@ -73,7 +75,7 @@ def measured_states(signals: Signals, samples: Sequence[int]) -> tuple[Array, Ar
     reach = max(_FEWEST, round(_AROUND / (signals.band_hz * dt)))
     states = np.zeros((len(samples), 2, len(signals.joints)))
     for state, sample in zip(states, samples, strict=True):
-        within = stretch_of(signals, slice(sample, sample + 1))
+        within = gapless_range(signals, slice(sample, sample + 1))
         near = slice(max(sample - reach, within.start), min(sample + reach + 1, within.stop))
         steps = np.arange(near.start, near.stop) - sample
         powers = np.vander(steps * dt, min(3, len(steps)), increasing=True)

@@ -1,4 +1,4 @@
-"""`Moment`: rollouts at one moment each, and the accelerations that the forces on them give.
+"""`RolloutState`: rollouts at one moment each, and the accelerations that the forces on them give.
 
 Letters: q, v, a positions, velocities, accelerations (n, W), M mass matrix (W, n, n), s direction of the dry friction
 (n, W): ±1 sliding, 0 held. W rollouts, n coordinates as in `dynamics`.
@@ -14,16 +14,16 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 
 _HALVINGS = 40
-_BY_ROLLOUT = ("q", "v", "force", "level", "s", "held", "a", "loops")
+_BY_ROLLOUT = ("q", "v", "force", "friction_level", "s", "sticking", "a", "hysteresis")
 
 
 @dataclass(frozen=True)
-class Moment:
+class RolloutState:
     """Rollouts at one moment each, with the forces that act.
 
     Attributes
     ----------
-    lanes
+    rollout_ids
         Which rollouts.
     force
         All torque but dry friction, shape (n, W).
@@ -35,41 +35,41 @@ class Moment:
         States of the hysteretic terms, shape (terms, W).
     """
 
-    lanes: Indices
+    rollout_ids: Indices
     t: Array
     q: Array
     v: Array
     M: Array
     force: Array
-    level: Array
+    friction_level: Array
     s: Array
-    held: Mask
+    sticking: Mask
     a: Array
-    loops: Array
+    hysteresis: Array
 
-    def of(self, some: Indices) -> Moment:
+    def select(self, some: Indices) -> RolloutState:
         """A part of the rollouts."""
         by_rollout = {name: getattr(self, name)[:, some] for name in _BY_ROLLOUT}
-        return replace(self, lanes=self.lanes[some], t=self.t[some], M=self.M[some], **by_rollout)
+        return replace(self, rollout_ids=self.rollout_ids[some], t=self.t[some], M=self.M[some], **by_rollout)
 
-    def put(self, some: Indices, part: Moment) -> None:
+    def assign(self, some: Indices, part: RolloutState) -> None:
         """Overwrite a part of the rollouts."""
         self.t[some], self.M[some] = part.t, part.M
         for name in _BY_ROLLOUT:
             getattr(self, name)[:, some] = getattr(part, name)
 
     @property
-    def reserve(self) -> Array:
+    def friction_margin(self) -> Array:
         """By how much dry friction could hold more than it does, where it holds; shape (n, W)."""
-        return np.asarray(self.level - np.abs(self.pull))
+        return np.asarray(self.friction_level - np.abs(self.holding_force))
 
     @property
-    def pull(self) -> Array:
+    def holding_force(self) -> Array:
         """What friction holds, where it holds; shape (n, W)."""
-        return self.force - self.s * self.level - times(self.M, self.a)
+        return self.force - self.s * self.friction_level - multiply(self.M, self.a)
 
 
-def between(start: Moment, end: Moment, h: Array, share: Array) -> tuple[Array, Array]:
+def interpolate(start: RolloutState, end: RolloutState, h: Array, share: Array) -> tuple[Array, Array]:
     """Position and velocity within a step, by the polynomials of lowest order through what is known at its ends.
 
     Parameters
@@ -90,15 +90,15 @@ def between(start: Moment, end: Moment, h: Array, share: Array) -> tuple[Array, 
     c3 = 10 * rise - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1
     c4 = -15 * rise + 8 * v0 + 7 * v1 + 1.5 * a0 - a1
     c5 = 6 * rise - 3 * (v0 + v1) - 0.5 * (a0 - a1)
-    return start.q + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5)))), cubic(x, v0, v1, a0, a1) / h
+    return start.q + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5)))), cubic_hermite(x, v0, v1, a0, a1) / h
 
 
-def cubic(x: Array, v0: Array, v1: Array, a0: Array, a1: Array) -> Array:
+def cubic_hermite(x: Array, v0: Array, v1: Array, a0: Array, a1: Array) -> Array:
     """At x, the polynomial with these values and slopes at 0 and 1."""
     return np.asarray(v0 + x * (a0 + x * (3 * (v1 - v0) - 2 * a0 - a1 + x * (2 * (v0 - v1) + a0 + a1))))
 
 
-def root(curve: Callable[[Array], Array], sign: Array) -> Array:
+def first_crossing(curve: Callable[[Array], Array], sign: Array) -> Array:
     """Just beyond where in [0, 1] curves that begin with a sign first have another, by bisection; shape (m,)."""
     low, high = np.zeros_like(sign), np.ones_like(sign)
     for _ in range(_HALVINGS):
@@ -108,12 +108,12 @@ def root(curve: Callable[[Array], Array], sign: Array) -> Array:
     return high
 
 
-def times(M: Array, a: Array) -> Array:
+def multiply(M: Array, a: Array) -> Array:
     """M a, shape (n, W)."""
     return np.asarray((M @ a.T[:, :, None])[:, :, 0].T)
 
 
-def solve(M: Array, force: Array, held: Mask) -> Array:
+def solve_acceleration(M: Array, force: Array, held: Mask) -> Array:
     """Acceleration of the joints that are not held, shape (n, W)."""
     if held.any():
         free = ~held.T

@@ -17,9 +17,9 @@ from robots import random_rotors, random_urdf
 from scipy.integrate import solve_ivp
 from stick_slip import StickSlip
 
-from idtool.dynamics.effects.stribeck import StribeckFriction
+from idtool.dynamics.effects.stribeck_friction import StribeckFriction
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def test_a_level_of_zero_is_no_friction(robot_of: ReadRobot) -> None:
 def test_where_friction_is_nothing_any_load_moves(robot_of: ReadRobot, force: float) -> None:
     """A level of 2 − 3 exp(−v²), less than nothing being nothing."""
     machine = mechanism(robot_of(sliders(1.0)), {"friction": friction(["x1"], [0], [2.0])})
-    machine.dry.append((StribeckFriction(machine.model, 0, 0.0, {"velocity": 1.0}), -3.0))
+    machine.dry_friction_terms.append((StribeckFriction(machine.model, 0, 0.0, {"velocity": 1.0}), -3.0))
     samples = np.linspace(0, 5, 11)
     q, _ = rolled(machine, [0], [0], of_time(lambda t: force + 0 * t[None]), samples)
 

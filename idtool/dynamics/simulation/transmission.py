@@ -9,24 +9,24 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.dynamics import motor_sides
+from idtool.dynamics.simulation.rigid_body_dynamics import motor_coordinates
 
 _RIGID = 2 * np.pi * 200.0  # rad/s: far above what a log's band holds, and no need of very short steps
 
 
-class Gears:
+class Transmissions:
     """Springs with dampers and play between the motors' and the links' sides."""
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self.joint = np.array(sorted(mechanism.gears))
-        self._motor = motor_sides(mechanism)[self.joint]
-        gears = [mechanism.gears[j] for j in self.joint]
+        self.joint = np.array(sorted(mechanism.transmissions))
+        self._motor = motor_coordinates(mechanism)[self.joint]
+        gears = [mechanism.transmissions[j] for j in self.joint]
         self._stiffness = np.array([[gear.stiffness] for gear in gears])
-        self._ratio = np.array([[gear.damping] for gear in gears])
-        self._half_play = np.array([[gear.play / 2] for gear in gears])
+        self._ratio = np.array([[gear.damping_ratio] for gear in gears])
+        self._half_play = np.array([[gear.backlash / 2] for gear in gears])
         self._damping = np.zeros_like(self._stiffness)
 
-    def damp(self, M: Array) -> None:
+    def set_damping(self, M: Array) -> None:
         """Set the dampers and what is as good as rigid by the inertias in the mass matrix at zero, shape (n, n)."""
         gear, apart = np.arange(len(self.joint)), np.zeros((len(self.joint), len(M)))
         apart[gear, self._motor], apart[gear, self.joint] = 1.0, -1.0
@@ -36,7 +36,7 @@ class Gears:
         self._stiffness = np.where(rigid, inertia * _RIGID**2, self._stiffness)
         self._damping = 2 * self._ratio * np.sqrt(self._stiffness * np.maximum(inertia, 0))
 
-    def apart(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
+    def deflect(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
         """All coordinates, shape (n, W), when the motors' sides are at q, v, and the gears carry tau, shape (nv, W)."""
         sides = np.concatenate([q, q[self.joint]])
         carried = tau[self.joint]
@@ -55,7 +55,7 @@ class Gears:
         out[self._motor], out[self.joint] = -carried, carried
         return out
 
-    def stops(self, coordinates: int) -> list[tuple[Array, float]]:
+    def breakpoints(self, coordinates: int) -> list[tuple[Array, float]]:
         """Where teeth meet: the deflection's slope in the coordinates, shape (n,), and its value there."""
         found = []
         for link, motor, half in zip(self.joint, self._motor, self._half_play[:, 0], strict=True):
@@ -64,7 +64,7 @@ class Gears:
             found += [(slope, side * float(half)) for side in (-1, 1) if half]
         return found
 
-    def stiffen(self, damping: Array, stiffness: Array) -> None:
+    def include_stiffness(self, damping: Array, stiffness: Array) -> None:
         """Let damping and stiffness, shape (w, n, n), be no less than the gears make them."""
         for x, own in ((stiffness, self._stiffness[:, 0]), (damping, self._damping[:, 0])):
             for side, other in ((self._motor, self.joint), (self.joint, self._motor)):

@@ -19,12 +19,14 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.forces import Drive, Forces
-from idtool.dynamics.simulation.moment import Moment, between, solve
-from idtool.dynamics.simulation.steps import implicit, runge_kutta
-from idtool.dynamics.simulation.sticking import changes, released
+from idtool.dynamics.simulation.forces import Forces, InputTorqueFunction
+from idtool.dynamics.simulation.integrators import linearly_implicit, runge_kutta
+from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate, solve_acceleration
+from idtool.dynamics.simulation.stiction import resolve_stiction, transition_times
 
-Keep = Callable[[Indices, Moment, Moment], None]  # which rollouts, where a step of theirs began, where it ended
+StepCallback = Callable[
+    [Indices, RolloutState, RolloutState], None
+]  # which rollouts, where a step of theirs began, where it ended
 
 LONGEST_STEP = 5e-3  # s
 _STABLE = 2.0  # step times the fastest rate; the explicit method is stable to 2.8
@@ -56,10 +58,10 @@ class Rollouts:
     """
 
     def __init__(
-        self, mechanism: Mechanism, t: Array, q: Array, v: Array, drive: Drive, step: float = LONGEST_STEP
+        self, mechanism: Mechanism, t: Array, q: Array, v: Array, drive: InputTorqueFunction, step: float = LONGEST_STEP
     ) -> None:
         self._forces = Forces(mechanism, drive)
-        self._now = self._forces.start(t, q, v)
+        self._now = self._forces.initial_state(t, q, v)
         self._grid, self._step = t.copy(), step
         self._limit = np.full(len(t), step)
         self._rates, self._count = np.zeros(len(t)), np.zeros(len(t), dtype=np.intp)
@@ -72,37 +74,39 @@ class Rollouts:
         return self._now.t
 
     @property
-    def motor(self) -> Indices:
+    def motor_coordinates(self) -> Indices:
         """The coordinates of the motors' sides, shape (nv,)."""
-        return self._forces.motor
+        return self._forces.motor_coordinates
 
     @property
     def q(self) -> Array:
         """Positions of the motors' sides, shape (nv, W)."""
-        return self._now.q[self.motor]
+        return self._now.q[self.motor_coordinates]
 
     @property
     def v(self) -> Array:
         """Velocities of the motors' sides, shape (nv, W)."""
-        return self._now.v[self.motor]
+        return self._now.v[self.motor_coordinates]
 
     @property
-    def state(self) -> Array:
+    def state_vector(self) -> Array:
         """All that the future depends on beside the drive, shape (states, W)."""
-        return np.concatenate([self._now.q, self._now.v, self._now.loops])
+        return np.concatenate([self._now.q, self._now.v, self._now.hysteresis])
 
     @property
     def mass_matrix(self) -> Array:
         """M at the present positions, shape (W, n, n)."""
         return self._now.M
 
-    def resume(self, lanes: Indices, state: Array, t: Array) -> None:
+    def restart(self, rollout_ids: Indices, state: Array, t: Array) -> None:
         """Set rollouts to t, shape (w,) [s], and to states, shape (states, w)."""
         n = len(self._now.q)
-        self._now.put(lanes, self._forces.at(lanes, t, state[:n], state[n : 2 * n], state[2 * n :]))
-        self._grid[lanes], self._count[lanes], self._limit[lanes] = t, 0, self._step
+        self._now.assign(
+            rollout_ids, self._forces.state_at(rollout_ids, t, state[:n], state[n : 2 * n], state[2 * n :])
+        )
+        self._grid[rollout_ids], self._count[rollout_ids], self._limit[rollout_ids] = t, 0, self._step
 
-    def advance(self, until: Array, keep: Keep | None = None) -> None:
+    def advance(self, until: Array, keep: StepCallback | None = None) -> None:
         """Take the rollouts to a later moment.
 
         Parameters
@@ -113,130 +117,132 @@ class Rollouts:
             Told of every step.
         """
         slack = 1e-9 * self._step
-        lanes = np.flatnonzero(until > self.t + slack)
-        while lanes.size:
-            due = lanes[self._count[lanes] % _RATES_EVERY == 0]
+        rollout_ids = np.flatnonzero(until > self.t + slack)
+        while rollout_ids.size:
+            due = rollout_ids[self._count[rollout_ids] % _RATES_EVERY == 0]
             if due.size:
                 self._look_at(due)
-            self._count[lanes] += 1
-            stiff = self._rates[lanes] > _STIFF
-            for some in (lanes[stiff], lanes[~stiff]):
+            self._count[rollout_ids] += 1
+            stiff = self._rates[rollout_ids] > _STIFF
+            for some in (rollout_ids[stiff], rollout_ids[~stiff]):
                 if some.size:
                     self._move(some, until, keep)
-            lanes = lanes[until[lanes] > self.t[lanes] + slack]
+            rollout_ids = rollout_ids[until[rollout_ids] > self.t[rollout_ids] + slack]
         np.maximum(self.t, until, out=self.t)
 
-    def _move(self, lanes: Indices, until: Array, keep: Keep | None) -> None:
+    def _move(self, rollout_ids: Indices, until: Array, keep: StepCallback | None) -> None:
         """One step of rollouts that are all stiff or all not."""
-        every = lanes.size == len(self.t)
-        start = self._settled(self._now if every else self._now.of(lanes))
-        end = self._stepped(start, self._lengths(lanes, until))
+        every = rollout_ids.size == len(self.t)
+        start = self._settled(self._now if every else self._now.select(rollout_ids))
+        end = self._stepped(start, self._lengths(rollout_ids, until))
         if every:
             self._now = end
         else:
-            self._now.put(lanes, end)
+            self._now.assign(rollout_ids, end)
         if keep is not None:
-            keep(lanes, start, end)
+            keep(rollout_ids, start, end)
 
-    def _lengths(self, lanes: Indices, until: Array) -> Array:
+    def _lengths(self, rollout_ids: Indices, until: Array) -> Array:
         """How long the next steps may be [s], shape (w,)."""
-        t, grid = self.t[lanes], self._grid[lanes]
+        t, grid = self.t[rollout_ids], self._grid[rollout_ids]
         gone = np.floor((t - grid) / self._step + 1e-9)
         at_grid = t - grid - gone * self._step < 1e-9 * self._step
-        self._events[lanes[at_grid]] = 0
-        left = np.minimum(until[lanes], grid + (gone + 1) * self._step) - t
-        rates = self._rates[lanes]
+        self._events[rollout_ids[at_grid]] = 0
+        left = np.minimum(until[rollout_ids], grid + (gone + 1) * self._step) - t
+        rates = self._rates[rollout_ids]
         longest = np.where(rates > _STIFF, _STIFF_STEP, _STABLE / np.maximum(rates, _SLOWEST))
-        return np.asarray(left / np.ceil(left / np.minimum(longest, self._limit[lanes]) - 1e-9))
+        return np.asarray(left / np.ceil(left / np.minimum(longest, self._limit[rollout_ids]) - 1e-9))
 
-    def _look_at(self, lanes: Indices) -> None:
+    def _look_at(self, rollout_ids: Indices) -> None:
         """How stiff the joints' own springs and dampers are, and the fastest rate at which they act [1/s]."""
-        now = self._now.of(lanes)
-        damping, stiffness = self._forces.steepness(now)
-        self._damping[lanes], self._stiffness[lanes] = damping, stiffness
+        now = self._now.select(rollout_ids)
+        damping, stiffness = self._forces.damping_and_stiffness(now)
+        self._damping[rollout_ids], self._stiffness[rollout_ids] = damping, stiffness
         L = np.linalg.inv(np.linalg.cholesky(now.M))  # the eigenvalues of M⁻¹ X are those of L⁻¹ X L⁻ᵀ
         rates = [np.linalg.eigvalsh(L @ x @ L.transpose(0, 2, 1))[:, -1] for x in (damping, stiffness)]
-        self._rates[lanes] = np.maximum(rates[0], np.sqrt(np.maximum(rates[1], 0.0)))
+        self._rates[rollout_ids] = np.maximum(rates[0], np.sqrt(np.maximum(rates[1], 0.0)))
 
-    def _stepped(self, start: Moment, step: Array) -> Moment:
+    def _stepped(self, start: RolloutState, step: Array) -> RolloutState:
         """The end of a step, or of the part of it before the first change of a force's form."""
         end, step = self._smooth_enough(start, step)
-        if len(self._forces.slopes):
+        if len(self._forces.gap_slopes):
             step = self._up_to_a_stop(start, end, step)
-        if not self._forces.rubs:
+        if not self._forces.any_dry_friction:
             return end
-        lanes, share = start.lanes, changes(start, end, step)
+        rollout_ids, share = start.rollout_ids, transition_times(start, end, step)
         first = share.min(axis=0)
-        self._events[lanes] += first < 1
-        first[self._events[lanes] > _EVENTS] = 1.0
+        self._events[rollout_ids] += first < 1
+        first[self._events[rollout_ids] > _EVENTS] = 1.0
         cut = np.flatnonzero(first < 1)
         stops = (share <= first) & (share < 2) & (start.s != 0)
         if cut.size:
-            q, v = between(start.of(cut), end.of(cut), step[cut], first[cut])
+            q, v = interpolate(start.select(cut), end.select(cut), step[cut], first[cut])
             v[stops[:, cut]] = 0.0
-            end.put(cut, self._forces.later(start.of(cut), first[cut] * step[cut], q, v))
+            end.assign(cut, self._forces.state_after(start.select(cut), first[cut] * step[cut], q, v))
         end.v[stops] = 0.0
         return end
 
-    def _up_to_a_stop(self, start: Moment, end: Moment, step: Array) -> Array:
+    def _up_to_a_stop(self, start: RolloutState, end: RolloutState, step: Array) -> Array:
         """Let steps end just beyond where the first spring with a beginning is met or left; their lengths [s], (w,).
 
         By bisection: what a step that straddles the place says of the motion before it is not to be trusted.
         """
         gaps = self._forces.gaps
         some = np.flatnonzero((gaps(start.q) * gaps(end.q) < 0).any(axis=0))
-        some = some[self._events[start.lanes[some]] < _EVENTS]
+        some = some[self._events[start.rollout_ids[some]] < _EVENTS]
         if not some.size:
             return step
-        self._events[start.lanes[some]] += 1
-        short, before = start.of(some), gaps(start.q[:, some])
+        self._events[start.rollout_ids[some]] += 1
+        short, before = start.select(some), gaps(start.q[:, some])
         low, high = np.zeros(some.size), step[some]
         for _ in range(_HALVINGS):
             part = self._whole(short, (low + high) / 2)
             beyond = (before * gaps(part.q) < 0).any(axis=0)
             low, high = np.where(beyond, low, part.t - short.t), np.where(beyond, part.t - short.t, high)
-        end.put(some, self._whole(short, high))
+        end.assign(some, self._whole(short, high))
         step = step.copy()
         step[some] = high
         return step
 
-    def _settled(self, now: Moment) -> Moment:
+    def _settled(self, now: RolloutState) -> RolloutState:
         """The moment with the direction of every joint's dry friction, which of those at rest it holds among them."""
-        if not self._forces.rubs:
+        if not self._forces.any_dry_friction:
             return now
-        s = np.where(self._forces.rubbing, np.sign(now.v), 0.0)
-        held = self._forces.rubbing & (now.v == 0)
-        if not ((s != now.s) | (held != now.held)).any():
-            return now if not held.any() else released(now)
-        now = replace(now, s=s, held=held, a=solve(now.M, now.force - s * now.level, held))
-        return released(now) if held.any() else now
+        s = np.where(self._forces.has_dry_friction, np.sign(now.v), 0.0)
+        held = self._forces.has_dry_friction & (now.v == 0)
+        if not ((s != now.s) | (held != now.sticking)).any():
+            return now if not held.any() else resolve_stiction(now)
+        now = replace(now, s=s, sticking=held, a=solve_acceleration(now.M, now.force - s * now.friction_level, held))
+        return resolve_stiction(now) if held.any() else now
 
-    def _whole(self, start: Moment, step: Array) -> Moment:
+    def _whole(self, start: RolloutState, step: Array) -> RolloutState:
         """A step of a length that is known to be short enough."""
-        lanes = start.lanes
+        rollout_ids = start.rollout_ids
         if self._is_stiff(start):
-            return implicit(self._forces, start, step, self._damping[lanes], self._stiffness[lanes])
+            return linearly_implicit(
+                self._forces, start, step, self._damping[rollout_ids], self._stiffness[rollout_ids]
+            )
         return runge_kutta(self._forces, start, step)[0]
 
-    def _is_stiff(self, start: Moment) -> bool:
-        return bool((self._rates[start.lanes] > _STIFF).any())
+    def _is_stiff(self, start: RolloutState) -> bool:
+        return bool((self._rates[start.rollout_ids] > _STIFF).any())
 
-    def _smooth_enough(self, start: Moment, step: Array) -> tuple[Moment, Array]:
+    def _smooth_enough(self, start: RolloutState, step: Array) -> tuple[RolloutState, Array]:
         """A step in which the forces do not change too much, shorter than the given one where they would."""
-        lanes = start.lanes
+        rollout_ids = start.rollout_ids
         if self._is_stiff(start):
             return self._whole(start, step), step
         end, rough = runge_kutta(self._forces, start, step)
         most = _ROUGH * (1 + np.abs(start.v).max(axis=0))
-        limit = self._limit[lanes]
-        self._limit[lanes] = np.where(rough > most, limit, np.minimum(2 * limit, self._step))
+        limit = self._limit[rollout_ids]
+        self._limit[rollout_ids] = np.where(rough > most, limit, np.minimum(2 * limit, self._step))
         again = np.flatnonzero((rough > most) & (step > _SHORTEST * self._step))
         if again.size:
             step = step.copy()
         while again.size:
             step[again] /= 2
-            part, rough = runge_kutta(self._forces, start.of(again), step[again])
-            end.put(again, part)
-            self._limit[lanes[again]] = step[again]
+            part, rough = runge_kutta(self._forces, start.select(again), step[again])
+            end.assign(again, part)
+            self._limit[rollout_ids[again]] = step[again]
             again = again[(rough > most[again]) & (step[again] > _SHORTEST * self._step)]
         return end, step

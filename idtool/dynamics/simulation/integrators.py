@@ -9,12 +9,12 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.simulation.forces import Forces
-from idtool.dynamics.simulation.moment import Moment, solve, times
+from idtool.dynamics.simulation.rollout_state import RolloutState, multiply, solve_acceleration
 
 _GAMMA = 1 - np.sqrt(0.5)  # makes the implicit method L-stable
 
 
-def runge_kutta(forces: Forces, start: Moment, h: Array) -> tuple[Moment, Array]:
+def runge_kutta(forces: Forces, start: RolloutState, h: Array) -> tuple[RolloutState, Array]:
     """A step of the classical method of order 4.
 
     Parameters
@@ -33,17 +33,17 @@ def runge_kutta(forces: Forces, start: Moment, h: Array) -> tuple[Moment, Array]
     """
     q, v, half = start.q, start.v, h / 2
     v2 = v + half * start.a
-    a2 = forces.later(start, half, q + half * v, v2).a
+    a2 = forces.state_after(start, half, q + half * v, v2).a
     v3 = v + half * a2
-    a3 = forces.later(start, half, q + half * v2, v3).a
+    a3 = forces.state_after(start, half, q + half * v2, v3).a
     v4 = v + h * a3
-    a4 = forces.later(start, h, q + h * v3, v4).a
+    a4 = forces.state_after(start, h, q + h * v3, v4).a
     v5 = v + h / 6 * (start.a + 2 * (a2 + a3) + a4)
-    end = forces.later(start, h, q + h / 6 * (v + 2 * (v2 + v3) + v4), v5)
+    end = forces.state_after(start, h, q + h / 6 * (v + 2 * (v2 + v3) + v4), v5)
     return end, h / 6 * np.abs(end.a - a4).max(axis=0)
 
 
-def implicit(forces: Forces, start: Moment, h: Array, damping: Array, stiffness: Array) -> Moment:
+def linearly_implicit(forces: Forces, start: RolloutState, h: Array, damping: Array, stiffness: Array) -> RolloutState:
     """A step of the linearly implicit method ROS2, of order 2 whatever the stiffness and damping it is told.
 
     Verwer, Spee, Blom & Hundsdorfer, A second-order Rosenbrock method applied to photochemical dispersion problems,
@@ -60,15 +60,15 @@ def implicit(forces: Forces, start: Moment, h: Array, damping: Array, stiffness:
     damping, stiffness
         By how much the forces fall with velocities and positions, about, shape (W, n, n).
     """
-    q, v, M, held = start.q, start.v, start.M, start.held
+    q, v, M, held = start.q, start.v, start.M, start.sticking
     g = _GAMMA * h
     K = g[:, None, None] * stiffness
     S = M + g[:, None, None] * (damping + K)
-    drift = _GAMMA * times(M, forces.later(start, h, q, v).a - start.a)  # of the forces by themselves
-    dv1 = solve(S, times(M, start.a) + drift - times(K, v), held)
+    drift = _GAMMA * multiply(M, forces.state_after(start, h, q, v).a - start.a)  # of the forces by themselves
+    dv1 = solve_acceleration(S, multiply(M, start.a) + drift - multiply(K, v), held)
     dq1 = v + g * dv1
-    middle = forces.later(start, h, q + h * dq1, v + h * dv1)
+    middle = forces.state_after(start, h, q + h * dq1, v + h * dv1)
     rest = v + h * dv1 - 2 * dq1
-    dv2 = solve(S, times(M, middle.a - 2 * dv1) - drift - times(K, rest), held)
+    dv2 = solve_acceleration(S, multiply(M, middle.a - 2 * dv1) - drift - multiply(K, rest), held)
     dq2 = rest + g * dv2
-    return forces.later(start, h, q + h / 2 * (3 * dq1 + dq2), v + h / 2 * (3 * dv1 + dv2))
+    return forces.state_after(start, h, q + h / 2 * (3 * dq1 + dq2), v + h / 2 * (3 * dv1 + dv2))

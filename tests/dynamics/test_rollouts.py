@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 from stick_slip import StickSlip
 
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]

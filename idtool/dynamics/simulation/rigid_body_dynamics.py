@@ -4,7 +4,7 @@ Every body, rotors included, is a joint of a tree of its own, in which M and h a
 the Newton–Euler algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, sections 6.2 and 5.3). With
 phi = G q + offset, virtual work gives M = Gᵀ M_tree G and h = Gᵀ h_tree.
 
-Shapes: n coordinates: the nv joints, then the motor side of each joint that has a `Gear`, in the joints' order.
+Shapes: n coordinates: the nv joints, then the motor side of each joint that has a `Transmission`, in the joints' order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
 
 
-class Dynamics:
+class RigidBodyDynamics:
     """Rigid bodies, links and rotors, run forwards.
 
     Parameters
@@ -47,7 +47,7 @@ class Dynamics:
         self._G = np.stack([_ratios(bodies[index], mechanism) for index in order])  # (bodies, n)
         self._offset = np.array([[bodies[index].offset] for index in order])
         armature = np.zeros(self._G.shape[1])
-        np.add.at(armature, motor_sides(mechanism), mechanism.armature)
+        np.add.at(armature, motor_coordinates(mechanism), mechanism.armature)
         self._armature = np.diag(armature)
 
     def __call__(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -74,17 +74,17 @@ class Dynamics:
         return G.T @ M @ G + self._armature, (h @ G).T
 
 
-def motor_sides(mechanism: Mechanism) -> Indices:
+def motor_coordinates(mechanism: Mechanism) -> Indices:
     """The coordinate of each joint's motor side, shape (nv,): the joint's own where it has no gear."""
     sides = np.arange(len(mechanism.model.joints))
-    sides[sorted(mechanism.gears)] = len(sides) + np.arange(len(mechanism.gears))
+    sides[sorted(mechanism.transmissions)] = len(sides) + np.arange(len(mechanism.transmissions))
     return sides
 
 
 def _ratios(body: Body, mechanism: Mechanism) -> Array:
     """How much each coordinate moves a body, shape (n,): links by the link side, rotors by the motor side."""
-    ratios = np.zeros(len(body.ratios) + len(mechanism.gears))
-    ratios[motor_sides(mechanism) if body.kind == "rotor" else np.arange(len(body.ratios))] = body.ratios
+    ratios = np.zeros(len(body.ratios) + len(mechanism.transmissions))
+    ratios[motor_coordinates(mechanism) if body.kind == "rotor" else np.arange(len(body.ratios))] = body.ratios
     return ratios
 
 

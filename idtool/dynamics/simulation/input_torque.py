@@ -1,4 +1,4 @@
-"""`Drive`: the torque that acts on simulated joints, as logged or the controller's on the simulated state.
+"""`InputTorque`: the torque that acts on simulated joints, as logged or the controller's on the simulated state.
 
 Letters: q, v positions and velocities, tau torque (nv, w), t time since the log's first sample (w,) [s]. Each of
 the w rollouts runs along a window of a log.
@@ -13,12 +13,12 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.windows import starts, stretch_of
+from idtool.dynamics.simulation.windows import gapless_range, start_times
 
 _TWO_AT_ONCE = 2.5e-3  # s: samples closer than half of it are simulated two a step
 
 
-class Drive:
+class InputTorque:
     """The torque that acts on the joints.
 
     Between samples, torque and command are interpolated, the command as it was the controller's delay before. What is
@@ -41,17 +41,17 @@ class Drive:
         self._controlled = bool(by_command.any())
         self._torque = None
         if not by_command.all():
-            self._torque = _Lines(signals, windows, self._logged, 0.0, stride(signals) == 2)
+            self._torque = _Lines(signals, windows, self._logged, 0.0, samples_per_step(signals) == 2)
         if self._controlled:
             self._kp, self._kd = command.kp * by_command, command.kd * by_command
             self._command = _Lines(signals, windows, self._commanded, command.delay)
 
     def _logged(self, part: slice) -> Array:
         """The measured torque when the position was measured, shape (nv, samples); zero where there is a controller."""
-        channels, late = self._signals.channels, self._mechanism.torque_late
+        channels, late = self._signals.channels, self._mechanism.torque_delay
         tau = channels.signal("tau", part)
         if late.any():
-            stretch, dt = stretch_of(self._signals, part), self._signals.log.dt
+            stretch, dt = gapless_range(self._signals, part), self._signals.log.dt
             reach = int(np.ceil(np.abs(late).max() / dt)) + 1
             near = slice(max(part.start - reach, stretch.start), min(part.stop + reach, stretch.stop))
             t, around = np.arange(part.start, part.stop) * dt, np.arange(near.start, near.stop) * dt
@@ -67,14 +67,14 @@ class Drive:
                 total += gain * np.nan_to_num(self._signals.channels.signal(name, part), nan=0.0)
         return total
 
-    def measured(self, t: Array, q: Array, v: Array, lanes: Indices) -> Array:
+    def measured_torque(self, t: Array, q: Array, v: Array, rollout_ids: Indices) -> Array:
         """The torque that sensors give at measured states of rollouts, shape (nv, w)."""
-        tau = np.zeros_like(q) if self._torque is None else self._torque(t, lanes)
+        tau = np.zeros_like(q) if self._torque is None else self._torque(t, rollout_ids)
         if self._controlled:
-            tau += self._command(t, lanes) - self._kp * q - self._kd * v
+            tau += self._command(t, rollout_ids) - self._kp * q - self._kd * v
         return tau
 
-    def __call__(self, t: Array, q: Array, v: Array, lanes: Indices) -> Array:
+    def __call__(self, t: Array, q: Array, v: Array, rollout_ids: Indices) -> Array:
         """The torque that acts in true states of rollouts, shape (nv, w).
 
         Parameters
@@ -83,12 +83,12 @@ class Drive:
             Since the log's first sample, shape (w,).
         q, v
             State, shape (nv, w).
-        lanes
+        rollout_ids
             Which rollouts.
         """
-        tau = self.measured(t, q - self._mechanism.position_offset[:, None], v, lanes)
-        for joint, sensor in self._mechanism.sensors.items():
-            tau[joint] = sensor.true(tau[joint])
+        tau = self.measured_torque(t, q - self._mechanism.position_offset[:, None], v, rollout_ids)
+        for joint, sensor in self._mechanism.torque_sensors.items():
+            tau[joint] = sensor.to_true(tau[joint])
         return tau
 
 
@@ -110,7 +110,7 @@ class _Lines:
         dt = signals.log.dt
         before = int(np.ceil(late / dt)) + 2
         length = before + max(window.stop - window.start for window in windows) + 3
-        stretches = [stretch_of(signals, window) for window in windows]
+        stretches = [gapless_range(signals, window) for window in windows]
         self._x = np.stack(
             [_clipped(read, w.start - before, length, s) for w, s in zip(windows, stretches, strict=True)], axis=1
         )
@@ -118,16 +118,16 @@ class _Lines:
             self._x[:, :, 1:-1] = (self._x[:, :, :-2] + 2 * self._x[:, :, 1:-1] + self._x[:, :, 2:]) / 4
         self._slope = np.diff(self._x)
         self._rate = 1 / dt
-        self._first = before - (starts(signals, windows) + late) / dt
+        self._first = before - (start_times(signals, windows) + late) / dt
 
-    def __call__(self, t: Array, lanes: Indices) -> Array:
+    def __call__(self, t: Array, rollout_ids: Indices) -> Array:
         """Values, shape (nv, w), at moments, shape (w,) [s]."""
-        place = t * self._rate + self._first[lanes]
+        place = t * self._rate + self._first[rollout_ids]
         whole = place.astype(np.intp)
-        return np.asarray(self._x[:, lanes, whole] + (place - whole) * self._slope[:, lanes, whole])
+        return np.asarray(self._x[:, rollout_ids, whole] + (place - whole) * self._slope[:, rollout_ids, whole])
 
 
-def stride(signals: Signals) -> int:
+def samples_per_step(signals: Signals) -> int:
     """How many samples a step takes."""
     return 2 if 2 * signals.log.dt <= _TWO_AT_ONCE else 1
 
