@@ -267,7 +267,7 @@ def test_windows_cover_parts_of_a_log() -> None:
     whole = [slice(0, 300), slice(300, 600), slice(600, 900), slice(900, 1000)]
     assert split_into_windows(signals, signals.ranges, 1.2) == whole
     again = [slice(0, 301), slice(300, 601), slice(600, 901), slice(900, 1000)]
-    assert split_into_windows(signals, signals.ranges, 1.2, again=True) == again
+    assert split_into_windows(signals, signals.ranges, 1.2, share_ends=True) == again
     assert split_into_windows(signals, signals.ranges, None) == [slice(0, 1000)]
     parts = [slice(usable.start, 400), slice(500, 700)]
     assert split_into_windows(signals, parts, 0.6) == [

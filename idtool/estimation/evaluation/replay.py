@@ -203,7 +203,7 @@ def _spread(
 ) -> tuple[list[tuple[Signals, list[slice]]], int]:
     """The windows that are simulated of every log that is driven in the same way, and how many there are."""
     jobs = [
-        (signals, split_into_windows(signals, some, window, again=True))
+        (signals, split_into_windows(signals, some, window, share_ends=True))
         for signals, some in parts
         if some and signals.command.joints.any() == closed
     ]
