@@ -207,7 +207,7 @@ def test_what_acts_in_its_own_time_is_fitted_to_that(here: Ground) -> None:
     def window(motion: Motion, present: Linearization) -> Mapping[int, Array]:
         return {1: ((motion.t > begin) & (motion.t < end) & (motion.q[1] < 9)).astype(float)[None]}
 
-    apart, together = screened(here, [made(window), made(window, local=True)], silent)
+    apart, together = screened(here, [made(window), made(window, is_local=True)], silent)
     np.testing.assert_allclose(apart.c, together.c)
     assert together.gain > max(apart.gain, 0) + 1
 

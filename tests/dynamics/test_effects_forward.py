@@ -43,7 +43,7 @@ def mechanism(build: Build, text: str, joints: tuple[str, ...], friction: dict[s
 def rolled_out(machine: Mechanism, q: Array, v: Array, drive: Callable[[float], Array], step: float = 5e-3) -> Array:
     """Positions at the samples, shape (nv, samples)."""
 
-    def torque(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return np.stack([drive(float(x)) for x in t], axis=1)
 
     rollouts = Rollouts(machine, SAMPLES[:1], q[:, None], v[:, None], torque, step)

@@ -174,10 +174,10 @@ def test_a_long_window_is_one_motion(robot_of: ReadRobot, kp: float) -> None:
     machine = mechanism(robot_of(sliders(M)), {"friction": friction(["x1"], [B], [level]), "effects": [SPRING]})
     (found,) = run(machine, signals, [slice(0, 5000)])
 
-    def drive(now: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def input_torque(now: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return kp * (wanted(now)[None] - q) if kp else force(now)[None]
 
-    torque = alone(drive)
+    torque = alone(input_torque)
     witness = StickSlip(
         lambda q, v: (np.array([[M]]), np.zeros(1)),
         lambda now, q, v: torque(now, q, v) - B * v - K * q,

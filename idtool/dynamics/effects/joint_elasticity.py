@@ -108,7 +108,7 @@ class JointElasticity(FixedJointEffect):
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:
-        """What the motor side takes more than it would if it moved as the link."""
+        """Additional torque of the motor side, compared with a motor that moves as the link."""
         deflection = motion.motor_minus_link[self.joint]
         torque = np.outer(self._rotor_inertia[:, self.joint], deflection[2])
         if self.nonlinear_values["motor_friction"]:

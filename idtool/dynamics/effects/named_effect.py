@@ -1,7 +1,7 @@
 """`NamedEffect`: an effect that a configuration can name under `effects`.
 
 Its parameters (contract section 6) are of two kinds: linear ones, which follow from its coefficients and are
-identified, and nonlinear ones, which are held and on which its columns depend.
+identified, and nonlinear ones, which a fit leaves as they are and on which its columns depend.
 """
 
 from __future__ import annotations

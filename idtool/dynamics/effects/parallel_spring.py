@@ -18,7 +18,7 @@ from idtool.robot.config import EffectEntry
 
 
 class ParallelSpring(JointTerm):
-    """k (q − q0). The rest position q0 is held; it does not matter on a joint with a torque offset."""
+    """k (q − q0). The rest position q0 is nonlinear; it does not matter on a joint with a torque offset."""
 
     id = "parallel_spring"
     description = "a spring acts across the joint"

@@ -1,7 +1,7 @@
 """`InputTorque`: the torque on simulated joints, as logged or the controller's at the simulated state.
 
-Letters: q, v positions and velocities, tau torque (nv, w), t time since the log's first sample (w,) [s]. Each of
-the w rollouts runs along a window of a log.
+Letters: q, v positions and velocities, tau torque (nv, w), t time since the log's first sample (w,) [s]; w rollouts,
+each along a window of a log.
 """
 
 from __future__ import annotations

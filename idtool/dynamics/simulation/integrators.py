@@ -1,4 +1,4 @@
-"""One step of time in which the dry friction's directions stay as they are.
+"""One step of time without a change of the dry friction's directions.
 
 Shapes: n coordinates, W rollouts, as in `rollout_state`.
 """
