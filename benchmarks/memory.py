@@ -37,7 +37,7 @@ def write_swinging(path: Path, minutes: int) -> None:
         q = (amplitude * np.sin(phase)).sum(axis=0)
         v = (amplitude * frequency * np.cos(phase)).sum(axis=0)
         a = -(amplitude * frequency**2 * np.sin(phase)).sum(axis=0)
-        motion = Motion(t=t, q=q, v=v, a=a, tau=q, logged=q, still=np.full(3, 1e-2), dt=1 / RATE)
+        motion = Motion(t=t, q=q, v=v, a=a, tau=q, logged=q, velocity_deadband=np.full(3, 1e-2), dt=1 / RATE)
         tau = equation.torque(motion, equation.prior)
         pieces.append([x + s * rng.normal(size=x.shape) for x, s in ((q, 3e-5), (v, 1e-2), (tau, 0.4))])
     q, v, tau = (np.concatenate(signal, axis=1).T for signal in zip(*pieces, strict=True))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import windows_of
+from idtool.dynamics.simulation.windows import split_into_windows
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
@@ -113,7 +113,7 @@ def torques(signals: Signals, window: slice, place: list[int]) -> Torque:
 def compare(name: str, experiment: Experiment, window: float | None) -> None:
     """Time all by turns and print the rates."""
     signals = experiment.runs[0].signals
-    windows = windows_of(signals, experiment.runs[0].held_out, window)
+    windows = split_into_windows(signals, experiment.runs[0].held_out, window)
     seconds = sum(part.stop - part.start for part in windows) * signals.log.dt
     mechanism: Mechanism = experiment.equation.mechanism(experiment.model, experiment.equation.prior)
     loop = Loop(experiment)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.model import Model
@@ -40,7 +40,7 @@ def known_assumption(given: str | Assumed) -> Assumed:
 
 
 def _known(option: str, effect: str) -> str:
-    named = [id for id, kind in known_effects().items() if kind.named]
+    named = [id for id, kind in effect_types().items() if kind.reportable]
     if effect not in named:
         raise ConfigError(option, f"{shown(effect) or 'nothing'} is no effect; {nearest(effect, named)}")
     return effect
@@ -55,7 +55,7 @@ def check_assumed(assumed: Sequence[Assumed], model: Model) -> None:
         If not.
     """
     for effect, on in assumed:
-        kind = known_effects()[effect]
+        kind = effect_types()[effect]
         of_link = issubclass(kind, LinkEffect)
         names, what = (model.robot.links, "link") if of_link else (model.names, "joint")
         if on is None and issubclass(kind, LinkEffect | JointEffect):

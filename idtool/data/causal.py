@@ -139,7 +139,9 @@ class _Reader:
         a = differentiate(v, self._signals.log.dt)
         t = self._channels.times(slice(part.start + self.ahead, part.stop + self.ahead)) - self._signals.log.t[0]
         tau, logged = self._smooth(part, "tau"), self._read("tau", part)
-        return Motion(t, q[:, 2 * r : -2 * r], v[:, r:-r], a, tau, logged, self._signals.still, self._signals.log.dt)
+        return Motion(
+            t, q[:, 2 * r : -2 * r], v[:, r:-r], a, tau, logged, self._signals.velocity_deadband, self._signals.log.dt
+        )
 
     def _part(self, sample: int) -> slice:
         """The stretch that a sample lies in."""

@@ -30,7 +30,7 @@ _DEFAULT_CUTOFF = 40.0  # Hz
 _JITTERY = 0.1  # rms of the stamps' jitter, in samples, above which differentiating q is not trusted
 _LAGS = 0.25  # samples of lag of a measured velocity that are worth a word
 _QUIETER = 0.5  # a measured velocity is used where its noise is below this share of the differentiated one's
-_STILL = 3e-3  # rad/s or m/s: least velocity whose sign is believed
+_MIN_DEADBAND = 3e-3  # rad/s or m/s
 _SIGN_WIDTH = 1.25  # tanh(v / (1.25 sigma)) is nearest to the mean of the true v's sign under noise of sigma
 
 
@@ -48,12 +48,13 @@ class Motion:
         Torque at the joint output, shape (nv, N).
     logged
         The same as it was logged, where the others have been through the signals' filter; shape (nv, N).
-    still
-        Speed at which the sign of v is as good as lost in its noise, shape (nv,).
+    velocity_deadband
+        Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
     dt
         Sample time [s].
-    ahead
-        Of joints whose motor is not fast to its link, of which q, v and a are: the motor's less those, shape (3, N).
+    motor_minus_link
+        By joint with a compliant transmission: q, v and a of the motor less those of the link, which are above;
+        shape (3, N).
     torques
         The torque if the commands were later by other delays, as `Signals.batches` was asked for; shape (K, nv, N).
     """
@@ -64,9 +65,9 @@ class Motion:
     a: Array
     tau: Array
     logged: Array
-    still: Array
+    velocity_deadband: Array
     dt: float
-    ahead: Mapping[int, Array] = field(default_factory=dict)
+    motor_minus_link: Mapping[int, Array] = field(default_factory=dict)
     torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
@@ -114,8 +115,8 @@ class Signals:
         Per joint, whether v comes from q; else it is the measured one, its lag undone.
     lag
         Per joint, how late the measured velocity is [s].
-    still
-        Speed at which the sign of v is as good as lost in its noise, shape (nv,).
+    velocity_deadband
+        Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
     ranges
         Stretches of samples that have all derivatives and commands.
     warnings
@@ -148,7 +149,7 @@ class Signals:
         self.differentiated = self._choose_velocity(config)
         self.ranges = self._ranges()
         self._say_velocity()
-        self.still = self._stillness()
+        self.velocity_deadband = self._measure_deadband()
 
     def _choose_velocity(self, config: Config) -> Mask:
         missing = ~self.channels.measured
@@ -201,9 +202,9 @@ class Signals:
             self.warnings += [said] if said not in self.warnings else []
         return kept
 
-    def _stillness(self) -> Array:
+    def _measure_deadband(self) -> Array:
         v = self._kinematics(self.channels.longest(self.ranges))[1]
-        return np.asarray(np.maximum(_STILL, _SIGN_WIDTH * noise_above(v, self.every_sample)))
+        return np.asarray(np.maximum(_MIN_DEADBAND, _SIGN_WIDTH * noise_above(v, self.every_sample)))
 
     def after(self, delay: float, parts: Sequence[slice]) -> list[slice]:
         """What is left of parts of `ranges` where commands are to be so late [s]: less at each stretch's beginning."""
@@ -252,7 +253,7 @@ class Signals:
         q, v, a = self._kinematics(part)
         (tau, *others), logged = self._torques(part, (self.command.delay, *delays))
         torques = np.array(others).reshape(-1, *tau.shape)
-        return Motion(t, q, v, a, tau, logged, self.still, self.log.dt, torques=torques)
+        return Motion(t, q, v, a, tau, logged, self.velocity_deadband, self.log.dt, torques=torques)
 
     def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
         r = DIFFERENCE_REACH

@@ -16,7 +16,7 @@ from idtool.diagnosis.ground import Ground
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.trial import Trial
-from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
@@ -94,7 +94,10 @@ class Choice:
 
 def place_of(probe: Probe) -> Place:
     """What an effect is on; other sources are other effects."""
-    return (*probe.on, *(f"{probe.shape[name]:g}" for name in ("source",) if name in probe.shape))
+    return (
+        *probe.subject,
+        *(f"{probe.nonlinear_values[name]:g}" for name in ("source",) if name in probe.nonlinear_values),
+    )
 
 
 def saved(before: Ground, after: Ground) -> Array:
@@ -145,7 +148,7 @@ def chosen(
     top = worthy[0]
     equals = [one for one in worthy if _as_good(one, top)]
     equals = [one for one in equals if not any(_contains(one, other) for other in equals)] or equals
-    winner = min(equals, key=lambda one: (one.found.probe.parameters, -one.gain))
+    winner = min(equals, key=lambda one: (one.found.probe.complexity, -one.gain))
     others = [one for one in fitted if one is not winner and is_answer(one.found.probe.effect)]
     rivals = _rivals(others, winner, progress)
     alike = [one for one in rivals if one in worthy and _alike(one, winner) and not _contains(one, winner)]
@@ -154,8 +157,8 @@ def chosen(
 
 def _pays(one: Contender, here: Ground, inflation: float, worth: float) -> bool:
     probe = one.found.probe
-    least = max(worth, known_effects()[probe.effect].worth)
-    return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.parameters, least)
+    least = max(worth, effect_types()[probe.effect].min_explained_share)
+    return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.complexity, least)
 
 
 def worthwhile(
@@ -189,7 +192,7 @@ def _rivals(others: Sequence[Contender], winner: Contender, progress: Progress) 
 def _contains(one: Contender, other: Contender) -> bool:
     """Whether one can take the place of the other, and so explains no less by itself."""
     a, b = one.found.probe, other.found.probe
-    return a.joint == b.joint and b.effect in known_effects()[a.effect].contains
+    return a.joint == b.joint and b.effect in effect_types()[a.effect].generalizes
 
 
 def _apart(one: Contender, other: Contender) -> bool:
@@ -211,7 +214,7 @@ def _lost(one: Found, here: Ground, inflation: float) -> Candidate:
     """Why a candidate did not come further, as far as the screening tells."""
     probe = one.probe
     part = share(one.gain, here, 1 if probe.joint else here.s.shape[1])
-    if not probe.allowed(one.c):
+    if not probe.is_feasible(one.c):
         reason = "comes out with a sign or size that physics does not allow"
     elif one.entry is None:
         reason = "comes out beyond what such an effect can be"
@@ -224,7 +227,7 @@ def _lost(one: Found, here: Ground, inflation: float) -> Candidate:
 
 def is_answer(effect: str) -> bool:
     """Whether an effect is one that a diagnosis names."""
-    return known_effects()[effect].named
+    return effect_types()[effect].reportable
 
 
 def named(probe: Probe) -> tuple[str, str]:
@@ -236,7 +239,7 @@ def recorded(one: Found, here: Ground, reason: str) -> Candidate:
     """A candidate that was only screened, for the record."""
     probe = one.probe
     score, error = _scores(one.gain, one.standard_error, probe, here)
-    return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.parameters, reason)
+    return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.complexity, reason)
 
 
 def _scores(gain: float, error: float, probe: Probe, here: Ground) -> tuple[float, float]:
@@ -252,4 +255,4 @@ def candidate(one: Contender, here: Ground) -> Candidate:
     probe = one.found.probe
     error = float(np.sqrt(len(one.gains)) * one.gains.std(ddof=1))
     score, error = _scores(one.gain, error, probe, here)
-    return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.parameters)
+    return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.complexity)

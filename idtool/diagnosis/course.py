@@ -107,7 +107,7 @@ def _piece(models: Models, batch: Batch, first: float, step: float, begins: bool
     inner = slice(batch.before, len(motion.t) - batch.after)
     torque = [motion.tau, *(equation.torque(motion, theta) for equation, theta in models)]
     measured, *predicted = batch.filter(np.stack(torque))
-    kept = np.logical_and.reduce([np.stack(equation.kept(batch)) for equation, _ in models])
+    kept = np.logical_and.reduce([np.stack(equation.valid_samples(batch)) for equation, _ in models])
     q, v, a = (x[:, inner][:, ::stride] for x in (motion.q, motion.v, motion.a))
     left = measured - np.stack(predicted)
     t = batch.t + first

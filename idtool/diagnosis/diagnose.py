@@ -21,7 +21,7 @@ from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unknown import UNKNOWN, unnamed
 from idtool.diagnosis.where import located, residual_maps, unexplained
 from idtool.diagnosis.words import aside, doubted, sentence, separating
-from idtool.dynamics.effects import named_effect
+from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
@@ -174,7 +174,7 @@ def _so_far(search: Search, count: int, last: Fit) -> Ground | Fit:
 def _parameters(one: Added, search: Search) -> tuple[dict[str, object], dict[str, object]]:
     """Values and standard errors by name, as the whole model has them."""
     equation = search.here.experiment.equation
-    key = named_effect(one.entry, search.here.experiment.model).key
+    key = effect_from_entry(one.entry, search.here.experiment.model).key
     values = {name: _value(x) for name, x in one.entry.parameters.items()}
     errors: dict[str, object] = {name: _error(one, name, value) for name, value in values.items()}
     for effect, first, last in zip(equation.effects, equation.offsets()[:-1], equation.offsets()[1:], strict=True):

@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 from scipy.signal import periodogram
 
 from idtool.common.arrays import Array, Mask
-from idtool.dynamics.present import PresentModel
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 _ABOVE = 0.3  # of the band, from where the residual's spectrum is taken for noise
@@ -84,8 +84,8 @@ def noise_floor(experiment: Experiment, theta: Array, progress: Progress, apart:
     for run in experiment.runs:
         parts = run.held_out if held_out else run.train
         for batch in tracked(run.signals.batches(parts), parts, progress, "looking for the noise floor"):
-            e = batch.filter(PresentModel(experiment.equation, theta, batch.motion).residual)
-            keep = np.array(experiment.equation.clear(batch, apart))
+            e = batch.filter(LinearizedModel(experiment.equation, theta, batch.motion).residual)
+            keep = np.array(experiment.equation.clean_samples(batch, apart))
             sums.moving += (np.square(e) * keep).sum(axis=1)
             sums.resting += (np.square(e) * ~keep).sum(axis=1)
             sums.count, sums.rests = sums.count + keep.sum(axis=1), sums.rests + (~keep).sum(axis=1)

@@ -22,8 +22,8 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
-from idtool.dynamics.effects.torque_sensor import Sensor
-from idtool.dynamics.present import PresentModel
+from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, cut, together
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, tracked
@@ -173,7 +173,7 @@ def held_out(ground: Ground, counting: LinearModel) -> Array:
     theta, equation = ground.estimate.theta, ground.experiment.equation
     for run in ground.experiment.runs:
         for batch in run.signals.batches(run.held_out):
-            kept = counting.clear(batch, ground.apart) if ground.apart else counting.kept(batch)
+            kept = counting.clean_samples(batch, ground.apart) if ground.apart else counting.valid_samples(batch)
             for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
                 e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
                 keep = kept[j]
@@ -188,7 +188,7 @@ def _rescaled(experiment: Experiment, size: Array, like: Ground) -> Array:
     Where torque sensors differ, as the true torque is.
     """
     own, other = (
-        [effect.key for effect in one.equation.effects if isinstance(effect, Sensor)]
+        [effect.key for effect in one.equation.effects if isinstance(effect, TorqueSensorEffect)]
         for one in (experiment, like.experiment)
     )
     same = own == other and not own
@@ -202,17 +202,17 @@ def _noise_left(experiment: Experiment, noise: Array) -> Array:
     A soft joint's acceleration follows the torque, and takes noise against noise: that explains nothing.
     """
     equation, left = experiment.equation, np.ones(len(noise))
-    if not any(effect.by_torque for effect in equation.effects):
+    if not any(effect.uses_measured_torque for effect in equation.effects):
         return left
     run = next(run for run in experiment.runs if run.train)
     batch = next(iter(run.signals.batches(run.train)))
-    theta = np.array([equation.reference.get(c.key, c.prior) for c in equation.coefficients])
+    theta = np.array([equation.operating_point.get(c.key, c.prior) for c in equation.coefficients])
     white = np.random.default_rng(_SEED).standard_normal(batch.motion.tau.shape)
     white *= (noise / batch.filter(white).std(axis=1))[:, None]
     noisy = replace(batch.motion, tau=batch.motion.tau + white)
-    change = PresentModel(equation, theta, noisy).residual - PresentModel(equation, theta, batch.motion).residual
+    change = LinearizedModel(equation, theta, noisy).residual - LinearizedModel(equation, theta, batch.motion).residual
     for j, (x, n, keep) in enumerate(
-        zip(batch.filter(change), batch.filter(white), equation.clear(batch), strict=True)
+        zip(batch.filter(change), batch.filter(white), equation.clean_samples(batch), strict=True)
     ):
         left[j] = min(float(np.linalg.norm(x[keep]) / np.linalg.norm(n[keep])), 1.0) if keep.any() else 1.0
     return left
@@ -241,8 +241,8 @@ def _blocks(
 
     def rows(batches: Iterable[Batch]) -> Rows:
         for batch in batches:
-            kept = counting.clear(batch, apart)
-            own = equation.clear(batch, apart) if equation is not counting else kept
+            kept = counting.clean_samples(batch, apart)
+            own = equation.clean_samples(batch, apart) if equation is not counting else kept
             counted[:] += [keep.sum() for keep in kept]
             known[:] += [(keep & sure).sum() for keep, sure in zip(kept, own, strict=True)]
             yield [batch.filter(x) for x in equation.columns(batch.motion)], kept

@@ -96,7 +96,7 @@ def _summed(experiment: Experiment, theta: Array, progress: Progress) -> list[_S
     for run in experiment.runs:
         signals = run.signals
         batches = tracked(signals.batches(), signals.ranges, progress, "looking for contacts")
-        for part in cut(map(experiment.equation.rows, batches), length, signals.low_pass.redundancy):
+        for part in cut(map(experiment.equation.filtered_rows, batches), length, signals.low_pass.redundancy):
             for own, columns, factor in zip(found, active, part, strict=True):
                 Y = factor.R[:, :-1]
                 e = factor.R[:, -1] - Y @ theta[columns]

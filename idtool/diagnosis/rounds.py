@@ -20,8 +20,8 @@ from idtool.diagnosis.search import DETERMINED, assumed, searched, unfitted
 from idtool.diagnosis.trial import FAILURES, Key, tried, value_of, with_effects
 from idtool.diagnosis.where import bursts
 from idtool.diagnosis.words import superseded
-from idtool.dynamics.effects import known_effects
-from idtool.dynamics.effects.time_delay import WITHIN, TimeDelay
+from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects.time_delay import MIN_DELAY_SAMPLES, TimeDelay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
@@ -94,7 +94,7 @@ class Search:
         self.failed: dict[tuple[str, str], str] = {}
         self._skipped: set[Place] = set()
         self._plain = experiment.config.effects
-        self._least = WITHIN * max(run.signals.log.dt for run in experiment.runs)
+        self._least = MIN_DELAY_SAMPLES * max(run.signals.log.dt for run in experiment.runs)
         self._within: tuple[EffectEntry, ...] = ()
         self.here = ground(experiment, progress)
         self._settled([])
@@ -179,7 +179,7 @@ class Search:
 
     def _turning(self) -> tuple[str, ...]:
         """Ids of the effects that may be and have their place around reversals."""
-        own = [name for name, kind in known_effects().items() if kind.friction or kind.turning]
+        own = [name for name, kind in effect_types().items() if kind.is_friction or kind.acts_at_reversals]
         return tuple(name for name in own if self._effects is None or name in self._effects)
 
     def _bursts(self) -> tuple[tuple[float, float], ...]:
@@ -290,8 +290,8 @@ class Search:
 
 def _trimmed(one: Added) -> EffectEntry:
     """An effect without those of its parameters that may be left out and are not told from 0."""
-    held = getattr(known_effects()[one.entry.effect], "held", ())
-    free = [x.name for x in held if x.most is not None and x.name in one.entry.parameters]
+    held = effect_types()[one.entry.effect].nonlinear_parameters
+    free = [x.name for x in held if x.optional_maximum is not None and x.name in one.entry.parameters]
     unsure = [name for name in free if not float(one.entry.parameters[name]) > DETERMINED * one.errors.get(name, 0.0)]
     kept = {name: value for name, value in one.entry.parameters.items() if name not in unsure}
     return one.entry.model_copy(update={"parameters": kept}) if unsure else one.entry

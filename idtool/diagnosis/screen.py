@@ -23,7 +23,7 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch
 from idtool.diagnosis.ground import Ground
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.present import PresentModel
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
 
@@ -83,12 +83,12 @@ class Found:
     @property
     def allowed(self) -> bool:
         """Whether physics allows the coefficients."""
-        return self.probe.allowed(self.c) and self.entry is not None
+        return self.probe.is_feasible(self.c) and self.entry is not None
 
     @cached_property
     def entry(self) -> EffectEntry | None:
         """As a configuration has it."""
-        return self.probe.entry(self.c, self.information)
+        return self.probe.to_entry(self.c, self.information)
 
 
 @dataclass
@@ -131,15 +131,15 @@ def screened(
     some: list[Probe] = []
     for probe in probes:
         some.append(probe)
-        if size * sum(p.size for p in some) > _MEMORY:
+        if size * sum(p.coefficient_count for p in some) > _MEMORY:
             found += _judged(ground, some, _summed(ground, some, progress, stage))
             some = []
     return found + (_judged(ground, some, _summed(ground, some, progress, stage)) if some else [])
 
 
 def _summed(ground: Ground, probes: Sequence[Probe], progress: Progress, stage: str) -> _Sums:
-    starts = np.cumsum([0, *(probe.size for probe in probes)])
-    most = max(probe.size for probe in probes)
+    starts = np.cumsum([0, *(probe.coefficient_count for probe in probes)])
+    most = max(probe.coefficient_count for probe in probes)
     F, r, K = ground.folds, ground.ways.shape[1], int(starts[-1])
     sums = _Sums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, most)))
     for batch, present, folds in along(ground, progress, stage):
@@ -166,24 +166,24 @@ def _beside(X: Array, index: Indices, starts: Indices, d: int) -> Array:
     return np.asarray(X[np.minimum(at, len(index) - 1)] * there[:, None])
 
 
-def along(ground: Ground, progress: Progress, stage: str) -> Iterator[tuple[Batch, PresentModel, Indices]]:
+def along(ground: Ground, progress: Progress, stage: str) -> Iterator[tuple[Batch, LinearizedModel, Indices]]:
     """The training data: batches, the model along each, and the block that each filtered sample is in."""
     first = 0
     for run in (run for run in ground.experiment.runs if run.train):
         row = 0
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
-            present = PresentModel(ground.experiment.equation, ground.theta, batch.motion)
+            present = LinearizedModel(ground.experiment.equation, ground.theta, batch.motion)
             count = len(batch.t)
             yield batch, present, first + (row + np.arange(count)) // ground.length
             row += count
         first += -(-row // ground.length)
 
 
-def _rows(ground: Ground, batch: Batch, present: PresentModel) -> tuple[list[Array], list[Array], list[Array]]:
+def _rows(ground: Ground, batch: Batch, present: LinearizedModel) -> tuple[list[Array], list[Array], list[Array]]:
     """By joint: the model's rows by y, (r, n), the residual, (n,), and which samples count as 1, (n,)."""
     Q, e, kept = [], [], []
     active = ground.experiment.equation.active()
-    keep = ground.experiment.equation.clear(batch, ground.apart)
+    keep = ground.experiment.equation.clean_samples(batch, ground.apart)
     for j, (own, columns) in enumerate(zip(active, present.columns, strict=True)):
         block = batch.filter(columns) * keep[j] / ground.noise[j]
         Q.append(ground.ways[own].T @ block[:-1])
@@ -193,12 +193,12 @@ def _rows(ground: Ground, batch: Batch, present: PresentModel) -> tuple[list[Arr
 
 
 def _columns(
-    probes: Sequence[Probe], starts: Indices, batch: Batch, present: PresentModel
+    probes: Sequence[Probe], starts: Indices, batch: Batch, present: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
     """Joint, indices of coefficients, and their columns in the band, shape (i, n), some at a time."""
     waiting: dict[int, list[tuple[int, Array]]] = {}
     for start, probe in zip(starts[:-1], probes, strict=True):
-        for joint, rows in probe.columns(present.true, present).items():
+        for joint, rows in probe.columns(present.true_motion, present).items():
             own = waiting.setdefault(joint, [])
             own.append((int(start), rows))
             if sum(len(r) for _, r in own) >= _AT_ONCE:
@@ -213,10 +213,10 @@ def _filtered(some: list[tuple[int, Array]], batch: Batch) -> tuple[Indices, Arr
 
 
 def _judged(ground: Ground, probes: Sequence[Probe], sums: _Sums) -> list[Found]:
-    starts = np.cumsum([0, *(probe.size for probe in probes)])
+    starts = np.cumsum([0, *(probe.coefficient_count for probe in probes)])
     found: dict[int, Found] = {}
-    for k in {probe.size for probe in probes}:
-        which = [i for i, probe in enumerate(probes) if probe.size == k]
+    for k in {probe.coefficient_count for probe in probes}:
+        which = [i for i, probe in enumerate(probes) if probe.coefficient_count == k]
         index = np.array([np.arange(starts[i], starts[i] + k) for i in which])  # (probes of that size, k)
         for i, one in zip(which, _of_size(ground, [probes[i] for i in which], index, sums), strict=True):
             found[i] = one
@@ -226,7 +226,7 @@ def _judged(ground: Ground, probes: Sequence[Probe], sums: _Sums) -> list[Found]
 def _of_size(ground: Ground, probes: Sequence[Probe], index: Indices, sums: _Sums) -> list[Found]:
     """The probes of k coefficients each."""
     F = ground.folds
-    local = [i for i, probe in enumerate(probes) if probe.local]
+    local = [i for i, probe in enumerate(probes) if probe.is_local]
     parts = sums.P[:, :, index], sums.h[:, index], sums.C[:, index, : index.shape[1]]  # (F, r, i, k), (F, i, k), …
     P, h, C = (x.sum(axis=0) for x in parts)
     whole = ground.B.sum(axis=0) + ground.held
@@ -271,4 +271,4 @@ def _solved(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, A
 
 
 def _allowed(probes: Sequence[Probe], c: Array) -> Mask:
-    return np.array([probe.allowed(own) for probe, own in zip(probes, c, strict=True)], dtype=bool)
+    return np.array([probe.is_feasible(own) for probe, own in zip(probes, c, strict=True)], dtype=bool)

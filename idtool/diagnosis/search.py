@@ -14,9 +14,9 @@ from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import FAILURES, Trial, is_fixed, reason_of, tried, value_of
-from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Survey
 from idtool.estimation.dataset.experiment import Progress
 
 _CONTENDERS = 7  # that are tried more finely
@@ -105,7 +105,7 @@ def assumed(
     bursts
         Stretches of time in which the residual is out of the ordinary [s].
     """
-    probes = [probe for probe in _probes(here, (effect,), bursts) if on is None or probe.on[1] == on]
+    probes = [probe for probe in _probes(here, (effect,), bursts) if on is None or probe.subject[1] == on]
     found = screened(here, probes, progress)
     winner = None
     for one in sorted(found, key=lambda one: (not one.allowed, -one.gain)):
@@ -120,14 +120,16 @@ def assumed(
 def _probes(here: Ground, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...]) -> list[Probe]:
     """All hypotheses."""
     seen = survey(here, bursts, is_fixed(here.experiment))
-    kinds = {id: kind for id, kind in known_effects().items() if effects is None or id in effects or not kind.named}
+    kinds = {id: kind for id, kind in effect_types().items() if effects is None or id in effects or not kind.reportable}
     probes = [probe for kind in kinds.values() for probe in kind.probes(seen)]
-    return [probe for probe in probes if not _waits(probe, [x for x in kinds[probe.effect].upon if x in kinds], seen)]
+    return [
+        probe for probe in probes if not _waits(probe, [x for x in kinds[probe.effect].requires if x in kinds], seen)
+    ]
 
 
-def _waits(probe: Probe, upon: Sequence[str], seen: Survey) -> bool:
+def _waits(probe: Probe, upon: Sequence[str], seen: DataSummary) -> bool:
     """Whether an effect is a change of others, none of which is there, though they may be."""
-    return bool(upon) and not any(seen.has(effect, probe.on[1]) for effect in upon)
+    return bool(upon) and not any(seen.has_effect(effect, probe.subject[1]) for effect in upon)
 
 
 def _inflation(here: Ground, found: Iterable[Found]) -> float:
@@ -153,14 +155,14 @@ def _best(
 def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Probe]:
     """Shape values between the neighbours of the best."""
     for one in contenders:
-        for name in (n for n in one.probe.shape if n not in ("source",)):
-            values = sorted({f.probe.shape[name] for f in found if place_of(f.probe) == place_of(one.probe)})
+        for name in (n for n in one.probe.nonlinear_values if n not in ("source",)):
+            values = sorted({f.probe.nonlinear_values[name] for f in found if place_of(f.probe) == place_of(one.probe)})
             if len(values) == 1:
                 continue
-            at = values.index(one.probe.shape[name])
+            at = values.index(one.probe.nonlinear_values[name])
             low, high = values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)]
             for value in np.linspace(low, high, _FINE + 2)[1:-1]:
-                yield one.probe.at({**one.probe.shape, name: float(value)})
+                yield one.probe.at({**one.probe.nonlinear_values, name: float(value)})
 
 
 def _fitted(here: Ground, one: Found, progress: Progress) -> Contender:
@@ -198,16 +200,18 @@ def _loose(trial: Trial) -> str:
     """The first shape value of the newest effect that is no larger than its error, or at the end of its range."""
     last = len(trial.entries) - 1
     entry = trial.entries[last]
-    for held in getattr(known_effects()[entry.effect], "held", ()):
+    for held in effect_types()[entry.effect].nonlinear_parameters:
         error, value = trial.errors.get((last, held.name)), value_of(entry, held.name)
-        if error is None or not isinstance(value, float) or held.most is not None:
+        if error is None or not isinstance(value, float) or held.optional_maximum is not None:
             continue
-        most = held.error if held.error is not None else value / DETERMINED if held.positive else np.inf
+        most = held.max_standard_error
+        if most is None:
+            most = value / DETERMINED if held.positive else np.inf
         low, high = trial.ranges.get((last, held.name), (-np.inf, np.inf))
         if held.name in _FREE:
             most = high = np.inf
         if not (error < most and low * _EDGE < value < high / _EDGE):
-            return str(held.name)
+            return held.name
     return ""
 
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from idtool.diagnosis.ground import Ground
 from idtool.dynamics.effects import NamedEffect
-from idtool.dynamics.effects.survey import Survey
+from idtool.dynamics.effects.data_summary import DataSummary
 
 
-def survey(ground: Ground, bursts: tuple[tuple[float, float], ...] = (), fixed: bool = False) -> Survey:
+def survey(ground: Ground, bursts: tuple[tuple[float, float], ...] = (), fixed: bool = False) -> DataSummary:
     """What was logged.
 
     Parameters
@@ -30,12 +30,12 @@ def survey(ground: Ground, bursts: tuple[tuple[float, float], ...] = (), fixed: 
             low, high = np.minimum(low, m.q[:, inner].min(axis=1)), np.maximum(high, m.q[:, inner].max(axis=1))
             torque = np.maximum(torque, np.quantile(np.abs(m.tau[:, inner]), 0.995, axis=1))
             squares, count = squares + np.square(m.v[:, inner]).sum(axis=1), count + m.v[:, inner].shape[1]
-            still = np.maximum(still, m.still)
+            still = np.maximum(still, m.velocity_deadband)
             seconds = max(seconds, float(m.t[-1]))
     taken = frozenset(e.key for e in experiment.equation.effects if isinstance(e, NamedEffect))
     speed = np.sqrt(squares / max(count, 1))
     band = experiment.band_hz
-    return Survey(
+    return DataSummary(
         experiment.model,
         taken,
         low,

@@ -18,11 +18,11 @@ from idtool.data.signals import Motion
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
-from idtool.dynamics.effects import build_effects, known_effects
+from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Present
-from idtool.dynamics.present import PresentModel
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.knowledge import Fact, knowledge
@@ -83,7 +83,7 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
         What the experiment's coefficients are by now, shape (p,), for effects that need to know the model.
     """
     config = experiment.config.model_copy(update={"effects": tuple(entries)})
-    now = experiment.equation.reference
+    now = experiment.equation.operating_point
     if theta is not None:
         now = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
     equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), now)
@@ -137,7 +137,7 @@ def tried(
     errors: dict[Key, float] = {}
     ranges = _ranges(before, entries, moving)
     for i in moving:
-        for name in known_effects()[entries[i].effect].scanned():
+        for name in effect_types()[entries[i].effect].grid_parameters():
             here, errors[i, name] = _scanned(here, i, name, progress)
     for _ in range(steps):
         names = [(i, name) for i in moving for name in _moved(here.experiment.config.effects[i])]
@@ -158,20 +158,24 @@ def _ranges(before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int
     """Those about all values that a search tries, of parameters that are sizes."""
     seen, found = survey(before), {}
     for i in moving:
-        kind, joint = known_effects()[entries[i].effect], entries[i].joint
+        kind, joint = effect_types()[entries[i].effect], entries[i].joint
         if not issubclass(kind, JointEffect) or joint is None:
             continue
-        shapes = list(kind.tried(seen, seen.model.names.index(joint)))
+        shapes = list(kind.trial_values(seen, seen.model.names.index(joint)))
         for name in shapes[0] if shapes else ():
             values = [shape[name] for shape in shapes]
             if _is_positive(kind.id, name):
                 found[i, name] = (min(values) / _BEYOND, max(values) * _BEYOND)
-        found |= {(i, held.name): (0.0, held.most) for held in kind.held if held.most is not None}
+        found |= {
+            (i, held.name): (0.0, held.optional_maximum)
+            for held in kind.nonlinear_parameters
+            if held.optional_maximum is not None
+        }
     return found
 
 
 def _moved(entry: EffectEntry) -> list[str]:
-    names = known_effects()[entry.effect].shapes()
+    names = effect_types()[entry.effect].gradient_parameters()
     return [name for name in names if isinstance(value_of(entry, name), float)]
 
 
@@ -223,10 +227,10 @@ def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Groun
     entries = list(here.experiment.config.effects)
     entry, others = entries[i], [*entries[:i], *entries[i + 1 :]]
     without = ground(with_effects(here.experiment, others, here.theta), progress, here, own_rows=True)
-    kind, seen = known_effects()[entry.effect], survey(without)
+    kind, seen = effect_types()[entry.effect], survey(without)
     joint = here.experiment.equation.joints.index(str(entry.joint))
     values = [ratio * float(value_of(entry, name)) for ratio in _SCAN]  # type: ignore[arg-type]
-    shape = {held.name: value_of(entry, held.name) or 0.0 for held in kind.held}  # type: ignore[attr-defined]
+    shape = {held.name: value_of(entry, held.name) or 0.0 for held in kind.nonlinear_parameters}
     probes = [kind.probe(seen, joint, {**shape, name: value}) for value in values]  # type: ignore[attr-defined]
     gains = [one.gain for one in screened(without, probes, progress, "trying values")]
     best = values[int(np.argmax(gains))]
@@ -238,7 +242,7 @@ def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Groun
 
 
 def _is_positive(effect: str, name: str) -> bool:
-    held = getattr(known_effects()[effect], "held", ())
+    held = effect_types()[effect].nonlinear_parameters
     return any(one.name == name and one.positive for one in held)
 
 
@@ -250,9 +254,9 @@ def _difference(here: Ground, names: Sequence[Key], values: Sequence[float], ste
         entries[i] = _with(entries[i], name, value + step)
         others.append(with_effects(here.experiment, entries, here.theta).equation)
 
-    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+    def columns(motion: Motion, present: Linearization) -> Mapping[int, Array]:
         change = [
-            (present.residual - PresentModel(other, here.theta, present.measured).residual) / step
+            (present.residual - LinearizedModel(other, here.theta, present.measured_motion).residual) / step
             for other, step in zip(others, steps, strict=True)
         ]
         return {j: np.stack([rows[j] for rows in change]) for j in range(len(motion.q))}

@@ -12,8 +12,9 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.probe import Columns, Probe
-from idtool.dynamics.effects.survey import Present, Survey
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.probe import Probe, ProbeColumns
 
 UNKNOWN = "unknown"
 _BUMPS = 14  # over a range, of a function of one variable
@@ -24,7 +25,7 @@ _SLOW = 0.15  # of the rms speed, at which a function of speed changes fastest
 _SEED = 0
 
 
-def unnamed(survey: Survey) -> Iterator[Probe]:
+def unnamed(survey: DataSummary) -> Iterator[Probe]:
     """Functions of a joint's position, its speed, of both, of all joints' state, and lines in time."""
     for j, name in enumerate(survey.model.names):
         yield _probe(name, j, _BUMPS, partial(_position, survey, j), {"of": 0.0})
@@ -37,10 +38,10 @@ def unnamed(survey: Survey) -> Iterator[Probe]:
 
 
 def _probe(name: str, joint: int, size: int, made: partial[Array], shape: Mapping[str, float]) -> Probe:
-    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
+    def columns(motion: Motion, present: Linearization) -> Mapping[int, Array]:
         return {joint: made(motion)}
 
-    typed: Columns = columns
+    typed: ProbeColumns = columns
     return Probe(UNKNOWN, name, None, typed, size, lambda c, information: None, shape)
 
 
@@ -50,24 +51,24 @@ def _bumps(x: Array) -> Array:
     return np.asarray(np.exp(-0.5 * np.square((x - centres) * _BUMPS)))
 
 
-def _position(survey: Survey, joint: int, motion: Motion) -> Array:
-    return _bumps((motion.q[joint] - survey.low[joint]) / max(survey.travel[joint], 1e-9))
+def _position(survey: DataSummary, joint: int, motion: Motion) -> Array:
+    return _bumps((motion.q[joint] - survey.q_min[joint]) / max(survey.q_range[joint], 1e-9))
 
 
-def _speed(survey: Survey, joint: int, motion: Motion) -> Array:
-    scale = np.arcsinh(motion.v[joint] / (_SLOW * max(survey.speed[joint], 1e-9)))
+def _speed(survey: DataSummary, joint: int, motion: Motion) -> Array:
+    scale = np.arcsinh(motion.v[joint] / (_SLOW * max(survey.rms_velocity[joint], 1e-9)))
     most = np.arcsinh(3 / _SLOW)
     return _bumps((scale + most) / (2 * most))
 
 
-def _state(survey: Survey, joints: range | list[int], motion: Motion) -> Array:
+def _state(survey: DataSummary, joints: range | list[int], motion: Motion) -> Array:
     """Waves over position and speed, shape (k, N)."""
     rng = np.random.default_rng(_SEED)
     own = list(joints)
     z = np.concatenate(
         [
-            (motion.q[own] - survey.low[own, None]) / np.maximum(survey.travel[own, None], 1e-9) * 3,
-            motion.v[own] / np.maximum(survey.speed[own, None], 1e-9),
+            (motion.q[own] - survey.q_min[own, None]) / np.maximum(survey.q_range[own, None], 1e-9) * 3,
+            motion.v[own] / np.maximum(survey.rms_velocity[own, None], 1e-9),
         ]
     )
     ways = rng.normal(size=(_WAVES, len(z))) / np.sqrt(len(own))

@@ -95,7 +95,7 @@ def _where(
     joints = experiment.equation.joints
     windows = windows_of(found, (saved / all_of_it[:, None])[concerned].sum(axis=0), found.kept[concerned].any(axis=0))
     j = int(np.argmax(np.where(concerned, relative, -np.inf)))
-    still = np.stack([run.signals.still for run in experiment.runs]).max(axis=0)
+    still = np.stack([run.signals.velocity_deadband for run in experiment.runs]).max(axis=0)
     forces = tuple(experiment.model.units[name] == "N" for name in joints)
     several, one_log = int(concerned.sum()) > 1, len(experiment.runs) == 1
     scene = Scene(found, j, joints, forces, still, experiment.band_hz, saved[j], torque[j], several, one_log)

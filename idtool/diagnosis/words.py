@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from idtool.diagnosis.records import Candidate, Level, Step
-from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.payload import Payload
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
@@ -28,7 +28,7 @@ def sentence(step: Step, units: Mapping[str, str]) -> str:
     if step.entry is None:
         region = f" ({step.where.region})" if step.where.region else ""
         return f"{chosen.on}: what is left has structure{region} that none of the effects explains"
-    means = known_effects()[chosen.effect].means
+    means = effect_types()[chosen.effect].description
     figures = ", ".join(
         _figure(name, x, step.standard_error.get(name)) for name, x in list(step.parameters.items())[:_SHOWN]
     )
@@ -85,19 +85,20 @@ def _torque(one: Level) -> Mapping[str, float]:
 
 def aside(entry: EffectEntry) -> str:
     """An effect that is no answer, for people."""
-    means = known_effects()[entry.effect].means
+    means = effect_types()[entry.effect].description
     figures = ", ".join(_figure(name, value, None) for name, value in entry.parameters.items())
     return f"{entry.joint}: {means} ({figures}); that was fitted along, and is not in the model"
 
 
 def superseded(out: Candidate, by: Candidate) -> str:
     """Why an effect was taken out again, for people."""
-    kind = known_effects()[by.effect]
-    why = f"with {by.effect} on {by.on}" if kind.named else f"where {kind.means}, as on {by.on},"
+    kind = effect_types()[by.effect]
+    why = f"with {by.effect} on {by.on}" if kind.reportable else f"where {kind.description}, as on {by.on},"
     return f"{out.effect} on {out.on} was taken out again: {why} it pays no more"
 
 
 def separating(one: Candidate, other: Candidate) -> str:
     """Which experiment tells two effects apart."""
-    kinds = known_effects()
-    return f"log {kinds[one.effect].shows} ({one.effect}), and {kinds[other.effect].shows} ({other.effect})"
+    kinds = effect_types()
+    hints = [f"{kinds[found.effect].excitation_hint} ({found.effect})" for found in (one, other)]
+    return f"log {hints[0]}, and {hints[1]}"

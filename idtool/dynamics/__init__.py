@@ -1,1 +1,1 @@
-"""The torque equation: effects, the linear model that they add up to, and its simulation forwards."""
+"""The torque equation: its effects, the linear model that they form, and its simulation."""

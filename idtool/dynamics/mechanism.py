@@ -1,7 +1,7 @@
-"""`Mechanism`: what the effects of a model add up to when it is run forwards.
+"""`Mechanism`: the sum of a model's effects as a forward model.
 
-M(q) dv/dt = tau − h(q, v) − resisting(t, q, v) − s level(t, q, v): the dry friction's direction s is sign(v) where a
-joint slides, and whatever in [−1, 1] holds it where it rests.
+M(q) dv/dt = tau − smooth_torque(t, q, v) − h(q, v) − s friction_level(t, q, v): the direction s of the dry friction is
+sign(v) where a joint slides, and the value in [−1, 1] that holds it where it rests.
 
 Shapes: nv joints, W rollouts that advance together. Units: rad or m, s, N·m or N.
 """
@@ -20,69 +20,69 @@ from idtool.data.signals import Motion
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 
-Evaluated = Callable[[Motion], Array]
+TorqueFunction = Callable[[Motion], Array]
 
 
-class Term(Protocol):
+class TorqueTerm(Protocol):
     """One coefficient times a function of the motion, on one joint; with an array of joints, on each of them."""
 
     joint: int | Indices
-    shape: dict[str, Any]
-    friction: bool
+    nonlinear_values: dict[str, Any]
+    is_friction: bool
 
 
-class Loop(Protocol):
-    """Hysteresis: torque by a state in [−1, 1] that depends on the path of one joint; or of several."""
+class HysteresisTerm(Protocol):
+    """Torque by a state in [−1, 1] that depends on the path of one joint, or of several."""
 
     joint: int | Indices
-    shape: dict[str, Any]
-    friction: bool
+    nonlinear_values: dict[str, Any]
+    is_friction: bool
 
     def torque(self, state: Array, v: Array) -> Array:
-        """By the state and the joints' velocities, shape (k, W) each, per unit of the coefficient."""
+        """Torque per unit of the coefficient, from the state and the velocity, shape (k, W) each."""
         ...
 
-    def after(self, state: Array, way: Array) -> Array:
-        """The state when the joints have gone a way [rad or m] since it was ``state``, shape (k, W) each."""
+    def next_state(self, state: Array, path: Array) -> Array:
+        """State after the joints have moved by a path [rad or m] in one direction, shape (k, W) each."""
         ...
 
 
 @dataclass(frozen=True)
-class Gear:
-    """Between a joint's motor side, where it is measured and driven and its rotors turn, and its link side.
+class Transmission:
+    """A compliant transmission: a joint is measured and driven on its motor side, and its rotors turn there.
 
     Attributes
     ----------
     stiffness
-        Torque per deflection [N·m/rad or N/m]; infinite: as good as rigid, motor and link would swing on it at 200 Hz.
-    damping
-        As a ratio of what is critical for the motor's side; on a rigid gear, for motor and link against each other.
-    play
-        Deflection that takes no torque, from one end to the other [rad or m].
-    rubbing
-        Share of the joint's friction that acts on the motor's side.
+        Torque per deflection [N·m/rad or N/m]; infinite: nearly rigid, motor and link would swing on it at 200 Hz.
+    damping_ratio
+        Share of the critical damping of the motor side; if nearly rigid, of motor and link against each other.
+    backlash
+        Deflection without torque, from one end to the other [rad or m].
+    motor_friction
+        Share of the joint's friction that acts on the motor side.
     """
 
     stiffness: float
-    damping: float
-    play: float = 0.0
-    rubbing: float = 0.0
+    damping_ratio: float
+    backlash: float = 0.0
+    motor_friction: float = 0.0
 
 
 @dataclass(frozen=True)
 class TorqueSensor:
-    """What a joint's torque sensor makes of the true torque, and back; elementwise."""
+    """Maps between the true torque of a joint and the measured one; elementwise."""
 
-    measured: Callable[[Array], Array]
-    true: Callable[[Array], Array]
+    to_measured: Callable[[Array], Array]
+    to_true: Callable[[Array], Array]
 
 
-_Any = TypeVar("_Any", Term, Loop)
+_Term = TypeVar("_Term", TorqueTerm, HysteresisTerm)
 
 
 @dataclass
 class Mechanism:
-    """What effects contribute to; each adds to the part that is its own.
+    """A forward model, to which every effect adds its part.
 
     Attributes
     ----------
@@ -91,25 +91,25 @@ class Mechanism:
     pi
         Inertia parameters of its bodies, shape (bodies, 10).
     armature
-        Inertia on the joints beside them, shape (nv,) [kg·m² or kg].
-    smooth
+        Further inertia on the joints, shape (nv,) [kg·m² or kg].
+    smooth_terms
         Terms whose torque is a smooth function of the state, with their coefficients.
-    dry
+    dry_friction_terms
         Terms whose torque is a level times the direction of motion, with their coefficients.
-    loops
+    hysteresis_terms
         Terms whose torque depends on the path, with their coefficients.
-    torques
-        Torque on the load's side as a function of the motion, shape (nv, W), that no joint term gives.
-    stops
-        Joint and position where a torque begins or ends, which a step should not straddle.
+    extra_torques
+        Torque on the link side as functions of the motion, shape (nv, W), besides the terms.
+    breakpoints
+        Joints and positions at which a torque begins or ends; a step of time should not straddle one.
     gravity
         In the root link's frame, shape (3,) [m/s²].
-    gears
-        Of joints whose motor and link can move apart.
-    sensors
-        Of joints whose measured torque is not the true one.
-    torque_late
-        By how much measured torque comes after the position, shape (nv,) [s].
+    transmissions
+        By joint, where motor and link can move apart.
+    torque_sensors
+        By joint, where the measured torque is not the true one.
+    torque_delay
+        Delay of the measured torque relative to the position, shape (nv,) [s].
     position_offset
         True less measured position, shape (nv,) [rad or m].
     """
@@ -117,88 +117,111 @@ class Mechanism:
     model: Model
     pi: Array = field(init=False)
     armature: Array = field(init=False)
-    smooth: list[tuple[Term, float]] = field(default_factory=list)
-    dry: list[tuple[Term, float]] = field(default_factory=list)
-    loops: list[tuple[Loop, float]] = field(default_factory=list)
-    torques: list[Evaluated] = field(default_factory=list)
-    stops: list[tuple[int, float]] = field(default_factory=list)
+    smooth_terms: list[tuple[TorqueTerm, float]] = field(default_factory=list)
+    dry_friction_terms: list[tuple[TorqueTerm, float]] = field(default_factory=list)
+    hysteresis_terms: list[tuple[HysteresisTerm, float]] = field(default_factory=list)
+    extra_torques: list[TorqueFunction] = field(default_factory=list)
+    breakpoints: list[tuple[int, float]] = field(default_factory=list)
     gravity: Array = field(init=False)
-    gears: dict[int, Gear] = field(default_factory=dict)
-    sensors: dict[int, TorqueSensor] = field(default_factory=dict)
-    torque_late: Array = field(init=False)
+    transmissions: dict[int, Transmission] = field(default_factory=dict)
+    torque_sensors: dict[int, TorqueSensor] = field(default_factory=dict)
+    torque_delay: Array = field(init=False)
     position_offset: Array = field(init=False)
 
     def __post_init__(self) -> None:
+        nv = len(self.model.joints)
         self.pi = np.zeros((len(self.model.bodies), SIZE))
-        self.armature, self.torque_late, self.position_offset = np.zeros((3, len(self.model.joints)))
+        self.armature = np.zeros(nv)
+        self.torque_delay = np.zeros(nv)
+        self.position_offset = np.zeros(nv)
         self.gravity = self.model.gravity
 
-    def sides(self) -> tuple[Mechanism, Mechanism]:
-        """What acts on the links' side of gears that give way, and the friction that acts on the motors'."""
-        link, motor = copy.copy(self), Mechanism(self.model)
-        link.smooth, motor.smooth = self._shared(self.smooth)
-        link.dry, motor.dry = self._shared(self.dry)
-        link.loops, motor.loops = self._shared(self.loops)
+    def link_and_motor_sides(self) -> tuple[Mechanism, Mechanism]:
+        """The mechanism on the link side of its transmissions, and the friction on the motor side as another."""
+        link = copy.copy(self)
+        motor = Mechanism(self.model)
+        link.smooth_terms, motor.smooth_terms = self._split_friction(self.smooth_terms)
+        link.dry_friction_terms, motor.dry_friction_terms = self._split_friction(self.dry_friction_terms)
+        link.hysteresis_terms, motor.hysteresis_terms = self._split_friction(self.hysteresis_terms)
         return link, motor
 
-    def _shared(self, terms: Sequence[tuple[_Any, float]]) -> tuple[list[tuple[_Any, float]], list[tuple[_Any, float]]]:
-        shares = [self.gears[int(x.joint)].rubbing if x.friction and x.joint in self.gears else 0.0 for x, _ in terms]
-        return (
-            [(term, (1 - share) * c) for (term, c), share in zip(terms, shares, strict=True)],
-            [(term, share * c) for (term, c), share in zip(terms, shares, strict=True) if share],
-        )
+    def _split_friction(
+        self, terms: Sequence[tuple[_Term, float]]
+    ) -> tuple[list[tuple[_Term, float]], list[tuple[_Term, float]]]:
+        """Terms with the share of their coefficients on the link side, and those with a share on the motor side."""
+        link, motor = [], []
+        for term, coefficient in terms:
+            share = 0.0
+            if term.is_friction and term.joint in self.transmissions:
+                share = self.transmissions[int(term.joint)].motor_friction
+            link.append((term, (1 - share) * coefficient))
+            if share:
+                motor.append((term, share * coefficient))
+        return link, motor
 
     @property
-    def rubbing(self) -> Mask:
-        """Which joints have dry friction, shape (nv,)."""
-        rubbing = np.zeros(len(self.model.joints), dtype=bool)
-        for term, coefficient in self.dry:
-            rubbing[term.joint] |= coefficient != 0
-        return rubbing
+    def has_dry_friction(self) -> Mask:
+        """True for joints with dry friction, shape (nv,)."""
+        mask = np.zeros(len(self.model.joints), dtype=bool)
+        for term, coefficient in self.dry_friction_terms:
+            mask[term.joint] |= coefficient != 0
+        return mask
 
-    def resisting(self) -> Evaluated:
-        """The smooth terms' torque, shape (nv, W), as a function of the motion."""
-        terms = _sum(self.smooth, len(self.model.joints), "column")
-        if not self.torques:
+    def smooth_torque(self) -> TorqueFunction:
+        """Torque of the smooth terms, shape (nv, W), as a function of the motion."""
+        terms = _sum(self.smooth_terms, len(self.model.joints), "column")
+        if not self.extra_torques:
             return terms
-        return lambda motion: np.sum([torque(motion) for torque in (terms, *self.torques)], axis=0)
+        functions = (terms, *self.extra_torques)
+        return lambda motion: np.sum([function(motion) for function in functions], axis=0)
 
-    def level(self) -> Evaluated:
-        """The dry terms' level, at least 0, shape (nv, W), as a function of the motion."""
-        total = _sum(self.dry, len(self.model.joints), "level")
+    def friction_level(self) -> TorqueFunction:
+        """Level of the dry friction, at least 0, shape (nv, W), as a function of the motion."""
+        total = _sum(self.dry_friction_terms, len(self.model.joints), "level")
         return lambda motion: np.maximum(total(motion), 0.0)
 
-    def hysteresis(self) -> list[tuple[Loop, Indices, Array]]:
-        """The terms that depend on the path, those of one kind together: term, k joints, coefficients (k, 1)."""
-        return _gathered(self.loops)
+    def grouped_hysteresis_terms(self) -> list[tuple[HysteresisTerm, Indices, Array]]:
+        """Hysteresis terms of one kind as one: term, k joints, coefficients (k, 1)."""
+        return _grouped(self.hysteresis_terms)
 
 
-def _gathered(terms: Sequence[tuple[_Any, float]]) -> list[tuple[_Any, Indices, Array]]:
-    """Terms of one kind as one term on several joints, each once, the joints, and the coefficients as a column."""
-    groups: dict[tuple[type, int], list[tuple[_Any, float]]] = {}
-    for term, coefficient in sorted((pair for pair in terms if pair[1]), key=lambda pair: int(pair[0].joint)):
-        again = sum(other.joint == term.joint and type(other) is type(term) for g in groups.values() for other, _ in g)
-        groups.setdefault((type(term), again), []).append((term, coefficient))
-    gathered = []
+def _grouped(terms: Sequence[tuple[_Term, float]]) -> list[tuple[_Term, Indices, Array]]:
+    """Terms of one kind as one term on several different joints, with the joints and a column of coefficients."""
+    groups: dict[tuple[type, int], list[tuple[_Term, float]]] = {}
+    counts: dict[tuple[type, int], int] = {}  # of terms of a kind on a joint so far
+    nonzero = [(term, coefficient) for term, coefficient in terms if coefficient]
+    for term, coefficient in sorted(nonzero, key=lambda pair: int(pair[0].joint)):
+        kind_on_joint = (type(term), int(term.joint))
+        repetition = counts.get(kind_on_joint, 0)
+        counts[kind_on_joint] = repetition + 1
+        groups.setdefault((type(term), repetition), []).append((term, coefficient))
+
+    grouped = []
     for group in groups.values():
-        one = copy.copy(group[0][0])
-        one.joint = joints = np.array([term.joint for term, _ in group])
-        one.shape = {name: np.array([[term.shape[name]] for term, _ in group]) for name in one.shape}
-        gathered.append((one, joints, np.array([[coefficient] for _, coefficient in group])))
-    return gathered
+        first_term = group[0][0]
+        joints = np.array([term.joint for term, _ in group])
+        coefficients = np.array([[coefficient] for _, coefficient in group])
+        nonlinear_values = {}
+        for name in first_term.nonlinear_values:
+            nonlinear_values[name] = np.array([[term.nonlinear_values[name]] for term, _ in group])
+        together = copy.copy(first_term)
+        together.joint = joints
+        together.nonlinear_values = nonlinear_values
+        grouped.append((together, joints, coefficients))
+    return grouped
 
 
-def _sum(terms: Sequence[tuple[Term, float]], joints: int, method: str) -> Evaluated:
-    """The sum of terms by joint."""
-    parts = [(getattr(term, method), indices, factors) for term, indices, factors in _gathered(terms)]
+def _sum(terms: Sequence[tuple[TorqueTerm, float]], nv: int, method: str) -> TorqueFunction:
+    """Sum over terms of a method of theirs times the coefficient, by joint."""
+    parts = [(getattr(term, method), joints, coefficients) for term, joints, coefficients in _grouped(terms)]
 
     def evaluate(motion: Motion) -> Array:
-        out = np.zeros((joints, len(motion.t)))
-        for function, indices, factors in parts:
-            if len(indices) == joints:
-                out += factors * function(motion)
+        out = np.zeros((nv, len(motion.t)))
+        for function, joints, coefficients in parts:
+            if len(joints) == nv:
+                out += coefficients * function(motion)
             else:
-                out[indices] += factors * function(motion)
+                out[joints] += coefficients * function(motion)
         return out
 
     return evaluate

@@ -1,7 +1,7 @@
-"""Effects → blocks of (columns, torque), one per joint, batch after batch.
+"""`LinearModel`: effects → blocks of columns and torque, one per joint, batch after batch.
 
-Y_j (n, m_j): the columns of joint j's equation that are not identically zero, tau_j (n,) its torque, both through the
-same low-pass. Here transposed and in one array, the torque last: (m_j + 1, n).
+Y_j (n, m_j) holds the columns of joint j's equation that are not identically zero, tau_j (n,) its torque, both through
+the same low-pass. Here a block is their transpose in one array, the torque last: (m_j + 1, n).
 """
 
 from __future__ import annotations
@@ -15,27 +15,14 @@ from scipy import ndimage
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch, Motion
-from idtool.dynamics.effects.base import Coefficient, Effect
-from idtool.dynamics.effects.survey import Present
+from idtool.dynamics.effects.effect import Coefficient, Effect
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.present import PresentModel
 from idtool.robot.model import Model
 
-_UNDEFINED = 0.3  # share of a filtered sample's weight that may come from samples where a column is not defined
-_CLEAR = 0.03  # of its weight by magnitude, with which such samples do not show in it
-
-
-def _turns(v: Array) -> Mask:
-    """Samples between which a joint turns round, however fast, shape (N,)."""
-    turns = np.zeros(len(v), dtype=bool)
-    at = np.flatnonzero(v[1:] * v[:-1] < 0)
-    turns[at] = turns[at + 1] = True
-    return turns
-
-
-def _beside(effect: Effect, other: Effect) -> bool:
-    """Whether another effect is part of the model that one refers to."""
-    return type(other) is not type(effect) and type(other).true is Effect.true
+_MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
+_CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
 
 @dataclass(frozen=True)
@@ -48,41 +35,47 @@ class LinearModel:
         Names of the nv joints.
     effects
         The terms; their coefficients one after the other are the p unknowns.
-    reference
-        Coefficients that the effects go by which need to know the model, by key; others are taken at their prior.
+    operating_point
+        Coefficients, by key, for the effects whose columns depend on them; others are taken at their prior.
     """
 
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
-    reference: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
+    operating_point: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for effect in self.effects:
-            own = [self.reference.get(c.key, c.prior) for c in effect.coefficients]
-            effect.refer(self._without(effect), np.array(own))
+            theta = np.array([self.operating_point.get(c.key, c.prior) for c in effect.coefficients])
+            effect.set_operating_point(self._model_without(effect), theta)
 
-    def _without(self, effect: Effect) -> Callable[[Motion], Present]:
-        """The model without effects of its kind, along a motion as it was, which no effect turns into another."""
-        kept: list[PresentModel] = []  # the last: several ask about one motion
+    def _model_without(self, effect: Effect) -> Callable[[Motion], Linearization]:
+        """The model without effects of one kind, along a true motion, which no effect corrects again."""
+        others = tuple(
+            other
+            for other in self.effects
+            if type(other) is not type(effect) and type(other).correct_motion is Effect.correct_motion
+        )
+        latest: LinearizedModel | None = None  # several effects ask about one motion
 
-        def along(motion: Motion) -> Present:
-            if not kept or kept[0].measured is not motion:
-                others = LinearModel(self.joints, tuple(x for x in self.effects if _beside(effect, x)))
-                theta = np.array([self.reference.get(c.key, c.prior) for c in others.coefficients])
-                kept[:] = [PresentModel(others, theta, motion)]
-            return kept[0]
+        def along(motion: Motion) -> Linearization:
+            nonlocal latest
+            if latest is None or latest.measured_motion is not motion:
+                equation = LinearModel(self.joints, others)
+                theta = np.array([self.operating_point.get(c.key, c.prior) for c in equation.coefficients])
+                latest = LinearizedModel(equation, theta, motion)
+            return latest
 
         return along
 
     @property
-    def refers(self) -> bool:
-        """Whether columns depend on what the coefficients are."""
-        return any(type(effect).refer is not Effect.refer for effect in self.effects)
+    def depends_on_parameters(self) -> bool:
+        """True if columns depend on the coefficients."""
+        return any(type(effect).set_operating_point is not Effect.set_operating_point for effect in self.effects)
 
-    def about(self, theta: Array) -> LinearModel:
-        """The same with columns as they are by coefficients, shape (p,)."""
-        reference = {c.key: float(x) for c, x in zip(self.coefficients, theta, strict=True)}
-        return LinearModel(self.joints, tuple(copy(effect) for effect in self.effects), reference)
+    def linearized_at(self, theta: Array) -> LinearModel:
+        """The model with its columns at other coefficients, shape (p,)."""
+        operating_point = {c.key: float(x) for c, x in zip(self.coefficients, theta, strict=True)}
+        return LinearModel(self.joints, tuple(copy(effect) for effect in self.effects), operating_point)
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -91,54 +84,68 @@ class LinearModel:
 
     @property
     def prior(self) -> Array:
-        """Their values before any data, shape (p,)."""
+        """Values of the unknowns before any data, shape (p,)."""
         return np.array([c.prior for c in self.coefficients])
 
     def offsets(self) -> Indices:
-        """Where each effect's coefficients begin, and p."""
+        """Index of each effect's first coefficient, and p."""
         return np.cumsum([0, *(len(effect.coefficients) for effect in self.effects)])
 
     def active(self) -> tuple[Indices, ...]:
-        """Per joint, which of the p unknowns appear in its equation."""
-        starts = self.offsets()[:-1]
-        return tuple(
-            np.concatenate([start + effect.active[j] for start, effect in zip(starts, self.effects, strict=True)])
-            for j in range(len(self.joints))
-        )
+        """Per joint, indices of the unknowns in its equation."""
+        firsts = self.offsets()[:-1]
+        active = []
+        for joint in range(len(self.joints)):
+            parts = [first + effect.active[joint] for first, effect in zip(firsts, self.effects, strict=True)]
+            active.append(np.concatenate(parts))
+        return tuple(active)
 
     def columns(self, motion: Motion) -> list[Array]:
         """Unfiltered columns and torque, per joint; shape (m_j + 1, N) each, the torque last.
 
-        All as it was, not as it was measured, and the torque less what takes no coefficient.
+        Both are of the true motion, and the torque is less that without a coefficient.
         """
+        true = self._true_motion(motion)
+        blocks = [np.empty((len(active) + 1, len(true.t))) for active in self.active()]
+        row = [0] * len(self.joints)  # the next of each block
         for effect in self.effects:
-            motion = effect.true(motion)
-        blocks = [np.empty((len(active) + 1, len(motion.t))) for active in self.active()]
-        first = [0] * len(self.joints)
-        for effect in self.effects:
-            sizes = [len(active) for active in effect.active]
-            effect.write(motion, [block[f : f + s] for block, f, s in zip(blocks, first, sizes, strict=True)])
-            first = [f + s for f, s in zip(first, sizes, strict=True)]
-        known = self._known(motion)
-        for block, tau in zip(blocks, motion.tau - known if known is not None else motion.tau, strict=True):
-            block[-1] = tau
+            out = []
+            for joint, block in enumerate(blocks):
+                count = len(effect.active[joint])
+                out.append(block[row[joint] : row[joint] + count])
+                row[joint] += count
+            effect.columns(true, out)
+        tau = self._identified_torque(true)
+        for joint, block in enumerate(blocks):
+            block[-1] = tau[joint]
         return blocks
 
-    def torques(self, motion: Motion) -> Array:
-        """What the last rows of `columns` would be with each of the motion's `torques`, shape (K, nv, N)."""
-        found = np.empty_like(motion.torques)
+    def delayed_torques(self, motion: Motion) -> Array:
+        """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
+        out = np.empty_like(motion.torques)
         for k, tau in enumerate(motion.torques):
-            true = replace(motion, tau=tau)
-            for effect in self.effects:
-                true = effect.true(true)
-            known = self._known(true)
-            found[k] = true.tau - known if known is not None else true.tau
-        return found
+            true = self._true_motion(replace(motion, tau=tau))
+            out[k] = self._identified_torque(true)
+        return out
 
-    def _known(self, motion: Motion) -> Array | None:
-        """Torque of the effects that takes no coefficient, shape (nv, N)."""
-        known = [torque for effect in self.effects if (torque := effect.known(motion)) is not None]
-        return np.sum(known, axis=0) if known else None
+    def _true_motion(self, motion: Motion) -> Motion:
+        for effect in self.effects:
+            motion = effect.correct_motion(motion)
+        return motion
+
+    def _identified_torque(self, motion: Motion) -> Array:
+        """Torque of a true motion less that without a coefficient, shape (nv, N)."""
+        fixed = self._fixed_torque(motion)
+        return motion.tau if fixed is None else motion.tau - fixed
+
+    def _fixed_torque(self, motion: Motion) -> Array | None:
+        """Torque of the effects without a coefficient, shape (nv, N)."""
+        torques = []
+        for effect in self.effects:
+            torque = effect.fixed_torque(motion)
+            if torque is not None:
+                torques.append(torque)
+        return np.sum(torques, axis=0) if torques else None
 
     def block(self, batch: Batch) -> list[Array]:
         """Filtered columns and torque in the band; per joint (m_j + 1, n), the torque last.
@@ -146,54 +153,62 @@ class LinearModel:
         Samples that owe more than 30 % of their weight to moments where a column is not defined, such as the sign of
         a velocity of zero, are left out of that joint's block.
         """
-        return [b if keep.all() else b[:, keep] for b, keep in zip(*self.rows(batch), strict=True)]
+        blocks, valid = self.filtered_rows(batch)
+        return [block if keep.all() else block[:, keep] for block, keep in zip(blocks, valid, strict=True)]
 
-    def rows(self, batch: Batch) -> tuple[list[Array], list[Mask]]:
-        """The same with all samples, and per joint whether each counts, shape (n,)."""
-        return [batch.filter(columns) for columns in self.columns(batch.motion)], self.kept(batch)
+    def filtered_rows(self, batch: Batch) -> tuple[list[Array], list[Mask]]:
+        """Filtered columns and torque of all samples, and the mask of valid ones, shape (n,); per joint."""
+        blocks = [batch.filter(columns) for columns in self.columns(batch.motion)]
+        return blocks, self.valid_samples(batch)
 
-    def kept(self, batch: Batch) -> list[Mask]:
-        """Per joint, whether each filtered sample counts, shape (n,)."""
-        kept = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
-        for joint, masks in self._undefined(batch).items():
+    def valid_samples(self, batch: Batch) -> list[Mask]:
+        """Per joint, mask of the filtered samples whose columns are defined, shape (n,)."""
+        valid = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
+        for joint, masks in self._invalid_masks(batch).items():
             for mask in masks:
                 if mask.any():
-                    kept[joint] &= batch.filter(mask.astype(float)) <= _UNDEFINED
-        return kept
+                    valid[joint] &= batch.filter(mask.astype(float)) <= _MAX_INVALID_WEIGHT
+        return valid
 
-    def clear(self, batch: Batch, apart: float = 0.0) -> list[Mask]:
-        """Those that count and have next to nothing of moments where a column is not defined, by joint, shape (n,).
+    def clean_samples(self, batch: Batch, min_distance: float = 0.0) -> list[Mask]:
+        """Per joint, mask of the valid samples with next to no weight on invalid ones, shape (n,).
 
         A light joint's friction is hundreds of times its noise, and what is wrong at a reversal rings in the filter for
-        long. Where they need not be further apart, half of a joint's samples are kept even if it turns round always:
-        of all moments together, since where one effect's column is defined, another's may not be.
+        long. With a ``min_distance`` of 0, half of a joint's samples are kept even if it reverses all the time. The
+        weight is that of all effects' invalid samples together, since where one effect's column is defined, another's
+        may not be.
 
         Parameters
         ----------
         batch
             The samples.
-        apart
-            How far from such moments they must be beside [s].
+        min_distance
+            Least distance in time from invalid samples and reversals [s].
         """
-        kept, motion = self.kept(batch), batch.motion
-        for joint, masks in self._undefined(batch).items():
-            mask = np.logical_or.reduce(masks)
-            if around := round(apart / motion.dt):
-                mask = ndimage.binary_dilation(mask | _turns(motion.v[joint]), iterations=around)
-            share = batch.low_pass.share(mask, batch.before, batch.after)
-            kept[joint] &= share <= (_CLEAR if around else max(_CLEAR, float(np.median(share))))
-        return kept
+        clean = self.valid_samples(batch)
+        reach = round(min_distance / batch.motion.dt)
+        for joint, masks in self._invalid_masks(batch).items():
+            invalid = np.logical_or.reduce(masks)
+            if reach:
+                reversals = _reversals(batch.motion.v[joint])
+                invalid = ndimage.binary_dilation(invalid | reversals, iterations=reach)
+            weight = batch.low_pass.share(invalid, batch.before, batch.after)
+            limit = _CLEAN_WEIGHT
+            if not reach:
+                limit = max(limit, float(np.median(weight)))
+            clean[joint] &= weight <= limit
+        return clean
 
-    def _undefined(self, batch: Batch) -> dict[int, list[Mask]]:
-        """Joints, and where a column of theirs is not defined, effect by effect, shape (N,) each."""
+    def _invalid_masks(self, batch: Batch) -> dict[int, list[Mask]]:
+        """By joint, the masks of its effects' invalid samples, shape (N,) each."""
         masks: dict[int, list[Mask]] = {}
         for effect in self.effects:
-            for joint, mask in effect.undefined(batch.motion).items():
+            for joint, mask in effect.invalid_mask(batch.motion).items():
                 masks.setdefault(joint, []).append(mask)
         return masks
 
     def torque(self, motion: Motion, theta: Array) -> Array:
-        """The torque that the model predicts, as the sensors give it, unfiltered.
+        """Measured torque that the model predicts, unfiltered.
 
         Parameters
         ----------
@@ -206,30 +221,38 @@ class LinearModel:
         -------
         Shape (..., nv, N) [N·m or N].
         """
-        blocks = self.columns(motion)
-        rows = [theta[..., active] @ block[:-1] for active, block in zip(self.active(), blocks, strict=True)]
+        rows = []
+        for active, block in zip(self.active(), self.columns(motion), strict=True):
+            rows.append(theta[..., active] @ block[:-1])
         tau = np.stack(rows, axis=-2)
-        true = motion
-        for effect in self.effects:
-            true = effect.true(true)
-        known = self._known(true)
-        if known is not None:
-            tau = tau + known
+        fixed = self._fixed_torque(self._true_motion(motion))
+        if fixed is not None:
+            tau = tau + fixed
         for effect in reversed(self.effects):
-            tau = effect.measured(tau, motion)
+            tau = effect.apply_sensor(tau, motion)
         return tau
 
     def mechanism(self, model: Model, theta: Array) -> Mechanism:
-        """The same equation run forwards.
+        """Forward model of the equation.
 
         Parameters
         ----------
         model
-            The tree of bodies that it is of.
+            The tree of bodies.
         theta
             Coefficients, shape (p,).
         """
         mechanism = Mechanism(model)
-        for effect, first, last in zip(self.effects, self.offsets()[:-1], self.offsets()[1:], strict=True):
-            effect.join(theta[first:last], mechanism)
+        offsets = self.offsets()
+        for effect, first, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
+            effect.add_to_forward_model(theta[first:end], mechanism)
         return mechanism
+
+
+def _reversals(v: Array) -> Mask:
+    """Samples right before and after a change of the velocity's sign, however fast, shape (N,)."""
+    reversals = np.zeros(len(v), dtype=bool)
+    before = np.flatnonzero(v[1:] * v[:-1] < 0)
+    reversals[before] = True
+    reversals[before + 1] = True
+    return reversals

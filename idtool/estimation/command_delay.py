@@ -151,7 +151,7 @@ def with_delay(
     experiment = replace(
         experiment, config=config, runs=tuple(_later(run, config, found.value) for run in experiment.runs)
     )
-    if any(effect.by_torque for effect in experiment.equation.effects):
+    if any(effect.uses_measured_torque for effect in experiment.equation.effects):
         return experiment, found, None
     return experiment, found, tuple(log.of(lambda part: lags.at(part, found.value)) for log in data)
 
@@ -221,8 +221,8 @@ def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> R
     parts = run.signals.after(LONGEST_DELAY, run.train)
     batches = run.signals.batches(parts, delays=lags.delays)
     for batch in tracked(batches, parts, progress, f"fitting the delay to {run.signals.log.path.name}"):
-        columns, kept = equation.rows(batch)
-        torques = batch.filter(equation.torques(batch.motion))
+        columns, kept = equation.filtered_rows(batch)
+        torques = batch.filter(equation.delayed_torques(batch.motion))
         yield [np.concatenate([own[:-1], torques[:, j]]) for j, own in enumerate(columns)], kept
 
 

@@ -116,8 +116,8 @@ def fit(
         delay = command_delay(experiment, progress)
     clock.done("delay")
     found = identified(experiment, method, progress, data)
-    for _ in range(_AGAIN if experiment.equation.refers else 0):
-        experiment = replace(experiment, equation=experiment.equation.about(found.estimate.theta))
+    for _ in range(_AGAIN if experiment.equation.depends_on_parameters else 0):
+        experiment = replace(experiment, equation=experiment.equation.linearized_at(found.estimate.theta))
         settled = experiment.config.model_copy(update={"regularization": found.regularization})
         found = replace(identified(replace(experiment, config=settled), method, progress), path=found.path)
     estimate = found.estimate

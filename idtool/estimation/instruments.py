@@ -93,7 +93,9 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
         log = _smoothed(signals, cutoff)
     config = experiment.config.model_copy(update={"velocity": "differentiated"})  # without noise as good as measured
     seen = Signals(log, signals.joints, config)
-    seen.still = signals.still  # where Z's sign must not be trusted is where Y's is lost in noise
+    seen.velocity_deadband = (
+        signals.velocity_deadband
+    )  # where Z's sign must not be trusted is where Y's is lost in noise
     return Instruments(run, seen, kind, cutoff)
 
 
@@ -119,7 +121,7 @@ def instrumented_rows(
     run, equation = made.run, experiment.equation
     batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
     for batch, free in zip(batches, made.signals.batches(run.train), strict=True):
-        (Y, _), (Z, defined) = equation.rows(batch), equation.rows(free)
+        (Y, _), (Z, defined) = equation.filtered_rows(batch), equation.filtered_rows(free)
         yield [np.concatenate([z[:-1], y]) for z, y in zip(Z, Y, strict=True)], defined
 
 
@@ -171,7 +173,7 @@ def _simulated(experiment: Experiment, run: Run, theta: Array, progress: Progres
     windows = _windows(run)
     try:
         for some in simulate(mechanism, signals, windows, lambda share: progress(f"simulating {log.path.name}", share)):
-            if some.lost.any():
+            if some.diverged.any():
                 raise ModelError(mechanism.model.robot.path, "runs away under the logged command; check the controller")
             for w, part in enumerate(some.windows):
                 length = part.stop - part.start

@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.provenance import Source
-from idtool.dynamics.effects import NamedEffect, named_effect, plain
+from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry
 from idtool.estimation.dataset.knowledge import Fact
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
@@ -272,10 +272,10 @@ def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
     """What was identified of an effect's parameters, as the configuration has them."""
     equation = fit.experiment.equation
     places = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
-    i = places[named_effect(entry, fit.experiment.model).key]
+    i = places[effect_from_entry(entry, fit.experiment.model).key]
     part = slice(*equation.offsets()[i : i + 2])
     covariance = fit.uncertainty.covariance[part, part]
-    found = plain(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
+    found = config_parameters(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
     return {name: _written(**pair) for name, pair in found.items()}
 
 

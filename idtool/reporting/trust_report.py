@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.dynamics.effects.base import Coefficient
+from idtool.dynamics.effects.effect import Coefficient
 from idtool.estimation.fit import Fit
 from idtool.estimation.uncertainty.base import BaseParameters as BaseParameterization
 from idtool.estimation.uncertainty.bias import BiasCheck

@@ -135,7 +135,7 @@ def _reduced(experiment: Experiment, parts: Callable[[Run], tuple[slice, ...]], 
         redundancy = run.signals.low_pass.redundancy
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts(run)), parts(run), progress, stage):
-            rows = zip(*experiment.equation.rows(batch), strict=True)
+            rows = zip(*experiment.equation.filtered_rows(batch), strict=True)
             total = merge(total, tuple(Factor.of(x[:, kept], redundancy) for x, kept in rows))
     return total
 

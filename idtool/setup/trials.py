@@ -15,7 +15,7 @@ import numpy as np
 
 from idtool.common.names import some
 from idtool.data.logs import Log
-from idtool.dynamics.effects.time_delay import WITHIN
+from idtool.dynamics.effects.time_delay import MIN_DELAY_SAMPLES
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
 from idtool.robot.config import Config, parse_config
@@ -218,7 +218,7 @@ def _delay(shop: Workshop, terms: Terms, first: Bench, full: Verdict) -> tuple[T
     bench, other = known[best]
     ratio = float(np.sqrt(np.nanmean(other.held_out / np.maximum(full.held_out, _TINY))))
     believed = other.rms() < _ODD * float(np.sqrt(np.nanmean(bench.torque())))
-    kept = WITHIN * dt < abs(best) < _LONGEST and ratio < 1 - _WORTH and believed
+    kept = MIN_DELAY_SAMPLES * dt < abs(best) < _LONGEST and ratio < 1 - _WORTH and believed
     trial = Trial("time_delay", None, best, full.rms(), other.rms(), kept)
     return (replace(terms, delay=best), [trial], bench) if kept else (terms, [trial], first)
 

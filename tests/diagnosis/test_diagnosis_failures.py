@@ -21,7 +21,7 @@ from idtool.diagnosis import rounds
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.rounds import Search
-from idtool.dynamics.effects.spring import ParallelSpring
+from idtool.dynamics.effects.parallel_spring import ParallelSpring
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
@@ -74,10 +74,10 @@ def without_spring(found: Diagnosis, reason: str) -> None:
 
 
 def test_an_effect_that_the_motion_does_not_tell_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
-    def undefined(self: ParallelSpring, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def invalid_mask(self: ParallelSpring, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         return {int(self.joint): np.ones(len(motion.t), dtype=bool)}
 
-    monkeypatch.setattr(ParallelSpring, "undefined", undefined)
+    monkeypatch.setattr(ParallelSpring, "invalid_mask", invalid_mask)
     without_spring(diagnosed(arm), "joint j1 has 0 of ")
 
 

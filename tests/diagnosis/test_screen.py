@@ -18,10 +18,10 @@ from idtool.diagnosis import screen
 from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
-from idtool.dynamics.effects import known_effects
-from idtool.dynamics.effects.probe import Columns, Probe
-from idtool.dynamics.effects.survey import Present
-from idtool.dynamics.present import PresentModel
+from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.probe import Probe, ProbeColumns
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.urdf.reading import read_robot
@@ -63,26 +63,26 @@ def appended(here: Ground, probe: Probe) -> list[Array]:
     """A probe's columns beside `rows`."""
     found: list[Array] = []
     for batch in (batch for run in here.experiment.runs for batch in run.signals.batches(run.train)):
-        present = PresentModel(here.experiment.equation, here.theta, batch.motion)
-        made, kept = probe.columns(present.true, present), here.experiment.equation.clear(batch)
+        present = LinearizedModel(here.experiment.equation, here.theta, batch.motion)
+        made, kept = probe.columns(present.true_motion, present), here.experiment.equation.clean_samples(batch)
         for j, keep in enumerate(kept):
-            own = batch.filter(made.get(j, np.zeros((probe.size, len(batch.motion.t)))))
+            own = batch.filter(made.get(j, np.zeros((probe.coefficient_count, len(batch.motion.t)))))
             found.append(own[:, keep] / here.noise[j])
     return list(np.concatenate(found, axis=1))
 
 
-def made(columns: Columns, size: int = 1, **options: Any) -> Probe:
+def made(columns: ProbeColumns, size: int = 1, **options: Any) -> Probe:
     """A probe that makes an entry of whatever it finds."""
     return Probe("any", None, None, columns, size, lambda c, information: EffectEntry(effect="any"), **options)
 
 
-def bump(motion: Motion, present: Present) -> Mapping[int, Array]:
+def bump(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     """Something that no model has, on two joints."""
     x = np.exp(-20 * (motion.q[1] - 0.1) ** 2)
     return {0: 0.3 * x[None], 2: np.cos(motion.t)[None]}
 
 
-def waves(motion: Motion, present: Present) -> Mapping[int, Array]:
+def waves(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     """Four columns."""
     return {1: np.sin(np.outer([3, 5, 7, 9], motion.q[1]))}
 
@@ -90,7 +90,7 @@ def waves(motion: Motion, present: Present) -> Mapping[int, Array]:
 def of(here: Ground, effect: str, joint: int | None) -> Probe:
     """An effect's first probe, on a joint or on all."""
     name = None if joint is None else here.experiment.equation.joints[joint]
-    return next(probe for probe in known_effects()[effect].probes(survey(here)) if probe.joint == name)
+    return next(probe for probe in effect_types()[effect].probes(survey(here)) if probe.joint == name)
 
 
 def probes(here: Ground) -> list[Probe]:
@@ -164,12 +164,12 @@ def test_what_is_there_is_found_to_its_size(here: Ground) -> None:
     assert nothing.gain < 0.05 * late.gain
 
 
-def viscous(motion: Motion, present: Present) -> Mapping[int, Array]:
+def viscous(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     """What the model has."""
     return {2: 3 * motion.v[2][None]}
 
 
-def twice(motion: Motion, present: Present) -> Mapping[int, Array]:
+def twice(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     """A column that is new, one that is its copy, one that the model has, one that is nothing."""
     new = np.cos(3 * motion.q[1])
     return {1: np.stack([new, -2 * new, motion.v[1], 0 * new])}
@@ -197,17 +197,17 @@ def test_what_physics_forbids_explains_nothing(here: Ground) -> None:
     np.testing.assert_array_equal(wrong.gains, 0)
     np.testing.assert_allclose(free_of_bounds.gains, right.gains, rtol=1e-6, atol=1e-6)
     assert right.gain > 100
-    assert not replace(free_of_bounds, probe=replace(turned, lower=(), entry=lambda c, information: None)).allowed
+    assert not replace(free_of_bounds, probe=replace(turned, lower=(), to_entry=lambda c, information: None)).allowed
 
 
 def test_what_acts_in_its_own_time_is_fitted_to_that(here: Ground) -> None:
     """A column in one block alone: other blocks know nothing of it, and only one that is local is believed."""
     begin, end = (here.length * k * 6e-3 + 0.1 for k in (4, 5))
 
-    def window(motion: Motion, present: Present) -> Mapping[int, Array]:
+    def window(motion: Motion, present: Linearization) -> Mapping[int, Array]:
         return {1: ((motion.t > begin) & (motion.t < end) & (motion.q[1] < 9)).astype(float)[None]}
 
-    apart, together = screened(here, [made(window), made(window, local=True)], silent)
+    apart, together = screened(here, [made(window), made(window, is_local=True)], silent)
     np.testing.assert_allclose(apart.c, together.c)
     assert together.gain > max(apart.gain, 0) + 1
 

@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 import idtool as idtool_library
 from idtool.cli import app
 from idtool.common.exceptions import ConfigError
-from idtool.dynamics.effects import known_effects
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.config import Config, EffectEntry
@@ -104,32 +104,32 @@ def test_the_defaults_of_the_configuration_are_those_documented() -> None:
 
 def parameters(effect: str) -> set[str]:
     """Names of an effect's parameters: with one more it says which they are."""
-    kind = known_effects()[effect]
+    kind = effect_types()[effect]
     if issubclass(kind, JointEffect):
-        return {*kind.made(), *(held.name for held in kind.held)}
+        return {*kind.linear_parameters(), *(held.name for held in kind.nonlinear_parameters)}
     robot = read_robot(LEG)
     on = {"link": "shank_link"} if issubclass(kind, LinkEffect) else {}
     with pytest.raises(ConfigError, match="needs the parameters") as caught:
-        kind.of(EffectEntry(effect=effect, **on), build_model(robot, Config(), JOINTS))
+        kind.from_entry(EffectEntry(effect=effect, **on), build_model(robot, Config(), JOINTS))
     return set(re.findall(r"\w+", str(caught.value).partition("add ")[2]))
 
 
 def test_every_effect_is_documented_and_no_other() -> None:
     text = (PAGES / "effects.md").read_text()
-    assert set(re.findall(r"^### (\w+)$", text, re.M)) == {*known_effects(), "unknown"}
+    assert set(re.findall(r"^### (\w+)$", text, re.M)) == {*effect_types(), "unknown"}
 
 
-@pytest.mark.parametrize("effect", sorted(known_effects()))
+@pytest.mark.parametrize("effect", sorted(effect_types()))
 def test_an_effect_is_documented_with_its_parameters(effect: str) -> None:
-    kind = known_effects()[effect]
+    kind = effect_types()[effect]
     said = {row[0]: row[1] for row in rows(section("effects.md", f"### {effect}"))}
     found = [name for what in ("fit finds", "given") for name in codes(said.get(what, ""))]
     assert parameters(effect) == set(found) - {"joint"}
     if issubclass(kind, JointEffect):
-        assert set(kind.made()) == set(codes(said.get("fit finds", "")))
+        assert set(kind.linear_parameters()) == set(codes(said.get("fit finds", "")))
     assert said["form"]
     assert said["confused with"]
-    assert said["shows in"] == kind.shows
+    assert said["shows in"] == kind.excitation_hint
 
 
 def test_every_command_and_option_is_documented() -> None:

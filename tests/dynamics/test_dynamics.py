@@ -21,7 +21,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects import RigidBodies
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.simulation.dynamics import Dynamics
+from idtool.dynamics.simulation.rigid_body_dynamics import RigidBodyDynamics
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def torque(M: Array, h: Array, a: Array) -> Array:
 def columns_torque(machine: Mechanism, q: Array, v: Array, a: Array) -> Array:
     """Y pi, shape (nv, W)."""
     nothing, still = np.zeros_like(q), np.full(len(q), 1e-6)
-    motion = Motion(t=np.arange(float(W)), q=q, v=v, a=a, tau=nothing, logged=nothing, still=still, dt=1.0)
+    motion = Motion(t=np.arange(float(W)), q=q, v=v, a=a, tau=nothing, logged=nothing, velocity_deadband=still, dt=1.0)
     return LinearModel(machine.model.names, (RigidBodies(machine.model),)).torque(motion, machine.pi.ravel())
 
 
@@ -70,7 +70,7 @@ def test_the_torque_is_the_regressors(robot_of: ReadRobot, seed: int) -> None:
     machine = mechanism(robot, config)
     q, v, a = states(seed, len(machine.model.joints))
     machine.pi *= np.random.default_rng([seed, 2]).uniform(0.5, 1.5, machine.pi.shape)
-    assert_same(torque(*Dynamics(machine)(q, v), a), columns_torque(machine, q, v, a))
+    assert_same(torque(*RigidBodyDynamics(machine)(q, v), a), columns_torque(machine, q, v, a))
 
 
 @pytest.mark.parametrize("seed", TREES)
@@ -80,7 +80,7 @@ def test_the_torque_is_pinocchios(robot_of: ReadRobot, seed: int) -> None:
     q, v, a = states(seed, len(machine.model.joints))
     reference = Reference(text, machine.model.names, config)
     expected = np.stack([reference.torque(*state) for state in zip(q.T, v.T, a.T, strict=True)], axis=1)
-    assert_same(torque(*Dynamics(machine)(q, v), a), expected)
+    assert_same(torque(*RigidBodyDynamics(machine)(q, v), a), expected)
 
 
 @pytest.mark.parametrize("seed", TREES)
@@ -88,7 +88,7 @@ def test_mass_matrix_and_bias_are_mujocos(robot_of: ReadRobot, seed: int) -> Non
     text, config, robot = tree(robot_of, 200 + seed, massless=0.0)
     machine = mechanism(robot, config)
     q, v, _ = states(seed, len(machine.model.joints))
-    M, h = Dynamics(machine)(q, v)
+    M, h = RigidBodyDynamics(machine)(q, v)
     witness = Tree(text, machine.model.names, config)
     for w in range(W):
         expected = witness(q[:, w], v[:, w])
@@ -118,7 +118,7 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(robot_of: ReadRobot,
     _, config, robot = tree(robot_of, 300 + seed, massless=0.0)
     machine = mechanism(robot, config)
     q, v, _ = states(seed, len(machine.model.joints))
-    M, _ = Dynamics(machine)(q, v)
+    M, _ = RigidBodyDynamics(machine)(q, v)
     np.testing.assert_allclose(M, M.transpose(0, 2, 1), rtol=0, atol=1e-12 * np.abs(M).max())
     assert np.linalg.eigvalsh(M).min() > 0
 
@@ -128,7 +128,7 @@ def test_states_do_not_know_of_each_other(robot_of: ReadRobot, seed: int) -> Non
     _, config, robot = tree(robot_of, seed, massless=0.15)
     machine = mechanism(robot, config)
     q, v, _ = states(seed, len(machine.model.joints))
-    dynamics = Dynamics(machine)
+    dynamics = RigidBodyDynamics(machine)
     M, h = dynamics(q, v)
     for w in np.random.default_rng(seed).permutation(W):
         one, bias = dynamics(q[:, [w]], v[:, [w]])
@@ -139,9 +139,9 @@ def test_states_do_not_know_of_each_other(robot_of: ReadRobot, seed: int) -> Non
 def test_inertia_on_a_joint_adds_to_its_own(robot_of: ReadRobot) -> None:
     machine = mechanism(robot_of(LEG), {"rotors": LEG_ROTORS}, LEG_JOINTS)
     q, v, _ = states(0, 3)
-    M, h = Dynamics(machine)(q, v)
+    M, h = RigidBodyDynamics(machine)(q, v)
     machine.armature[:] = 0.1, 0.0, 0.3
-    more, same = Dynamics(machine)(q, v)
+    more, same = RigidBodyDynamics(machine)(q, v)
     np.testing.assert_allclose(more - M, np.broadcast_to(np.diag([0.1, 0.0, 0.3]), M.shape), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(same, h)
 
@@ -153,18 +153,18 @@ def test_gravity_is_the_mechanisms(robot_of: ReadRobot) -> None:
     machine.gravity = np.array([1.0, -2.0, 3.0])
     config = {"rotors": LEG_ROTORS, "gravity": [1.0, -2.0, 3.0]}
     expected = [Tree(LEG, LEG_JOINTS, config)(column, 0 * column)[1] for column in q.T]
-    assert_same(Dynamics(machine)(q, 0 * q)[1], np.transpose(expected))
+    assert_same(RigidBodyDynamics(machine)(q, 0 * q)[1], np.transpose(expected))
 
 
 def test_a_body_with_inertia_but_no_mass_is_refused(robot_of: ReadRobot) -> None:
     machine = mechanism(robot_of(LEG), {"rotors": LEG_ROTORS}, LEG_JOINTS)
     machine.pi[1, 0] = 0.0
     with pytest.raises(ModelError, match="thigh_link: has inertia but no mass"):
-        Dynamics(machine)
+        RigidBodyDynamics(machine)
 
 
 def test_a_body_that_is_nothing_moves_along(robot_of: ReadRobot) -> None:
     machine = mechanism(robot_of(LEG), {"rotors": LEG_ROTORS}, LEG_JOINTS)
     q, v, a = states(0, 3)
     machine.pi[2] = 0.0
-    assert_same(torque(*Dynamics(machine)(q, v), a), columns_torque(machine, q, v, a))
+    assert_same(torque(*RigidBodyDynamics(machine)(q, v), a), columns_torque(machine, q, v, a))

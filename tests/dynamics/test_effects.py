@@ -139,7 +139,7 @@ def test_where_the_joint_rests_only_what_is_dry_is_not_known(build: Build, name:
     motion = moving()
     motion.v[1, 100:150] = 0
     (effect,) = effects_of(build, (FORMS | LOADED)[name][0])
-    unknown = effect.undefined(motion)
+    unknown = effect.invalid_mask(motion)
     if name == "drag":
         assert not unknown
     else:

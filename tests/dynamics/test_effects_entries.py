@@ -16,7 +16,7 @@ from robots import chain, joint
 
 import idtool.dynamics.effects
 from idtool.common.exceptions import ConfigError
-from idtool.dynamics.effects import build_effects, known_effects, named_effect
+from idtool.dynamics.effects import build_effects, effect_from_entry, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.estimation.dataset.experiment import coefficients_of, prepare
 from idtool.estimation.fit import fit
@@ -45,10 +45,10 @@ PARAMETERS = {
 def test_the_contracts_effects_are_there_with_its_parameters(build: Build) -> None:
     model = build(TWO, JOINTS)
     values: dict[str, Any] = {name: 0.5 for names in PARAMETERS.values() for name in names} | {"source": "shoulder"}
-    assert set(known_effects()) >= set(PARAMETERS)
+    assert set(effect_types()) >= set(PARAMETERS)
     for effect, names in PARAMETERS.items():
         given = EffectEntry(**entry(effect, **{name: values[name] for name in names}))
-        assert named_effect(given, model).key[:2] == (effect, "elbow")
+        assert effect_from_entry(given, model).key[:2] == (effect, "elbow")
 
 
 def test_what_physics_demands_of_the_coefficients(build: Build) -> None:
@@ -130,7 +130,7 @@ def test_an_entry_takes_the_place_of_the_friction_of_its_name(build: Build) -> N
 
 @given(st.floats(1e-3, 1e3), st.floats(-20, 20))
 def test_amplitude_and_phase_go_there_and_back(amplitude: float, phase: float) -> None:
-    kind = known_effects()["torque_ripple"]
+    kind = effect_types()["torque_ripple"]
     assert issubclass(kind, JointEffect)
     theta = np.array([amplitude * np.cos(phase), amplitude * np.sin(phase)])
     found = kind.parameters(object.__new__(kind), theta, np.full((2, 2), np.inf))
@@ -162,7 +162,7 @@ class Cubic(JointTerm):
 
     id = "cubic_spring"
     name = "cubic"
-    unit = ("N·m/rad³", "N/m³")
+    units = ("N·m/rad³", "N/m³")
 
     def column(self, motion):
         """The cube."""
@@ -173,14 +173,19 @@ class Cubic(JointTerm):
 def test_a_new_effect_is_one_new_file(build: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cubic_for_a_test.py").write_text(MODULE)
     monkeypatch.setattr(idtool.dynamics.effects, "__path__", [*idtool.dynamics.effects.__path__, str(tmp_path)])
-    known_effects.cache_clear()
+    effect_types.cache_clear()
     try:
         motion = moving()
         np.testing.assert_allclose(torque(build, motion, entry("cubic_spring", cubic=2.0))[1], 2 * motion.q[1] ** 3)
     finally:
         monkeypatch.undo()
-        known_effects.cache_clear()
-    assert "cubic_spring" not in known_effects()
+        effect_types.cache_clear()
+    assert "cubic_spring" not in effect_types()
+
+
+@pytest.mark.parametrize("effect", sorted(effect_types()))
+def test_an_effect_is_in_the_file_of_its_id(effect: str) -> None:
+    assert effect_types()[effect].__module__ == f"{idtool.dynamics.effects.__name__}.{effect}"
 
 
 EVERY = [

@@ -15,7 +15,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
 
@@ -43,7 +43,7 @@ def mechanism(build: Build, text: str, joints: tuple[str, ...], friction: dict[s
 def rolled_out(machine: Mechanism, q: Array, v: Array, drive: Callable[[float], Array], step: float = 5e-3) -> Array:
     """Positions at the samples, shape (nv, samples)."""
 
-    def torque(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return np.stack([drive(float(x)) for x in t], axis=1)
 
     rollouts = Rollouts(machine, SAMPLES[:1], q[:, None], v[:, None], torque, step)
@@ -234,6 +234,6 @@ def test_two_stops_and_two_ripples_on_a_joint_act_both(build: Build) -> None:
     )
     q = np.array([[-0.9, -0.1, 0.5]])
     nothing = np.zeros_like(q)
-    found = machine.resisting()(Motion(np.zeros(3), q, nothing, nothing, nothing, nothing, np.zeros(1), 0.0))
+    found = machine.smooth_torque()(Motion(np.zeros(3), q, nothing, nothing, nothing, nothing, np.zeros(1), 0.0))
     stops = 50 * np.minimum(q + 0.8, 0) + 70 * np.maximum(q - 0.3, 0)
     np.testing.assert_allclose(found, stops + 0.3 * np.sin(6 * q) + 0.2 * np.sin(12 * q), rtol=1e-12)

@@ -32,8 +32,8 @@ from spatial_arm import (
 )
 
 from idtool.data.signals import Motion
-from idtool.dynamics.effects import named_effect
-from idtool.dynamics.effects.contact import ExternalContact
+from idtool.dynamics.effects import effect_from_entry
+from idtool.dynamics.effects.external_contact import ExternalContact
 from idtool.estimation.fit import fit
 from idtool.reporting.report import model_config
 from idtool.robot.config import EffectEntry, parse_config
@@ -151,7 +151,7 @@ def test_on_robots_of_every_kind_of_joint_the_torque_is_pinocchios(seed: int, ro
         loaded.appendBodyToJoint(where.parentJoint, pin.Inertia(2.5, com, about), where.placement)
         six = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]].tolist()
         pushed, carried = (
-            named_effect(EffectEntry(**entry), model)
+            effect_from_entry(EffectEntry(**entry), model)
             for entry in (
                 on_link("external_contact", link, windows=[[1, 2]], wrench=wrench.tolist()),
                 on_link("payload", link, mass=2.5, com=com.tolist(), inertia=six),
@@ -162,9 +162,9 @@ def test_on_robots_of_every_kind_of_joint_the_torque_is_pinocchios(seed: int, ro
             placed[:, at] = q[:, k], v[:, k], a[:, k]
             frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             J = pin.computeFrameJacobian(witness, witness.createData(), placed[0], witness.getFrameId(link), frame)
-            np.testing.assert_allclose(pushed.known(given)[:, k], -(J.T @ wrench)[at], atol=1e-9)
+            np.testing.assert_allclose(pushed.fixed_torque(given)[:, k], -(J.T @ wrench)[at], atol=1e-9)
             both, bare = (pin.rnea(m, m.createData(), *placed) for m in (loaded, witness))
-            np.testing.assert_allclose(carried.known(given)[:, k], (both - bare)[at], rtol=1e-8, atol=1e-8)
+            np.testing.assert_allclose(carried.fixed_torque(given)[:, k], (both - bare)[at], rtol=1e-8, atol=1e-8)
 
 
 def test_windows_count_from_the_logs_first_sample(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_outside_its_windows_a_contact_is_nothing(tmp_path: Path) -> None:
     tried = experiment(urdf, csv, on_link("external_contact", "tool", windows=[[0.2, 0.3]], wrench=WRENCH))
     (contact,) = [effect for effect in tried.equation.effects if isinstance(effect, ExternalContact)]
     (batch,) = tried.runs[0].signals.batches()
-    tau, t = contact.known(batch.motion), batch.motion.t
+    tau, t = contact.fixed_torque(batch.motion), batch.motion.t
     np.testing.assert_array_equal(tau[:, np.abs(t - 0.25) > 0.0525 + 1e-9], 0)
     assert (np.abs(tau[:, np.abs(t - 0.25) < 0.05]).max(axis=0) > 0.1).all()
     rise = np.abs(tau[0, np.abs(t - 0.2) < 0.0025])

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from spatial_arm import NOISE, RATE, STEPS, Act, Log, experiment, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.presliding import PreslidingHysteresis
+from idtool.dynamics.effects.presliding_hysteresis import PreslidingHysteresis
 from idtool.estimation.fit import fit
 from idtool.reporting.report import model_config
 from idtool.robot.model import Model
@@ -131,7 +131,7 @@ def test_the_state_follows_dahls_equation(build: Build) -> None:
     expected = solve_ivp(slope, (0, t[-1]), [1.0], t_eval=t, max_step=1e-3, rtol=1e-8, atol=1e-10).y[0]
     assert np.ptp(expected) > 1.5
     np.testing.assert_allclose(effect.column(along(q)), expected, atol=3e-3)
-    undefined = effect.undefined(along(q))[0]
+    undefined = effect.invalid_mask(along(q))[0]
     first = int(np.argmin(undefined))
     assert np.abs(np.diff(q[: first + 1])).sum() == pytest.approx(4 * 0.05, abs=2e-3)
     assert not undefined[first:].any()
@@ -153,7 +153,7 @@ def test_where_a_loop_began_is_forgotten_to_and_fro(build: Build) -> None:
         solve_ivp(slope, (0, t[-1]), [z], t_eval=t, max_step=1e-3, rtol=1e-8, atol=1e-10).y[0] for z in (1.0, -1.0)
     )
     assert np.ptp(q) < 4 * displacement
-    undefined = effect.undefined(along(q))[0]
+    undefined = effect.invalid_mask(along(q))[0]
     assert not undefined[-1]
     assert np.abs(first - other)[~undefined].max() == pytest.approx(2 * np.exp(-4), rel=0.02)
 

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from spatial_arm import RIGID, Log, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.data.signals import Motion
-from idtool.dynamics.effects import NamedEffect, named_effect
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
@@ -108,7 +108,7 @@ TWO = (
 
 def effect_of(build: Build, effect: str, joint: str | None = "x", **parameters: Any) -> NamedEffect:
     """An effect on a robot of two joints, x and y."""
-    return named_effect(EffectEntry(**entry(effect, joint, **parameters)), build(TWO, ["x", "y"]))
+    return effect_from_entry(EffectEntry(**entry(effect, joint, **parameters)), build(TWO, ["x", "y"]))
 
 
 def motion(tau: Array, dt: float = 1e-3) -> Motion:
@@ -122,9 +122,9 @@ def motion(tau: Array, dt: float = 1e-3) -> Motion:
 def test_saturation_is_one_to_one_odd_and_smooth(build: Build, level: float, bend: float, scale: float) -> None:
     effect = effect_of(build, "torque_saturation", level=level, bend=bend)
     tau = scale * np.linspace(-1, 1, 2001)
-    seen = effect.measured(motion(tau).tau, motion(tau))
+    seen = effect.apply_sensor(motion(tau).tau, motion(tau))
     np.testing.assert_array_equal(seen[1], tau)  # the other joint
-    np.testing.assert_allclose(effect.true(motion(seen[0])).tau[0], tau, rtol=1e-9, atol=1e-9 * scale)
+    np.testing.assert_allclose(effect.correct_motion(motion(seen[0])).tau[0], tau, rtol=1e-9, atol=1e-9 * scale)
     np.testing.assert_allclose(seen[0], -seen[0, ::-1], rtol=1e-12)
     below = np.abs(tau) <= level
     np.testing.assert_array_equal(seen[0, below], tau[below])
@@ -132,7 +132,7 @@ def test_saturation_is_one_to_one_odd_and_smooth(build: Build, level: float, ben
     assert (slope > 0).all()
     assert (np.diff(slope[1000:]) * np.sign(bend) < 1e-6).all()  # falls, or rises, from 1 on
     near = motion(level * np.array([1, 1 + 1e-6]))
-    at_level = np.diff(effect.measured(near.tau, near)[0])
+    at_level = np.diff(effect.apply_sensor(near.tau, near)[0])
     assert at_level == pytest.approx(1e-6 * level, rel=1e-3)
 
 
@@ -140,7 +140,7 @@ def test_the_slope_has_halved_where_the_measured_torque_is_the_inverse_of_the_be
     build: Build,
 ) -> None:
     effect = effect_of(build, "torque_saturation", level=6, bend=0.25)
-    true = effect.true(motion(6 + 4 * np.array([1 - 1e-6, 1 + 1e-6]))).tau[0]
+    true = effect.correct_motion(motion(6 + 4 * np.array([1 - 1e-6, 1 + 1e-6]))).tau[0]
     assert 8e-6 / np.diff(true) == pytest.approx(0.5, rel=1e-4)
 
 
@@ -149,10 +149,10 @@ def test_of_sensors_on_a_joint_the_first_entry_is_nearest_to_the_log(build: Buil
         effect_of(build, "torque_gain", gain=1.5),
         effect_of(build, "torque_saturation", level=6, bend=0.3),
     ]
-    sensor = LinearModel(("x", "y"), tuple(effects)).mechanism(build(TWO, ["x", "y"]), np.zeros(0)).sensors[0]
+    sensor = LinearModel(("x", "y"), tuple(effects)).mechanism(build(TWO, ["x", "y"]), np.zeros(0)).torque_sensors[0]
     tau = np.linspace(-20, 20, 101)
-    np.testing.assert_allclose(sensor.measured(tau), 1.5 * falling(tau), rtol=1e-12)
-    np.testing.assert_allclose(sensor.true(1.5 * falling(tau)), tau, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(sensor.to_measured(tau), 1.5 * falling(tau), rtol=1e-12)
+    np.testing.assert_allclose(sensor.to_true(1.5 * falling(tau)), tau, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(("rate", "hertz"), [(1000, 40), (200, 38)])
@@ -161,12 +161,14 @@ def test_a_delay_leaves_the_size_of_what_is_in_the_band(build: Build, rate: int,
     t, turn = np.arange(2000) / rate, 2 * np.pi * hertz
     effect, inner = effect_of(build, "time_delay", delay=delay), slice(50, -50)
     seen = motion(np.sin(turn * t), 1 / rate)
-    true = effect.true(seen)
+    true = effect.correct_motion(seen)
     np.testing.assert_allclose(true.tau[0, inner], np.sin(turn * (t + delay))[inner], atol=5e-3)
     np.testing.assert_array_equal(true.tau[1], seen.tau[1])
-    np.testing.assert_allclose(effect.measured(true.tau, seen)[0, inner], seen.tau[0, inner], atol=1e-2)
+    np.testing.assert_allclose(effect.apply_sensor(true.tau, seen)[0, inner], seen.tau[0, inner], atol=1e-2)
     models = np.stack([true.tau, 2 * true.tau])
-    np.testing.assert_allclose(effect.measured(models, seen)[1], 2 * effect.measured(true.tau, seen), rtol=1e-12)
+    np.testing.assert_allclose(
+        effect.apply_sensor(models, seen)[1], 2 * effect.apply_sensor(true.tau, seen), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize(("delay", "lost"), [(0.0025, slice(-3, None)), (-0.0025, slice(3))])
@@ -175,7 +177,7 @@ def test_samples_whose_torque_lies_beyond_the_log_do_not_count(build: Build, del
     expected = np.zeros(20, dtype=bool)
     expected[lost] = True
     for joint, which in (("x", [0]), (None, [0, 1])):
-        masks = effect_of(build, "time_delay", joint, delay=delay).undefined(seen)
+        masks = effect_of(build, "time_delay", joint, delay=delay).invalid_mask(seen)
         assert sorted(masks) == which
         for mask in masks.values():
             np.testing.assert_array_equal(mask, expected)
@@ -183,7 +185,7 @@ def test_samples_whose_torque_lies_beyond_the_log_do_not_count(build: Build, del
 
 def test_a_delay_of_a_joint_adds_to_that_of_all(build: Build) -> None:
     effects = effect_of(build, "time_delay", None, delay=0.004), effect_of(build, "time_delay", "y", delay=-0.001)
-    late = LinearModel(("x", "y"), effects).mechanism(build(TWO, ["x", "y"]), np.zeros(0)).torque_late
+    late = LinearModel(("x", "y"), effects).mechanism(build(TWO, ["x", "y"]), np.zeros(0)).torque_delay
     np.testing.assert_allclose(late, [0.004, 0.003])
 
 

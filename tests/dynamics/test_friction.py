@@ -14,7 +14,7 @@ from robots import chain, joint
 from swings import JOINTS, clock, joined, signals_of, swing, swinging
 
 from idtool.data.signals import Motion
-from idtool.dynamics.effects import build_effects, known_effects
+from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model
@@ -37,7 +37,7 @@ def motion_of(v: Array, still: float = 1e-2) -> Motion:
 
 def column(build: Build, effect: str, motion: Motion) -> Array:
     """An effect's column on the only joint of a robot."""
-    return known_effects()[effect](build(ONE, ["hip"]), 0).column(motion)
+    return effect_types()[effect](build(ONE, ["hip"]), 0).column(motion)
 
 
 def friction_only(build: Build, friction: dict[str, Any]) -> LinearModel:
@@ -135,7 +135,7 @@ def test_the_sign_is_as_wide_as_the_velocitys_noise_asks(rng: np.random.Generato
     signals = signals_of(swinging(t, v=swing(t, 1) + noise), velocity="measured")
     left = joined(signals, lambda m: m.v) - swing(joined(signals, lambda m: m.t), 1).T
     expected = max(3e-3, 1.25 * float(left.std()))
-    np.testing.assert_allclose(signals.still, expected, rtol=0.2)
+    np.testing.assert_allclose(signals.velocity_deadband, expected, rtol=0.2)
 
 
 def test_friction_is_never_negative_and_an_offset_may_be(build: Build) -> None:

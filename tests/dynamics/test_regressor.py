@@ -29,7 +29,9 @@ def moving(q: Array, v: Array, a: Array) -> Motion:
     """A motion without torque."""
     nothing = np.zeros_like(q)
     still = np.full(len(q), 1e-6)
-    return Motion(t=np.arange(float(q.shape[1])), q=q, v=v, a=a, tau=nothing, logged=nothing, still=still, dt=1.0)
+    return Motion(
+        t=np.arange(float(q.shape[1])), q=q, v=v, a=a, tau=nothing, logged=nothing, velocity_deadband=still, dt=1.0
+    )
 
 
 def random_motion(rng: np.random.Generator, nv: int, count: int = 4) -> Motion:
@@ -155,13 +157,13 @@ class Nothing(Effect):
         self.active = (np.zeros(0, dtype=np.intp),) * nv
         self.unknown = unknown
 
-    def write(self, motion: Motion, out: Sequence[Array]) -> None:
+    def columns(self, motion: Motion, out: Sequence[Array]) -> None:
         assert all(rows.shape == (0, len(motion.t)) for rows in out)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         assert theta.shape == (0,)
 
-    def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+    def invalid_mask(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
         mask = np.zeros(len(motion.t), dtype=bool)
         mask[self.unknown] = True
         return {0: mask}
@@ -204,7 +206,7 @@ def test_effects_that_know_their_columns_at_different_times_leave_half_of_the_sa
     """Where one is defined, the other is not: a velocity turns round as the torque of a spring is largest."""
 
     class Wave(Nothing):
-        def undefined(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
+        def invalid_mask(self, motion: Motion) -> dict[int, NDArray[np.bool_]]:
             return {0: (np.arange(len(motion.t)) - self.unknown.start) % 100 < 10}
 
     model, low_pass = build(leg, ("abad", "hip", "knee")), LowPass(cutoff=10, order=4, dt=0.001)
@@ -212,7 +214,8 @@ def test_effects_that_know_their_columns_at_different_times_leave_half_of_the_sa
     motion = random_motion(np.random.default_rng(8), 3, 4000)
     batch = Batch(motion, low_pass.reach, low_pass.reach, low_pass)
     first, second, both = (
-        LinearModel(model.names, effects).clear(batch)[0] for effects in ((waves[0],), (waves[1],), tuple(waves))
+        LinearModel(model.names, effects).clean_samples(batch)[0]
+        for effects in ((waves[0],), (waves[1],), tuple(waves))
     )
     np.testing.assert_allclose([first.mean(), second.mean()], 0.5, atol=0.02)
     assert (first & second).mean() < 0.1

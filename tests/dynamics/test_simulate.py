@@ -22,8 +22,8 @@ from idtool.common.exceptions import ModelError
 from idtool.data.logs.log import Log, make_log
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.simulation import Simulated, simulate
-from idtool.dynamics.simulation.windows import measured_states, windows_of
+from idtool.dynamics.simulation.simulation import SimulatedWindows, simulate
+from idtool.dynamics.simulation.windows import measured_states, split_into_windows
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
 
@@ -52,7 +52,7 @@ def force(t: Array) -> Array:
     return 3 * np.sin(8 * t) + np.cos(21 * t)
 
 
-def run(machine: Mechanism, signals: Signals, windows: Sequence[slice]) -> list[Simulated]:
+def run(machine: Mechanism, signals: Signals, windows: Sequence[slice]) -> list[SimulatedWindows]:
     return list(simulate(machine, signals, windows, lambda share: None))
 
 
@@ -73,7 +73,7 @@ def test_windows_follow_the_logged_torque_from_the_measured_state(
     windows = [slice(0, rate), slice(rate, rate + 7), slice(rate + 7, 3 * rate), slice(3 * rate - 2, 3 * rate)]
     (found,) = run(mechanism(robot_of(sliders(M)), CONFIG), signals, windows)
     assert found.windows == tuple(windows)
-    assert not found.lost.any()
+    assert not found.diverged.any()
     q0, v0 = measured_states(signals, [window.start for window in windows])
     np.testing.assert_allclose(v0[0], 0.7 * np.cos(7 * t[[w.start for w in windows]]), atol=1e-2)
     for w, window in enumerate(windows):
@@ -102,7 +102,7 @@ def test_a_gap_parts_windows_and_torque(robot_of: ReadRobot) -> None:
     t[700:] += 0.85
     tau = np.where(t < 3, force(t), 5 - force(t))
     signals = signals_of(log_of(t, q=np.where(t < 3, 0.1, -0.2), tau=tau))
-    windows = windows_of(signals, signals.ranges, 1.0)
+    windows = split_into_windows(signals, signals.ranges, 1.0)
     assert windows == [slice(a, min(a + 250, e)) for s, e in ((0, 700), (700, 1500)) for a in range(s, e, 250)]
     (found,) = run(mechanism(robot_of(sliders(M)), CONFIG), signals, windows)
     for w, window in enumerate(windows):
@@ -174,10 +174,10 @@ def test_a_long_window_is_one_motion(robot_of: ReadRobot, kp: float) -> None:
     machine = mechanism(robot_of(sliders(M)), {"friction": friction(["x1"], [B], [level]), "effects": [SPRING]})
     (found,) = run(machine, signals, [slice(0, 5000)])
 
-    def drive(now: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def input_torque(now: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return kp * (wanted(now)[None] - q) if kp else force(now)[None]
 
-    torque = alone(drive)
+    torque = alone(input_torque)
     witness = StickSlip(
         lambda q, v: (np.array([[M]]), np.zeros(1)),
         lambda now, q, v: torque(now, q, v) - B * v - K * q,
@@ -215,7 +215,7 @@ def test_a_rollout_that_runs_away_is_stopped_and_told(robot_of: ReadRobot) -> No
     tau[400:420] = 1e9
     signals = signals_of(log_of(t, q=0 * t, tau=tau))
     (found,) = run(mechanism(robot_of(sliders(M)), CONFIG), signals, [slice(a, a + 300) for a in (0, 300, 600)])
-    assert found.lost.tolist() == [False, True, False]
+    assert found.diverged.tolist() == [False, True, False]
     assert np.isfinite(found.q).all()
     for w in (0, 2):
         part = slice(300 * w, 300 * w + 300)
@@ -265,14 +265,14 @@ def test_windows_cover_parts_of_a_log() -> None:
     (usable,) = signals.ranges
     assert 0 < usable.start < usable.stop < 1000
     whole = [slice(0, 300), slice(300, 600), slice(600, 900), slice(900, 1000)]
-    assert windows_of(signals, signals.ranges, 1.2) == whole
+    assert split_into_windows(signals, signals.ranges, 1.2) == whole
     again = [slice(0, 301), slice(300, 601), slice(600, 901), slice(900, 1000)]
-    assert windows_of(signals, signals.ranges, 1.2, again=True) == again
-    assert windows_of(signals, signals.ranges, None) == [slice(0, 1000)]
+    assert split_into_windows(signals, signals.ranges, 1.2, share_ends=True) == again
+    assert split_into_windows(signals, signals.ranges, None) == [slice(0, 1000)]
     parts = [slice(usable.start, 400), slice(500, 700)]
-    assert windows_of(signals, parts, 0.6) == [
+    assert split_into_windows(signals, parts, 0.6) == [
         slice(0, 150), slice(150, 300), slice(300, 400), slice(500, 650), slice(650, 700),
     ]  # fmt: skip
-    assert windows_of(signals, [slice(500, 651)], 0.6) == [slice(500, 650)]  # one sample is no motion
-    assert windows_of(signals, [slice(500, 700)], None) == [slice(500, 700)]
-    assert windows_of(signals, [slice(500, 504)], 1e-9) == [slice(500, 501), slice(501, 502), slice(502, 503)]
+    assert split_into_windows(signals, [slice(500, 651)], 0.6) == [slice(500, 650)]  # one sample is no motion
+    assert split_into_windows(signals, [slice(500, 700)], None) == [slice(500, 700)]
+    assert split_into_windows(signals, [slice(500, 504)], 1e-9) == [slice(500, 501), slice(501, 502), slice(502, 503)]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robots import chain, joint, random_urdf
 from synthetic import Synthetic, bounds, random_states, synthetic
 
-from idtool.dynamics.effects.base import Coefficient
+from idtool.dynamics.effects.effect import Coefficient
 from idtool.estimation.dataset.knowledge import with_equal_bounds
 from idtool.estimation.problem.identify import Estimate, identify
 from idtool.estimation.uncertainty.base import BaseParameters

@@ -114,7 +114,7 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
         )
         return SimpleNamespace(signals=signals, train=(slice(0, sum(sizes)),))
 
-    equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), rows=rows)
+    equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), filtered_rows=rows)
     logs = tuple(run(k * len(sizes)) for k in range(runs))
     return Experiment(*cast("Any", (SimpleNamespace(effects=()), None, equation, None, logs)))
 
@@ -165,8 +165,8 @@ def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_nothing_to_fit_to_is_said(sizes: list[int], said: str) -> None:
     experiment = stream(sizes)
-    rows = experiment.equation.rows
-    experiment.equation.rows = lambda batch: (rows(batch)[0], [np.zeros(5, dtype=bool)])  # type: ignore[method-assign]
+    rows = experiment.equation.filtered_rows
+    experiment.equation.filtered_rows = lambda batch: (rows(batch)[0], [np.zeros(5, dtype=bool)])  # type: ignore[method-assign]
     with pytest.raises(LogError, match=f"^log.csv: {said}"):
         gather(experiment, np.random.default_rng(0), silent)
 
@@ -193,7 +193,7 @@ def test_the_error_is_that_of_the_rows(leg: Experiment, rng: np.random.Generator
     squares, samples = np.zeros(3), 0
     for run in leg.runs:
         for batch in run.signals.batches(run.held_out):
-            blocks, _ = leg.equation.rows(batch)
+            blocks, _ = leg.equation.filtered_rows(batch)
             for j, (block, columns) in enumerate(zip(blocks, leg.equation.active(), strict=True)):
                 squares[j] += np.sum((theta[columns] @ block[:-1] - block[-1]) ** 2)
             samples += blocks[0].shape[1]
@@ -335,6 +335,6 @@ def test_the_held_out_data_are_all_of_the_validation_log(leg: Experiment) -> Non
     total = empty(leg.equation.active())
     for run in leg.runs:
         for batch in run.signals.batches(run.held_out):
-            blocks, _ = leg.equation.rows(batch)
+            blocks, _ = leg.equation.filtered_rows(batch)
             total = merge(total, tuple(Factor.of(block) for block in blocks))
     assert_same(held_out(leg, silent), total)

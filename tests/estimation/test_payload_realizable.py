@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from synthetic import point_parameters
 
-from idtool.dynamics.effects.payload import realizable
+from idtool.dynamics.effects.payload import nearest_realizable
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def exists(pi: Array) -> bool:
 def test_what_could_exist_stays_as_it_is(seed: int) -> None:
     rng = np.random.default_rng(seed)
     c = load(rng)
-    found = realizable(c, information(rng))
+    found = nearest_realizable(c, information(rng))
     assert found is not None
     np.testing.assert_allclose(found, c, rtol=1e-4, atol=1e-7)
 
@@ -82,7 +82,7 @@ def test_what_could_not_goes_to_the_nearest_that_could(seed: int) -> None:
     V = information(rng)
     c = load(rng) + 30 * np.linalg.solve(np.linalg.cholesky(V).T, rng.normal(size=10))
     assert not exists(c)
-    found = realizable(c, V)
+    found = nearest_realizable(c, V)
     assert found is not None
     assert exists(found)
     best = distance(nearest(c, V), c, V)
@@ -102,7 +102,7 @@ def test_what_the_data_do_not_see_may_be_anything(seed: int) -> None:
         c = true + off
         assert c[0] > 0
         assert not exists(c)
-        found = realizable(c, V)
+        found = nearest_realizable(c, V)
         assert found is not None
         assert exists(found)
         assert distance(found, c, V) <= 1.01 * distance(nearest(c, V), c, V) + 1e-3
@@ -114,4 +114,4 @@ def test_what_has_no_mass_is_no_payload(mass: float) -> None:
     rng = np.random.default_rng(0)
     c = load(rng)
     c[0] = mass
-    assert realizable(c, information(rng)) is None
+    assert nearest_realizable(c, information(rng)) is None

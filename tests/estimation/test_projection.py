@@ -12,7 +12,7 @@ from robots import rotation
 from scipy.optimize import nnls
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
-from idtool.dynamics.effects.rigid_body import length, scales
+from idtool.dynamics.effects.rigid_body import parameter_scales, typical_length
 from idtool.estimation.problem.prior import reference
 from idtool.estimation.problem.projection import Metric, Projection, project
 from idtool.robot.body import Body
@@ -60,7 +60,7 @@ def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, re
 
 
 def units_of(body: Body) -> Array:
-    return scales(body, float(body.pi[0]))
+    return parameter_scales(body, float(body.pi[0]))
 
 
 def disturbed(rng: np.random.Generator, body: Body, share: float = 0.5) -> Array:
@@ -72,7 +72,7 @@ def disturbed(rng: np.random.Generator, body: Body, share: float = 0.5) -> Array
 
 def metric_at(body: Body, pi: Array, metric: Metric) -> Array:
     """Shape (10, 10), in units of the body."""
-    unit = scales(body, float(pi[0]))
+    unit = parameter_scales(body, float(pi[0]))
     return np.eye(10) if metric == "euclidean" else unit[:, None] * pullback(reference(pi, unit)) * unit
 
 
@@ -101,13 +101,16 @@ def is_member(body: Body, kind: str, found: Projection, tolerance: float) -> boo
     unit = units_of(body)
     assert np.abs((found.pieces.sum(axis=0) - found.pi) / unit).max() < 1e-12
     if kind == "known_com":
-        assert np.abs(found.pi[1:4] / found.pi[0] - body.com).max() < 1e-7 * length(body)
+        assert np.abs(found.pi[1:4] / found.pi[0] - body.com).max() < 1e-7 * typical_length(body)
     if kind == "points":
-        basis, weight = pieces[0].basis, length(body) ** -POWERS / found.pi[0]
+        basis, weight = pieces[0].basis, typical_length(body) ** -POWERS / found.pi[0]
         return float(nnls(basis * weight[:, None], found.pi * weight)[1]) < 1e-6
     mass = float(unit[0])
     pairs = zip(found.pieces, pieces, strict=True)
-    return min([i.margin(pi, mass, length(body)) for pi, p in pairs for i in p.inequalities], default=0.0) >= -tolerance
+    return (
+        min([i.margin(pi, mass, typical_length(body)) for pi, p in pairs for i in p.inequalities], default=0.0)
+        >= -tolerance
+    )
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -130,7 +133,7 @@ def test_the_distance_is_that_from_what_was_projected(rng: np.random.Generator, 
     body = some_body(rng, kind)
     pi = disturbed(rng, body)
     found = project(pi, SETS[set_of(kind)], body, metric)
-    off = (found.pi - pi) / scales(body, float(pi[0]))
+    off = (found.pi - pi) / parameter_scales(body, float(pi[0]))
     assert found.distance == pytest.approx(np.sqrt(off @ metric_at(body, pi, metric) @ off), rel=1e-6, abs=1e-6)
 
 
@@ -154,7 +157,7 @@ def test_the_whole_set_lies_beyond_the_nearest_parameters(rng: np.random.Generat
     for _ in range(3):
         body = some_body(rng, kind)
         pi = disturbed(rng, body, 0.1)
-        unit = scales(body, float(pi[0]))
+        unit = parameter_scales(body, float(pi[0]))
         found = project(pi, SETS[set_of(kind)], body, metric)
         M = metric_at(body, pi, metric)
         away = M @ ((pi - found.pi) / unit)
@@ -180,7 +183,7 @@ def test_the_solver_and_the_closed_form_agree(rng: np.random.Generator, kind: st
         body = some_body(rng, kind)
         twice = replace(body, ellipsoids=body.ellipsoids * 2)
         pi = disturbed(rng, body, 0.1)
-        unit = scales(body, float(pi[0]))
+        unit = parameter_scales(body, float(pi[0]))
         closed = nearest_realizable(pi, reference(pi, unit), body.ellipsoids[0].Q if kind == "ellipsoid" else None)
         ours = project(pi, SETS[kind], body, "pullback")
         np.testing.assert_array_equal(ours.pi, closed)
@@ -212,7 +215,7 @@ def test_the_pullback_does_not_depend_on_units_and_frames(
         frame = rotation(rng), rng.normal(size=3), 1e3, 1e3
         there, pi_there = moved(body, pi, *frame)
         here, far = (project(x, SETS[set_of(kind)], b, "pullback") for x, b in ((pi, body), (pi_there, there)))
-        unit = scales(there, float(pi_there[0]))
+        unit = parameter_scales(there, float(pi_there[0]))
         M, off = metric_at(there, pi_there, "pullback"), (far.pi - moved(body, here.pi, *frame)[1]) / unit
         assert np.sqrt(off @ M @ off) < tolerance * max(here.distance, 1.0)
         assert far.distance == pytest.approx(here.distance, rel=1e-4, abs=5e-3)

@@ -14,7 +14,7 @@ from robots import chain, link
 
 from idtool.data.logs import make_log, write_log
 from idtool.data.signals import Signals
-from idtool.dynamics.simulation.simulation import Simulated
+from idtool.dynamics.simulation.simulation import SimulatedWindows
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.evaluation import replay as module
 from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay, replay
@@ -156,11 +156,13 @@ def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, m
     """Two minutes of two logs, 150 and 50 s long; what the simulation gave is what is compared."""
     seen: dict[str, list[slice]] = {}
 
-    def nearly(mechanism: object, signals: Signals, windows: Sequence[slice], tell: object) -> Iterator[Simulated]:
+    def nearly(
+        mechanism: object, signals: Signals, windows: Sequence[slice], tell: object
+    ) -> Iterator[SimulatedWindows]:
         seen[signals.log.path.name] = list(windows)
         for part in windows:
             q, v = signals.channels.signal("q", part)[:, None], signals.velocity(part)[:, None]
-            yield Simulated((part,), q + 0.1, v - 0.2, q, np.array([part.start == windows[-1].start]))
+            yield SimulatedWindows((part,), q + 0.1, v - 0.2, q, np.array([part.start == windows[-1].start]))
 
     monkeypatch.setattr(module, "simulate", nearly)
     experiment = discs(swinging(150), swinging(50))

@@ -17,13 +17,13 @@ from robots import actuated
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.forces import InputTorqueFunction
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
-Drive = Callable[[Array, Array, Array, NDArray[np.intp]], Array]
 
 LEG = (SAMPLES / "leg.urdf").read_text()
 LEG_JOINTS = ("abad", "hip", "knee")
@@ -49,11 +49,11 @@ def friction(names: Sequence[str], viscous: Sequence[float], coulomb: Sequence[f
 
 
 def rolled(
-    mechanism: Mechanism, q: Array, v: Array, drive: Drive, samples: Array, **options: float
+    mechanism: Mechanism, q: Array, v: Array, input_torque: InputTorqueFunction, samples: Array, **options: float
 ) -> tuple[Array, Array]:
     """Positions and velocities of rollouts from states (nv, W), or (nv,) of one, at common times; (nv, W, N) each."""
     q, v = (np.asarray(x, float).reshape(len(x), -1) for x in (q, v))
-    rollouts = Rollouts(mechanism, np.full(q.shape[1], samples[0]), q, v, drive, **options)
+    rollouts = Rollouts(mechanism, np.full(q.shape[1], samples[0]), q, v, input_torque, **options)
     states = [(rollouts.q.copy(), rollouts.v.copy())]
     for sample in samples[1:]:
         rollouts.advance(np.full(q.shape[1], sample))
@@ -62,19 +62,19 @@ def rolled(
     return np.moveaxis(both[:, 0], 0, -1), np.moveaxis(both[:, 1], 0, -1)
 
 
-def undriven(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+def undriven(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
     """No torque."""
     return np.zeros_like(q)
 
 
-def of_time(torque: Callable[[Array], Array]) -> Drive:
+def of_time(torque: Callable[[Array], Array]) -> InputTorqueFunction:
     """The torque of time alone, shape (nv, N) at times (N,)."""
-    return lambda t, q, v, lanes: torque(t)
+    return lambda t, q, v, rollout_ids: torque(t)
 
 
-def alone(drive: Drive) -> Callable[[float, Array, Array], Array]:
+def alone(input_torque: InputTorqueFunction) -> Callable[[float, Array, Array], Array]:
     """The same torque for one state, shape (nv,)."""
-    return lambda t, q, v: drive(np.array([t]), q[:, None], v[:, None], np.zeros(1, dtype=np.intp))[:, 0]
+    return lambda t, q, v: input_torque(np.array([t]), q[:, None], v[:, None], np.zeros(1, dtype=np.intp))[:, 0]
 
 
 def sliders(*masses: float, slope: float = 0.0, carried: bool = False) -> str:

@@ -113,7 +113,7 @@ def stacked(tried: Experiment, noise: Array, length: int) -> Stacked:
     for run in tried.runs:
         first = 0
         for batch in run.signals.batches(run.train):
-            blocks, kept = tried.equation.rows(batch)[0], tried.equation.clear(batch)
+            blocks, kept = tried.equation.filtered_rows(batch)[0], tried.equation.clean_samples(batch)
             count = blocks[0].shape[1]
             for rows, keep, active, sigma in zip(blocks, kept, tried.equation.active(), noise, strict=True):
                 own = np.zeros((count, len(tried.equation.coefficients)))

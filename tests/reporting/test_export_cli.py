@@ -14,7 +14,7 @@ from exported import EXACT, InMujoco
 from paths import CONFIGS, REAL
 from robots import chain, link
 
-from idtool.dynamics.simulation.dynamics import Dynamics
+from idtool.dynamics.simulation.rigid_body_dynamics import RigidBodyDynamics
 from idtool.reporting.export import identified, to_drake, to_mujoco
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
@@ -121,7 +121,7 @@ def test_go2_has_every_rotor_once() -> None:
     masses = [pi[0] for pi in model.robot.links.values() if pi is not None]
     assert found.model.body_mass.sum() == pytest.approx(sum(masses), rel=1e-12)
     q, v = np.random.default_rng(0).uniform(-2, 2, (2, 12))
-    M, h = Dynamics(model.mechanism)(q[:, None], v[:, None])
+    M, h = RigidBodyDynamics(model.mechanism)(q[:, None], v[:, None])
     own_M, own_h = found.mass_and_bias(q, v)
     np.testing.assert_allclose(own_M, M[0], **EXACT)
     np.testing.assert_allclose(own_h, h[:, 0], **EXACT)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from reference import Reference
 
 from idtool.data.signals import Motion
-from idtool.dynamics.effects import JointTerm, known_effects
-from idtool.dynamics.mechanism import Gear, Mechanism, TorqueSensor
+from idtool.dynamics.effects import JointTerm, effect_types
+from idtool.dynamics.mechanism import Mechanism, TorqueSensor, Transmission
 from idtool.reporting.export import Export, to_drake, to_mujoco
 from idtool.robot.inertia import from_mass_com_inertia
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 class Invented(JointTerm):
     """A torque that no simulator knows."""
 
-    id, name, unit = "invented", "size", ("N·m", "N")
+    id, name, units = "invented", "size", ("N·m", "N")
 
     def column(self, motion: Motion) -> Array:
         return np.asarray(np.sin(motion.q[self.joint]))
@@ -34,7 +34,7 @@ class Misread(Invented):
 
     id = "misread"
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.position_offset[self.joint] += theta[0]
 
 
@@ -43,7 +43,7 @@ class Heavy(Invented):
 
     id = "heavy"
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.armature[self.joint] += theta[0]
 
 
@@ -52,7 +52,7 @@ class Laden(Invented):
 
     id = "laden"
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.pi[-1] += from_mass_com_inertia(theta[0], [0.1, 0.0, 0.2], 0.01 * np.eye(3))
 
 
@@ -61,7 +61,7 @@ class Tilted(Invented):
 
     id = "tilted"
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.gravity = np.array([theta[0], 0.0, 0.0])
 
 
@@ -70,8 +70,8 @@ class Soft(Invented):
 
     id = "soft"
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        mechanism.gears[int(self.joint)] = Gear(theta[0], 0.1)
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        mechanism.transmissions[int(self.joint)] = Transmission(theta[0], 0.1)
 
 
 class Deaf(Invented):
@@ -79,16 +79,16 @@ class Deaf(Invented):
 
     id = "deaf"
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         gain = theta[0]
-        mechanism.sensors[int(self.joint)] = TorqueSensor(lambda x: gain * x, lambda x: x / gain)
+        mechanism.torque_sensors[int(self.joint)] = TorqueSensor(lambda x: gain * x, lambda x: x / gain)
 
 
 @pytest.fixture
 def urdf(rng: np.random.Generator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A robot whose effects these are."""
     for kind in (Invented, Misread, Heavy, Laden, Tilted, Soft, Deaf):
-        monkeypatch.setitem(known_effects(), kind.id, kind)
+        monkeypatch.setitem(effect_types(), kind.id, kind)
     path = tmp_path / "identified.urdf"
     path.write_text(arm(rng, "0 0 1", "0 1 0"))
     return path

@@ -15,7 +15,7 @@ from reference import Reference
 
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.reporting.export import Identified, to_mujoco
 
 Array = NDArray[np.float64]

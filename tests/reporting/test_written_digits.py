@@ -13,7 +13,7 @@ from commands import LEG, TRAIN, config_with, fitted
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idtool.dynamics.effects.rigid_body import length
+from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.robot.config import read_config
 from idtool.robot.inertia import (
     DIGITS,
@@ -93,10 +93,10 @@ def test_the_files_are_the_identified_model(report: dict[str, Any], folder: Path
     least = np.inf
     for body in model.bodies:
         pi = np.array(report["bodies"][body.name]["pi"])
-        unit = pi[0] * length(body) ** POWERS
+        unit = pi[0] * typical_length(body) ** POWERS
         np.testing.assert_allclose(body.pi / unit, pi / unit, rtol=0, atol=1e-9)
         for piece in choose_set(body).pieces(body):
-            least = min([least, *(i.margin(body.pi, float(pi[0]), length(body)) for i in piece.inequalities)])
+            least = min([least, *(i.margin(body.pi, float(pi[0]), typical_length(body)) for i in piece.inequalities)])
     assert 0 < least < 1e-7
 
 

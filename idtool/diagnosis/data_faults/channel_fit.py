@@ -90,7 +90,7 @@ class ChannelFit:
         """Per joint its columns and all torques where it moves, shape (m_j + nv, n)."""
         moving = np.ones(motion.q.shape, dtype=bool)
         for effect in self.equation.effects:
-            for joint, mask in effect.undefined(motion).items():
+            for joint, mask in effect.invalid_mask(motion).items():
                 moving[joint] &= ~mask
         blocks = self.equation.columns(motion)
         torques = np.stack([block[-1] for block in blocks])
@@ -224,7 +224,7 @@ def _in_band(batch: Batch) -> Motion:
     """A batch's motion in the band and decimated."""
     motion, low_pass = batch.motion, batch.low_pass
     q, v, a, tau = (batch.filter(x) for x in (motion.q, motion.v, motion.a, motion.tau))
-    return Motion(batch.t, q, v, a, tau, tau, motion.still, motion.dt * low_pass.stride)
+    return Motion(batch.t, q, v, a, tau, tau, motion.velocity_deadband, motion.dt * low_pass.stride)
 
 
 def _groups(support: Mask) -> tuple[Indices, ...]:

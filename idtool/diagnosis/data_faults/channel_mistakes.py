@@ -165,8 +165,8 @@ def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
         details.append((f"q, v and tau of it stand under {names[order[j]]}", "put the names right"))
 
     def change(motion: Motion) -> Motion:
-        q, v, a, still = motion.q[rows], motion.v[rows], motion.a[rows], motion.still[rows]
-        return replace(motion, q=q, v=v, a=a, still=still)
+        q, v, a, still = motion.q[rows], motion.v[rows], motion.a[rows], motion.velocity_deadband[rows]
+        return replace(motion, q=q, v=v, a=a, velocity_deadband=still)
 
     return replace(of_torques, details=tuple(details), position=change)
 
@@ -195,7 +195,7 @@ def _scaled(which: tuple[int, ...], factor: float | Array) -> Change:
     def change(motion: Motion) -> Motion:
         scale = np.ones((len(motion.q), 1))
         scale[list(which), 0] = factor
-        still = motion.still * np.abs(scale[:, 0])
-        return replace(motion, q=motion.q * scale, v=motion.v * scale, a=motion.a * scale, still=still)
+        still = motion.velocity_deadband * np.abs(scale[:, 0])
+        return replace(motion, q=motion.q * scale, v=motion.v * scale, a=motion.a * scale, velocity_deadband=still)
 
     return change

@@ -69,7 +69,7 @@ def _factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str, float
         for j, own in enumerate(rows):
             rigid, gravity = fit.rigid(j, moving[j]), fit.rigid(j, resting[j])
             v = motion.v[j]
-            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.still[j]), torques[j]]))
+            own.append(np.stack([gravity, rigid - gravity, v, np.tanh(v / motion.velocity_deadband[j]), torques[j]]))
     weight: dict[str, float] = {}
     inertia: dict[str, float] = {}
     for name, parts in zip(fit.equation.joints, rows, strict=True):

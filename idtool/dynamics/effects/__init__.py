@@ -1,4 +1,4 @@
-"""Every term of the torque equation. A new effect is one new file in this folder that nothing else knows about."""
+"""Terms of the torque equation, one file each, named by id. A new effect is one new file that nothing else knows of."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from functools import cache
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.dynamics.effects.base import Coefficient, Effect
-from idtool.dynamics.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from idtool.dynamics.effects.coulomb_friction import CoulombFriction
+from idtool.dynamics.effects.effect import Coefficient, Effect
+from idtool.dynamics.effects.entry_parameters import entry_location
 from idtool.dynamics.effects.joint_term import JointTerm
-from idtool.dynamics.effects.named import NamedEffect, place, plain
+from idtool.dynamics.effects.named_effect import NamedEffect, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
-from idtool.robot.config import Config, EffectEntry, Friction, Uncertain
+from idtool.dynamics.effects.torque_offset import TorqueOffset
+from idtool.dynamics.effects.viscous_friction import ViscousFriction
+from idtool.robot.config import Config, EffectEntry, Uncertain
 from idtool.robot.model import Model
 
 __all__ = [
@@ -24,70 +27,80 @@ __all__ = [
     "NamedEffect",
     "RigidBodies",
     "build_effects",
-    "known_effects",
-    "named_effect",
-    "plain",
+    "config_parameters",
+    "effect_from_entry",
+    "effect_types",
 ]
 
 
 @cache
-def known_effects() -> dict[str, type[NamedEffect]]:
-    """The effects that can be named in a configuration, by id."""
-    found: dict[str, type[NamedEffect]] = {}
+def effect_types() -> dict[str, type[NamedEffect]]:
+    """Effects that a configuration can name, by id."""
+    types: dict[str, type[NamedEffect]] = {}
     for module in pkgutil.iter_modules(__path__):
-        for _, member in inspect.getmembers(importlib.import_module(f"{__name__}.{module.name}"), inspect.isclass):
+        contents = importlib.import_module(f"{__name__}.{module.name}")
+        for _, member in inspect.getmembers(contents, inspect.isclass):
             if issubclass(member, NamedEffect) and member.id and not inspect.isabstract(member):
-                found[member.id] = member
-    return found
+                types[member.id] = member
+    return types
 
 
 def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
-    """The terms of a model's torque equation: its rigid bodies, its friction, and what the configuration adds.
+    """Terms of a model's torque equation: its rigid bodies, its friction, and what the configuration adds.
 
-    A coefficient's prior is the configuration's value, else the URDF's. An entry under `effects` takes the place of the
-    same term under `friction`.
-
-    Raises
-    ------
-    ConfigError
-        If the configuration names an effect or joint that is not known, gives a parameter that the effect has not or
-        that cannot be, or has the same effect twice.
-    """
-    for entry in config.effects:
-        model = named_effect(entry, model).alter(model)
-    found = {effect.key: effect for j in range(len(model.joints)) for effect in _friction(model, j, config)}
-    entries: set[tuple[str | float, ...]] = set()
-    for entry in config.effects:
-        effect = named_effect(entry, model)
-        if effect.key in entries:
-            on = entry.joint or entry.link
-            raise ConfigError(place(entry), f"is there twice{f' for {shown(on)}' if on else ''}; keep one entry")
-        entries.add(effect.key)
-        found[effect.key] = effect
-    return (RigidBodies(model), *sorted(found.values(), key=lambda effect: effect.rank))
-
-
-def named_effect(entry: EffectEntry, model: Model) -> NamedEffect:
-    """The effect that an entry describes.
+    A coefficient's prior is the configuration's value, else the URDF's. An entry under `effects` replaces the same term
+    under `friction`.
 
     Raises
     ------
     ConfigError
-        If it is not known, or its entry cannot be used.
+        If the configuration names an unknown effect or joint, gives a parameter that is unknown or out of range, or has
+        an effect twice.
     """
-    known = known_effects()
-    if entry.effect not in known:
-        raise ConfigError(place(entry), f"is not an effect of this version; {nearest(entry.effect, known)}")
-    return known[entry.effect].of(entry, model)
+    for entry in config.effects:
+        model = effect_from_entry(entry, model).modify_model(model)
+    effects: dict[tuple[str | float, ...], NamedEffect] = {}
+    for joint in range(len(model.joints)):
+        for term in _friction(model, joint, config):
+            effects[term.key] = term
+    entry_keys: set[tuple[str | float, ...]] = set()
+    for entry in config.effects:
+        effect = effect_from_entry(entry, model)
+        if effect.key in entry_keys:
+            owner = entry.joint or entry.link
+            subject = f" for {shown(owner)}" if owner else ""
+            raise ConfigError(entry_location(entry), f"is there twice{subject}; keep one entry")
+        entry_keys.add(effect.key)
+        effects[effect.key] = effect
+    return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))
 
 
-def _friction(model: Model, j: int, config: Config) -> list[NamedEffect]:
-    """A joint's friction terms."""
-    joint = model.joints[j]
-    friction: Friction = config.friction_of(joint.name)
-    chosen: tuple[tuple[type[JointTerm], bool | Uncertain, float], ...] = (
-        (ViscousFriction, friction.viscous, joint.damping),
-        (CoulombFriction, friction.coulomb, joint.friction),
+def effect_from_entry(entry: EffectEntry, model: Model) -> NamedEffect:
+    """Effect that an entry describes.
+
+    Raises
+    ------
+    ConfigError
+        If the effect is unknown, or its entry can't be used.
+    """
+    types = effect_types()
+    if entry.effect not in types:
+        raise ConfigError(entry_location(entry), f"is not an effect of this version; {nearest(entry.effect, types)}")
+    return types[entry.effect].from_entry(entry, model)
+
+
+def _friction(model: Model, joint: int, config: Config) -> list[JointTerm]:
+    """Friction terms of a joint."""
+    properties = model.joints[joint]
+    friction = config.friction_of(properties.name)
+    options: tuple[tuple[type[JointTerm], bool | Uncertain, float], ...] = (
+        (ViscousFriction, friction.viscous, properties.damping),
+        (CoulombFriction, friction.coulomb, properties.friction),
         (TorqueOffset, friction.offset, 0.0),
     )
-    return [kind(model, j, term.value if isinstance(term, Uncertain) else urdf) for kind, term, urdf in chosen if term]
+    terms = []
+    for term_type, setting, urdf_value in options:
+        if setting:
+            prior = setting.value if isinstance(setting, Uncertain) else urdf_value
+            terms.append(term_type(model, joint, prior))
+    return terms

@@ -8,145 +8,178 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 from scipy.signal import lfilter
+from typing_extensions import override
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.held_effect import HeldJointEffect
-from idtool.dynamics.effects.joint_effect import Held
-from idtool.dynamics.effects.joint_elasticity import MOTOR_FRICTION
-from idtool.dynamics.effects.probe import spread
-from idtool.dynamics.effects.survey import Present, Survey
-from idtool.dynamics.mechanism import Gear, Mechanism
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.fixed_effect import FixedJointEffect
+from idtool.dynamics.effects.joint_elasticity import MOTOR_FRICTION_SHARES
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.named_effect import NonlinearParameter
+from idtool.dynamics.effects.probe import geometric_grid
+from idtool.dynamics.mechanism import Mechanism, Transmission
 from idtool.robot.model import Model
 
-_DAMPING = 0.5  # of what is critical
-_NARROW, _WIDE, _TRIED = 3e-4, 0.12, 12  # rad or m
-_LEAST, _MOST = 0.25, 3.0  # of the change that the width makes
-_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # of the width
-_COUNTS = 0.6  # of a blip, where its time is known to milliseconds: leaves least of it on average
-_STAYS = 4e-3  # of the width a sample: slower, and the teeth have met
-_DIES = 0.02  # s
-_GIVES = 2e-3  # s
-_LIGHT = 1e-9  # kg·m² or kg
+_DAMPING_RATIO = 0.5
+_MIN_WIDTH = 3e-4  # rad or m: what gears have
+_MAX_WIDTH = 0.12  # rad or m: what would be felt by hand
+_TRIALS = 12
+_MIN_COEFFICIENT = 0.25  # share of the change that the width makes
+_MAX_COEFFICIENT = 3.0
+_WIDTH_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # factors of the width that are averaged
+_BLIP_SHARE = 0.6  # of a blip whose time is known to milliseconds: leaves the least residual on average
+_APART_SPEED = 4e-3  # of the width per sample: slower, and the teeth have met
+_IMPACT_DECAY = 0.02  # s
+_TEETH_LAG = 2e-3  # s
+_MIN_INERTIA = 1e-9  # kg·m² or kg
 
 
-class Backlash(HeldJointEffect):
-    """Play of a width between the motor's side, which is measured and driven, and the link's.
+class Backlash(FixedJointEffect):
+    """Play of a width between the motor side, which is measured and driven, and the link side.
 
     Where the joint has no `joint_elasticity`, the teeth are a spring on which motor and link would swing against each
     other at 200 Hz, half critically damped: needs a rotor or `rotor_inertia` on the joint.
 
-    In the torque equation the link's motion is the measured one less the place of the motor within the play. While the
-    teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with carried torque
-    / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
-    ``motor_friction``, a share that may be left out, acts on the motor's side, and is not carried.
+    In the torque equation the link's motion is the measured one less the position of the motor within the play. While
+    the teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with carried
+    torque / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
+    ``motor_friction``, a share that may be left out, acts on the motor side, and is not carried.
     """
 
     id = "backlash"
-    means = "play lets the load go after each reversal of the torque"
-    shows = "quick reversals of the carried torque, and slow ones"
-    held = (Held("width", positive=True), Held("motor_friction", most=1.0))
+    description = "play lets the load go after each reversal of the torque"
+    excitation_hint = "quick reversals of the carried torque, and slow ones"
+    nonlinear_parameters = (
+        NonlinearParameter("width", positive=True),
+        NonlinearParameter("motor_friction", optional_maximum=1.0),
+    )
 
-    def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
-        super().__init__(model, joint, shape)
-        self._along: Callable[[Motion], Present] | None = None
+    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
+        super().__init__(model, joint, nonlinear_values)
+        self._model_along: Callable[[Motion], Linearization] | None = None
 
     @classmethod
-    def shapes(cls) -> tuple[str, ...]:
-        """See `NamedEffect.shapes`: none, since the moments at which teeth part and meet jump from sample to sample."""
+    @override
+    def gradient_parameters(cls) -> tuple[str, ...]:
+        """None, since the moments at which teeth part and meet jump from sample to sample."""
         return ()
 
     @classmethod
-    def scanned(cls) -> tuple[str, ...]:
-        """See `NamedEffect.scanned`."""
+    @override
+    def grid_parameters(cls) -> tuple[str, ...]:
         return ("width",)
 
     @classmethod
-    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
-        """See `JointEffect.tried`: from what gears have to what would be felt by hand."""
-        for share in MOTOR_FRICTION:
-            for width in spread(_NARROW, _WIDE, _TRIED):
+    @override
+    def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
+        for share in MOTOR_FRICTION_SHARES:
+            for width in geometric_grid(_MIN_WIDTH, _MAX_WIDTH, _TRIALS):
                 yield {"width": width, "motor_friction": share}
 
     @classmethod
-    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
-        """See `HeldJointEffect.slopes`: all of the change, of which the coefficient should be 1."""
-        return _change(motion, joint, shape, present)
+    @override
+    def torque_derivative(
+        cls,
+        summary: DataSummary,
+        joint: int,
+        nonlinear_values: Mapping[str, float],
+        motion: Motion,
+        linearized: Linearization,
+    ) -> Array:
+        """All of the change, whose coefficient should be 1."""
+        return _torque_change(motion, joint, nonlinear_values, linearized)
 
     @classmethod
-    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
-        """See `HeldJointEffect.solved`."""
-        return dict(shape) if _LEAST < c < _MOST else None
+    @override
+    def values_from_coefficient(cls, c: float, nonlinear_values: Mapping[str, float]) -> Mapping[str, float] | None:
+        return dict(nonlinear_values) if _MIN_COEFFICIENT < c < _MAX_COEFFICIENT else None
 
-    def refer(self, model: Callable[[Motion], Present], theta: Array) -> None:
-        """See `Effect.refer`."""
-        self._along = model
+    @override
+    def set_operating_point(self, model: Callable[[Motion], Linearization], theta: Array) -> None:
+        self._model_along = model
 
-    def known(self, motion: Motion) -> Array | None:
-        """See `Effect.known`."""
-        return None if self._along is None else _change(motion, self.joint, self.shape, self._along(motion))
+    @override
+    def fixed_torque(self, motion: Motion) -> Array | None:
+        if self._model_along is None:
+            return None
+        return _torque_change(motion, self.joint, self.nonlinear_values, self._model_along(motion))
 
-    def undefined(self, motion: Motion) -> dict[int, Mask]:
-        """While teeth are apart and until the blow of their meeting has died away, for all that the joint shakes."""
-        if self._along is None:
+    @override
+    def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
+        """Samples while the teeth are apart and until their impact has decayed, on all joints that it shakes."""
+        if self._model_along is None:
             return {}
-        place = _travel(motion, self.joint, self.shape, self._along(motion))
-        apart = np.abs(np.gradient(place)) > _STAYS * self.shape["width"]
-        reach = max(round(_DIES / motion.dt), 1)
-        return dict.fromkeys(range(len(motion.q)), ndimage.binary_dilation(apart, iterations=reach))
+        position = _motor_in_play(motion, self.joint, self.nonlinear_values, self._model_along(motion))
+        apart = np.abs(np.gradient(position)) > _APART_SPEED * self.nonlinear_values["width"]
+        reach = max(round(_IMPACT_DECAY / motion.dt), 1)
+        mask = ndimage.binary_dilation(apart, iterations=reach)
+        return dict.fromkeys(range(len(motion.q)), mask)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        teeth = mechanism.gears.get(self.joint, Gear(np.inf, _DAMPING))
-        rubbing = max(teeth.rubbing, self.shape["motor_friction"])
-        mechanism.gears[self.joint] = replace(teeth, play=self.shape["width"], rubbing=rubbing)
-
-
-def _change(motion: Motion, joint: int, shape: Mapping[str, float], present: Present) -> Array:
-    """What play adds to the predicted torque, shape (nv, N); less than all, as a blip at the wrong time is worse."""
-    place = _travel(motion, joint, shape, present)
-    v = np.gradient(place, motion.dt)
-    return _COUNTS * present.moved(motion, joint, -place, -v, -np.gradient(v, motion.dt))
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        transmission = mechanism.transmissions.get(self.joint, Transmission(np.inf, _DAMPING_RATIO))
+        mechanism.transmissions[self.joint] = replace(
+            transmission,
+            backlash=self.nonlinear_values["width"],
+            motor_friction=max(transmission.motor_friction, self.nonlinear_values["motor_friction"]),
+        )
 
 
-def _travel(motion: Motion, joint: int, shape: Mapping[str, float], present: Present) -> Array:
-    """Where the motor is within the play, shape (N,)."""
-    carried, inertia = present.carried(motion, joint)
-    if shape["motor_friction"]:
-        carried = carried - shape["motor_friction"] * present.rubbed(joint)
-    return _places(carried / np.maximum(inertia, _LIGHT), shape["width"], motion.dt)
+def _torque_change(
+    motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization
+) -> Array:
+    """Change of the predicted torque by the play, shape (nv, N); less than all, as a mistimed blip is worse."""
+    position = _motor_in_play(motion, joint, nonlinear_values, linearized)
+    velocity = np.gradient(position, motion.dt)
+    acceleration = np.gradient(velocity, motion.dt)
+    return _BLIP_SHARE * linearized.torque_change_by_motion(joint, -position, -velocity, -acceleration)
 
 
-def _places(closing: Array, width: float, dt: float) -> Array:
-    """Where the motor is within the play, shape (N,): the mean over widths about the one given.
+def _motor_in_play(
+    motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization
+) -> Array:
+    """Position of the motor within the play, shape (N,): the mean over widths about the one given.
 
-    Teeth give when they meet: two lags of 2 ms, as good as the spring of `join`. When they meet is known no better
-    than to some milliseconds, and a blip that comes too early or too late explains less than none.
+    Teeth give when they meet: two lags of 2 ms, as good as the spring of `add_to_forward_model`. When they meet is
+    known no better than to some milliseconds, and a blip that comes too early or too late explains less than none.
     """
-    outwards = np.flatnonzero(closing[:-1] > 0), np.flatnonzero(closing[:-1] < 0)
-    place = np.mean([_place(closing, outwards, share * width, dt) for share in _BLUR], axis=0)
-    pole = np.exp(-dt / _GIVES)
+    carried, inertia = linearized.link_load(motion, joint)
+    if nonlinear_values["motor_friction"]:
+        carried = carried - nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
+    acceleration = carried / np.maximum(inertia, _MIN_INERTIA)
+
+    width = nonlinear_values["width"]
+    positions = [_simulate_play(acceleration, factor * width, motion.dt) for factor in _WIDTH_BLUR]
+    position = np.mean(positions, axis=0)
+    pole = np.exp(-motion.dt / _TEETH_LAG)
     for _ in range(2):
-        place = lfilter([1 - pole], [1, -pole], place, zi=[pole * place[0]])[0]
-    return np.asarray(place)
+        position = lfilter([1 - pole], [1, -pole], position, zi=[pole * position[0]])[0]
+    return np.asarray(position)
 
 
-def _place(closing: Array, outwards: tuple[Indices, Indices], width: float, dt: float) -> Array:
-    """Where the motor is within a play, in [−width/2, width/2], driven by an acceleration, shape (N,).
-
-    ``outwards`` are the samples at which it is driven up, and down.
-    """
-    half, count, driven = width / 2, len(closing), closing.tolist()
+def _simulate_play(acceleration: Array, width: float, dt: float) -> Array:
+    """Position of the motor within a play, in [−width/2, width/2], under an acceleration; shape (N,)."""
+    driven_up = np.flatnonzero(acceleration[:-1] > 0)
+    driven_down = np.flatnonzero(acceleration[:-1] < 0)
+    accelerations = acceleration.tolist()
+    count = len(accelerations)
+    half = width / 2
     out = np.empty(count)
-    side, k = 1 if driven[0] > 0 else -1, 0
+    side = 1 if accelerations[0] > 0 else -1
+    k = 0
     while k < count:
-        leaves = outwards[1 if side > 0 else 0]  # teeth stay until they are driven apart
-        at = int(np.searchsorted(leaves, k))
-        leave = int(leaves[at]) if at < len(leaves) else count
-        out[k:leave] = side * half
-        x, v, k = side * half, 0.0, leave
+        # The teeth stay in contact until they are driven apart.
+        leaving = driven_down if side > 0 else driven_up
+        following = int(np.searchsorted(leaving, k))
+        parting = int(leaving[following]) if following < len(leaving) else count
+        out[k:parting] = side * half
+
+        k = parting
+        x = side * half
+        v = 0.0
         while k < count:
-            v += driven[k] * dt
+            v += accelerations[k] * dt
             x += v * dt
             if not -half < x < half:
                 side = 1 if x > 0 else -1

@@ -6,42 +6,51 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.held_effect import HeldJointEffect
-from idtool.dynamics.effects.joint_effect import Held
-from idtool.dynamics.effects.survey import Present, Survey
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.fixed_effect import FixedJointEffect
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.mechanism import Mechanism
 
-_MOST = 0.7  # rad or m: beyond, it is another zero by intention
+_MAX_OFFSET = 0.7  # rad or m: a larger one is another zero by intention
 
 
-class EncoderOffset(HeldJointEffect):
+class EncoderOffset(FixedJointEffect):
     """True q = measured q + offset. A controller acts on the measured one."""
 
     id = "encoder_offset"
-    means = "the encoder's zero is not the joint's"
-    shows = "standstill over the whole travel, the base turned over or tilted by a known angle"
-    held = (Held("offset"),)
+    description = "the encoder's zero is not the joint's"
+    excitation_hint = "standstill over the whole travel, the base turned over or tilted by a known angle"
+    nonlinear_parameters = (NonlinearParameter("offset"),)
 
     @classmethod
-    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
-        """See `HeldJointEffect.slopes`."""
-        zero = np.zeros_like(motion.t)
-        return present.moved(motion, joint, zero + 1, zero, zero)
+    @override
+    def torque_derivative(
+        cls,
+        summary: DataSummary,
+        joint: int,
+        nonlinear_values: Mapping[str, float],
+        motion: Motion,
+        linearized: Linearization,
+    ) -> Array:
+        zeros = np.zeros_like(motion.t)
+        return linearized.torque_change_by_motion(joint, zeros + 1, zeros, zeros)
 
     @classmethod
-    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
-        """See `HeldJointEffect.solved`."""
-        return {"offset": c} if abs(c) < _MOST else None
+    @override
+    def values_from_coefficient(cls, c: float, nonlinear_values: Mapping[str, float]) -> Mapping[str, float] | None:
+        return {"offset": c} if abs(c) < _MAX_OFFSET else None
 
-    def true(self, motion: Motion) -> Motion:
-        """See `Effect.true`."""
+    @override
+    def correct_motion(self, motion: Motion) -> Motion:
         q = motion.q.copy()
-        q[self.joint] += self.shape["offset"]
+        q[self.joint] += self.nonlinear_values["offset"]
         return replace(motion, q=q)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        mechanism.position_offset[self.joint] += self.shape["offset"]
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        mechanism.position_offset[self.joint] += self.nonlinear_values["offset"]

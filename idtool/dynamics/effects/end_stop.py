@@ -5,58 +5,66 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.joint_effect import Held
+from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_term import JointTerm
-from idtool.dynamics.effects.survey import Survey
+from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint
 
-_SHARES = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.32)  # of the travel that lie beyond
+_SHARES = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.32)  # of the travel that lie beyond the positions tried
 
 
 class EndStop(JointTerm):
     """k (q − position) beyond the position, and nothing before it.
 
     Beyond means above it or below it: on the side of the joint's limit that is nearer to it where the URDF has both,
-    else away from zero. The position is held; a joint may have several stops.
+    else away from zero. The position is nonlinear; a joint may have several stops.
     """
 
     id = "end_stop"
-    means = "a stop pushes back beyond a position"
-    shows = "slow motion into the region and out of it"
-    contains = ("parallel_spring", "torque_offset")
+    description = "a stop pushes back beyond a position"
+    excitation_hint = "slow motion into the region and out of it"
+    generalizes = ("parallel_spring", "torque_offset")
     name = "stiffness"
-    unit = ("N·m/rad", "N/m")
+    units = ("N·m/rad", "N/m")
     even = False
-    held = (Held("position", apart=True, error=0.03),)
+    nonlinear_parameters = (NonlinearParameter("position", distinguishes_instances=True, max_standard_error=0.03),)
 
-    def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
-        super().__init__(model, joint, prior, shape)
-        self.shape["side"] = _side(model.joints[joint], self.shape["position"])
+    def __init__(
+        self, model: Model, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
+    ) -> None:
+        super().__init__(model, joint, prior, nonlinear_values)
+        self.nonlinear_values["side"] = _side(model.joints[joint], self.nonlinear_values["position"])
 
     @classmethod
-    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
-        """See `JointEffect.tried`: towards both ends of the travel."""
-        low, travel = survey.low[joint], survey.travel[joint]
+    @override
+    def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
+        """Positions towards both ends of the travel."""
+        low, travel = summary.q_min[joint], summary.q_range[joint]
+        if not travel > 0:
+            return
         for share in _SHARES:
             for position in (low + share * travel, low + (1 - share) * travel):
-                above = position > low + travel / 2
-                if travel > 0 and (_side(survey.model.joints[joint], position) > 0) == above:
+                in_upper_half = position > low + travel / 2
+                acts_above = _side(summary.model.joints[joint], position) > 0
+                if acts_above == in_upper_half:
                     yield {"position": float(position)}
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        super().join(theta, mechanism)
-        mechanism.stops.append((int(self.joint), self.shape["position"]))
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        super().add_to_forward_model(theta, mechanism)
+        mechanism.breakpoints.append((int(self.joint), self.nonlinear_values["position"]))
 
+    @override
     def column(self, motion: Motion) -> Array:
-        """How far the joint is beyond the position."""
-        side = self.shape["side"]
-        return np.asarray(side * np.maximum(side * (motion.q[self.joint] - self.shape["position"]), 0.0))
+        side = self.nonlinear_values["side"]
+        depth = np.maximum(side * (motion.q[self.joint] - self.nonlinear_values["position"]), 0.0)
+        return np.asarray(side * depth)
 
 
 def _side(joint: Joint, position: float) -> float:

@@ -7,22 +7,24 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.held_effect import HeldEffect
-from idtool.dynamics.effects.named import check_names, place, vector
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.entry_parameters import check_parameter_names, entry_location, read_vector
+from idtool.dynamics.effects.fixed_effect import FixedEffect
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
-_STEEP = 0.7  # of gravity across: a base that leans more is mounted so by intention
+_MAX_TILT = 0.7  # share of gravity across: a base that leans more is mounted so by intention
 
 
-class GravityTilt(HeldEffect):
+class GravityTilt(FixedEffect):
     """Gravity is this vector in the root link's frame [m/s²], in place of the configuration's.
 
     Parameters
@@ -30,55 +32,66 @@ class GravityTilt(HeldEffect):
     model
         The robot.
     gravity
-        Shape (3,).
+        Shape (3,) [m/s²].
     """
 
     id = "gravity_tilt"
-    means = "the base is not level"
-    shows = "standstill in many postures of the first joints"
+    description = "the base is not level"
+    excitation_hint = "standstill in many postures of the first joints"
 
     def __init__(self, model: Model, gravity: Array) -> None:
         super().__init__(model)
         self.gravity = gravity
 
     @classmethod
-    def of(cls, entry: EffectEntry, model: Model) -> Self:
-        """See `NamedEffect.of`."""
+    @override
+    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
         if entry.joint is not None or entry.link is not None:
-            raise ConfigError(place(entry), "acts on the whole robot; give neither joint nor link")
-        check_names(entry, ("gravity",))
-        return cls(model, vector(entry, "gravity", 3))
+            raise ConfigError(entry_location(entry), "acts on the whole robot; give neither joint nor link")
+        check_parameter_names(entry, ("gravity",))
+        return cls(model, read_vector(entry, "gravity", 3))
 
     @classmethod
-    def probes(cls, survey: Survey) -> Iterator[Probe]:
-        """See `NamedEffect.probes`: gravity of the same size in another direction."""
-        gravity = survey.model.gravity
+    @override
+    def probes(cls, summary: DataSummary) -> Iterator[Probe]:
+        """One probe: gravity of the same size in another direction."""
+        gravity = summary.model.gravity
         size = float(np.linalg.norm(gravity))
-        if survey.has(cls.id, "base") or not size:
+        if summary.has_effect(cls.id, "base") or not size:
             return
-        ways = np.linalg.svd(gravity[None] / size)[2]  # along gravity, and across
+        directions = np.linalg.svd(gravity[None] / size)[2]  # the first along gravity, the others across
 
-        def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
-            pulled = np.stack([present.pulled(motion, way) for way in ways])
-            return {j: pulled[:, j] for j in range(len(motion.q))}
+        def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
+            changes = np.stack([linearized.torque_change_by_gravity(direction) for direction in directions])
+            return {j: changes[:, j] for j in range(len(motion.q))}
 
-        def entry(c: Array, information: Array) -> EffectEntry | None:
-            away = float(np.linalg.norm(c[1:]))  # what lies along follows, the size being the same
-            if away > _STEEP * size:
+        def to_entry(c: Array, information: Array) -> EffectEntry | None:
+            # The component along gravity follows from those across, since the size is known.
+            across = float(np.linalg.norm(c[1:]))
+            if across > _MAX_TILT * size:
                 return None
-            tilted = gravity * np.sqrt(1 - (away / size) ** 2) + c[1:] @ ways[1:]
+            tilted = gravity * np.sqrt(1 - (across / size) ** 2) + c[1:] @ directions[1:]
             return EffectEntry(effect=cls.id, parameters={"gravity": [float(x) for x in tilted]})
 
-        yield Probe(cls.id, None, None, columns, 3, entry, count=2)
+        yield Probe(
+            effect=cls.id,
+            joint=None,
+            link=None,
+            columns=columns,
+            coefficient_count=3,
+            to_entry=to_entry,
+            parameter_count=2,
+        )
 
     @property
+    @override
     def key(self) -> tuple[str | float, ...]:
-        """See `NamedEffect.key`."""
         return self.id, "base"
 
-    def alter(self, model: Model) -> Model:
-        """See `Effect.alter`."""
+    @override
+    def modify_model(self, model: Model) -> Model:
         return replace(model, gravity=self.gravity)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`; gravity comes with the bodies."""
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        """Add nothing: gravity comes with the rigid bodies."""

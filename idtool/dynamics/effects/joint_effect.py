@@ -1,53 +1,32 @@
-"""`JointEffect`: an effect that acts on one joint, and how an entry of a configuration is read as one."""
+"""`JointEffect`: an effect that acts on one joint, and its reading from an entry of a configuration."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Self
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import shown
-from idtool.dynamics.effects.named import NamedEffect, Value, check_names, joint_index, number, place
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.entry_parameters import (
+    check_parameter_names,
+    entry_location,
+    read_joint_index,
+    read_number,
+)
+from idtool.dynamics.effects.named_effect import NamedEffect, NonlinearParameter, ParameterValue
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Survey
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
-_LEAST = 1e-6  # SI, of what must be above 0: the inverse square of what is smaller is not finite
-
-
-@dataclass(frozen=True)
-class Held:
-    """A parameter on which an effect's columns depend.
-
-    Attributes
-    ----------
-    name
-        As in the contract.
-    positive
-        Whether it must be above 0.
-    joint
-        Whether it is the name of another joint, whose index the effect then holds.
-    apart
-        Whether a joint may have the effect more than once, with different values of this.
-    error
-        The largest that its standard error may be where the effect is named; None: a share of the value.
-    most
-        Of one that may be left out, which is then 0, the largest; None: it may not.
-    """
-
-    name: str
-    positive: bool = False
-    joint: bool = False
-    apart: bool = False
-    error: float | None = None
-    most: float | None = None
+_MIN_POSITIVE = 1e-6  # SI: the inverse square of a smaller number is not finite
 
 
 class JointEffect(NamedEffect):
@@ -55,12 +34,12 @@ class JointEffect(NamedEffect):
 
     Attributes
     ----------
-    held
-        The parameters on which its columns depend.
     joint
         Index of the joint.
-    shape
-        Values of the parameters in ``held``, and what follows from them.
+    owner
+        Name of the joint.
+    nonlinear_values
+        Values of the nonlinear parameters, and what follows from them.
 
     Parameters
     ----------
@@ -68,106 +47,127 @@ class JointEffect(NamedEffect):
         The robot.
     joint
         Index of the joint.
-    shape
-        Values of the parameters in ``held``.
+    nonlinear_values
+        Values of the nonlinear parameters.
     """
 
-    held: tuple[Held, ...] = ()
-
-    def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
+    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         self.joint: int | Indices = joint
-        self.shape: dict[str, Any] = {held.name: 0.0 for held in self.held if held.most is not None} | dict(shape or {})
         self.owner = model.joints[joint].name
+        self.nonlinear_values: dict[str, Any] = {}
+        for parameter in self.nonlinear_parameters:
+            if parameter.optional_maximum is not None:
+                self.nonlinear_values[parameter.name] = 0.0
+        self.nonlinear_values |= nonlinear_values or {}
 
     @classmethod
     @abstractmethod
-    def made(cls) -> tuple[str, ...]:
-        """Names of the parameters that its coefficients make."""
+    def linear_parameters(cls) -> tuple[str, ...]:
+        """Names of the parameters that follow from the coefficients."""
 
     @classmethod
     @abstractmethod
-    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
-        """The effect with values of the parameters that its coefficients make, and of those held."""
+    def with_values(
+        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+    ) -> Self:
+        """Effect with given values of the linear and of the nonlinear parameters."""
 
     @classmethod
-    def of(cls, entry: EffectEntry, model: Model) -> Self:
-        """See `NamedEffect.of`."""
+    @override
+    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
         if entry.joint is None or entry.link is not None:
-            raise ConfigError(place(entry), "acts on a joint; give joint, and no link")
-        joint = joint_index(entry, entry.joint, model)
-        optional = [held.name for held in cls.held if held.most is not None and held.name not in entry.parameters]
-        check_names(entry, (*cls.made(), *(held.name for held in cls.held if held.name not in optional)))
-        values = {name: number(entry, name) for name in cls.made()}
-        shape = {held.name: _held(entry, held, model, joint) for held in cls.held}
-        effect = cls.with_values(model, joint, values, shape)
+            raise ConfigError(entry_location(entry), "acts on a joint; give joint, and no link")
+        joint = read_joint_index(entry, entry.joint, model)
+        names = list(cls.linear_parameters())
+        for parameter in cls.nonlinear_parameters:
+            if parameter.optional_maximum is None or parameter.name in entry.parameters:
+                names.append(parameter.name)
+        check_parameter_names(entry, tuple(names))
+
+        values = {name: read_number(entry, name) for name in cls.linear_parameters()}
+        nonlinear_values = {
+            parameter.name: _read_nonlinear(entry, parameter, model, joint) for parameter in cls.nonlinear_parameters
+        }
+        effect = cls.with_values(model, joint, values, nonlinear_values)
         for c in effect.coefficients:
             if c.prior < c.lower:
-                raise ConfigError(place(entry), f"{c.name} of {c.prior:g} cannot be; give {c.lower:g} or more")
+                raise ConfigError(entry_location(entry), f"{c.name} of {c.prior:g} cannot be; give {c.lower:g} or more")
         return effect
 
     @classmethod
-    def probes(cls, survey: Survey) -> Iterator[Probe]:
-        """See `NamedEffect.probes`."""
-        several = any(held.apart for held in cls.held)
-        for joint, moving in enumerate(survey.model.joints):
-            if several or not survey.has(cls.id, moving.name):
-                for shape in cls.tried(survey, joint):
-                    yield replace(cls.probe(survey, joint, shape), again=partial(cls.probe, survey, joint))
+    @override
+    def probes(cls, summary: DataSummary) -> Iterator[Probe]:
+        may_repeat = any(parameter.distinguishes_instances for parameter in cls.nonlinear_parameters)
+        for index, joint in enumerate(summary.model.joints):
+            if summary.has_effect(cls.id, joint.name) and not may_repeat:
+                continue
+            for nonlinear_values in cls.trial_values(summary, index):
+                probe = cls.probe(summary, index, nonlinear_values)
+                yield replace(probe, rebuild=partial(cls.probe, summary, index))
 
     @classmethod
-    def shapes(cls) -> tuple[str, ...]:
-        """See `NamedEffect.shapes`."""
-        return tuple(held.name for held in cls.held if not held.joint)
+    @override
+    def gradient_parameters(cls) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in cls.nonlinear_parameters if not parameter.is_joint)
 
     @classmethod
-    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
-        """Values of the parameters in ``held`` to try on a joint; nothing where the joint cannot have the effect."""
+    def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
+        """Values of the nonlinear parameters to try on a joint; nothing where the joint can't have the effect."""
         yield {}
 
     @classmethod
     @abstractmethod
-    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
-        """The effect at some values on a joint."""
+    def probe(cls, summary: DataSummary, joint: int, nonlinear_values: Mapping[str, float]) -> Probe:
+        """Probe of the effect on a joint at given nonlinear values."""
 
     @classmethod
-    def entry(cls, model: Model, joint: int, values: Mapping[str, float]) -> EffectEntry:
-        """The entry of a configuration with values of all parameters."""
-        names = {held.name for held in cls.held if held.joint}
-        given = {k: model.names[int(x)] if k in names else float(x) for k, x in values.items()}
+    def to_entry(cls, model: Model, joint: int, values: Mapping[str, float]) -> EffectEntry:
+        """Configuration entry with values of all parameters."""
+        joint_names = {parameter.name for parameter in cls.nonlinear_parameters if parameter.is_joint}
+        given: dict[str, Any] = {}
+        for name, value in values.items():
+            given[name] = model.names[int(value)] if name in joint_names else float(value)
         return EffectEntry(effect=cls.id, joint=model.names[joint], parameters=given)
 
     @property
-    def among(self) -> tuple[float, ...]:
-        """What tells it from others of its kind on the joint."""
-        return tuple(self.shape[held.name] for held in self.held if held.apart)
+    def instance(self) -> tuple[float, ...]:
+        """Values that distinguish the effect from others of its kind on the joint."""
+        return tuple(
+            self.nonlinear_values[parameter.name]
+            for parameter in self.nonlinear_parameters
+            if parameter.distinguishes_instances
+        )
 
     @property
+    @override
     def key(self) -> tuple[str | float, ...]:
-        """See `NamedEffect.key`."""
-        return self.id, self.owner, *self.among
+        return self.id, self.owner, *self.instance
 
-    def parameters(self, theta: Array, covariance: Array) -> dict[str, Value]:
-        """See `NamedEffect.parameters`."""
+    @override
+    def parameters(self, theta: Array, covariance: Array) -> dict[str, ParameterValue]:
         errors = np.sqrt(np.diag(covariance))
-        return {
-            name: (float(value), float(error) if np.isfinite(error) else None)
-            for name, value, error in zip(self.made(), theta, errors, strict=True)
-        }
+        parameters: dict[str, ParameterValue] = {}
+        for name, value, error in zip(self.linear_parameters(), theta, errors, strict=True):
+            parameters[name] = (float(value), float(error) if np.isfinite(error) else None)
+        return parameters
 
 
-def _held(entry: EffectEntry, held: Held, model: Model, joint: int) -> float:
-    """The value of a held parameter; a joint's index where it names one."""
-    if held.joint:
-        index = joint_index(entry, entry.parameters[held.name], model, held.name)
+def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Model, joint: int) -> float:
+    """Value of a nonlinear parameter; a joint's index where it names one."""
+    name = parameter.name
+    if parameter.is_joint:
+        index = read_joint_index(entry, entry.parameters[name], model, name)
         if index == joint:
             own = shown(model.names[joint])
-            raise ConfigError(place(entry), f"{held.name} {own} is the joint itself; name another")
+            raise ConfigError(entry_location(entry), f"{name} {own} is the joint itself; name another")
         return float(index)
-    if held.most is not None and held.name not in entry.parameters:
+
+    maximum = parameter.optional_maximum
+    if maximum is not None and name not in entry.parameters:
         return 0.0
-    value = number(entry, held.name)
-    if held.most is not None and not 0 <= value <= held.most:
-        raise ConfigError(place(entry), f"{held.name} of {value:g} cannot be; give one from 0 to {held.most:g}")
-    if held.positive and value < _LEAST:
-        raise ConfigError(place(entry), f"{held.name} of {value:g} cannot be; give {_LEAST:g} or more")
+    value = read_number(entry, name)
+    if maximum is not None and not 0 <= value <= maximum:
+        raise ConfigError(entry_location(entry), f"{name} of {value:g} cannot be; give one from 0 to {maximum:g}")
+    if parameter.positive and value < _MIN_POSITIVE:
+        raise ConfigError(entry_location(entry), f"{name} of {value:g} cannot be; give {_MIN_POSITIVE:g} or more")
     return value

@@ -1,4 +1,4 @@
-"""Joints whose motor and link sides are joined by a spring."""
+"""Joints whose motor and link sides are connected by a spring."""
 
 from __future__ import annotations
 
@@ -8,32 +8,35 @@ from functools import cache
 
 import numpy as np
 from scipy.signal import welch
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.held_effect import HeldJointEffect
-from idtool.dynamics.effects.joint_effect import Held
-from idtool.dynamics.effects.survey import Present, Survey
-from idtool.dynamics.mechanism import Gear, Mechanism
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.fixed_effect import FixedJointEffect
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.named_effect import NonlinearParameter
+from idtool.dynamics.mechanism import Mechanism, Transmission
 from idtool.robot.inertia import symmetric
 from idtool.robot.model import Model
 
-_DAMPING = 0.05  # of what is critical: harmonic drives and belts have a few per cent
-_BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz, below one of which torque tells the deflection
-_OF_RATE = 0.2  # of the sampling rate, that it is at the most
+_DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
+_BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: candidates for the band in which torque tells the deflection
+_MAX_BAND = 0.2  # of the sampling rate
 _CLEAR = 4.0  # of the noise's power density, above which torque tells more than noise
 _SPECTRUM = 1024  # samples
 _ORDER = 4
-MOTOR_FRICTION = (0.0, 0.5, 1.0)  # shares of friction on the motor's side that are tried
+MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
 
 
-class JointElasticity(HeldJointEffect):
+class JointElasticity(FixedJointEffect):
     """Motor side less link side = carried torque / stiffness.
 
-    The joint is measured and driven at the motor's side, where its rotors turn; all other effects act at the link's,
-    and of friction what ``motor_friction``, a share that may be left out, does not put on the motor's. Forwards it is a
-    spring with a damper of 5 % of what is critical for the motor, which needs a rotor or `rotor_inertia` on the joint.
+    The joint is measured and driven at the motor side, where its rotors turn; all other effects act at the link,
+    and of friction what ``motor_friction``, a share that may be left out, does not put on the motor. In the forward
+    model it is a spring with a damper of 5 % of what is critical for the motor, which needs a rotor or `rotor_inertia`
+    on the joint.
 
     In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
     torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz. What
@@ -42,107 +45,139 @@ class JointElasticity(HeldJointEffect):
     """
 
     id = "joint_elasticity"
-    means = "the joint gives under load"
-    shows = "quick reversals at high and at low load"
-    rank = 1
-    by_torque = True
-    turning = True
-    held = (Held("stiffness", positive=True), Held("motor_friction", most=1.0))
+    description = "the joint gives under load"
+    excitation_hint = "quick reversals at high and at low load"
+    order = 1
+    uses_measured_torque = True
+    acts_at_reversals = True
+    nonlinear_parameters = (
+        NonlinearParameter("stiffness", positive=True),
+        NonlinearParameter("motor_friction", optional_maximum=1.0),
+    )
 
-    def __init__(self, model: Model, joint: int, shape: Mapping[str, float] | None = None) -> None:
-        super().__init__(model, joint, shape)
-        self._rotors = np.zeros((len(model.joints), len(model.joints)))  # torque on each joint per acceleration of each
+    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
+        super().__init__(model, joint, nonlinear_values)
+        nv = len(model.joints)
+        self._rotor_inertia = np.zeros((nv, nv))  # torque on each joint per acceleration of each
         for body in model.bodies:
             if body.kind == "rotor":
                 axial = float(body.axis @ symmetric(body.pi[4:]) @ body.axis)
-                self._rotors += axial * np.outer(body.ratios, body.ratios)
-        self._along: Callable[[Motion], Present] | None = None
+                self._rotor_inertia += axial * np.outer(body.ratios, body.ratios)
+        self._model_along: Callable[[Motion], Linearization] | None = None
 
     @classmethod
-    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
-        """See `JointEffect.tried`: where teeth have play, what gives is the teeth."""
-        if not survey.has("backlash", survey.model.names[joint]):
-            for share in MOTOR_FRICTION:
-                yield {"motor_friction": share}
+    @override
+    def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
+        """Shares of friction on the motor side; none on a joint with backlash, where what gives is the teeth."""
+        if summary.has_effect("backlash", summary.model.names[joint]):
+            return
+        for share in MOTOR_FRICTION_SHARES:
+            yield {"motor_friction": share}
 
     @classmethod
-    def slopes(cls, survey: Survey, joint: int, shape: Mapping[str, float], motion: Motion, present: Present) -> Array:
-        """See `HeldJointEffect.slopes`: by the compliance, 1 / stiffness."""
-        one = cls(survey.model, joint, {"stiffness": 1.0})
-        q, v, a = one._deflection(motion, shape["motor_friction"] * present.rubbed(joint))
-        return present.moved(motion, joint, -q, -v, -a)
+    @override
+    def torque_derivative(
+        cls,
+        summary: DataSummary,
+        joint: int,
+        nonlinear_values: Mapping[str, float],
+        motion: Motion,
+        linearized: Linearization,
+    ) -> Array:
+        """Derivative by the compliance, 1 / stiffness."""
+        unit = cls(summary.model, joint, {"stiffness": 1.0})
+        motor_friction = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
+        q, v, a = unit._deflection(motion, motor_friction)
+        return linearized.torque_change_by_motion(joint, -q, -v, -a)
 
     @classmethod
-    def solved(cls, c: float, shape: Mapping[str, float]) -> Mapping[str, float] | None:
-        """See `HeldJointEffect.solved`."""
-        return {**shape, "stiffness": 1 / c} if c > 0 else None
+    @override
+    def values_from_coefficient(cls, c: float, nonlinear_values: Mapping[str, float]) -> Mapping[str, float] | None:
+        return {**nonlinear_values, "stiffness": 1 / c} if c > 0 else None
 
-    def refer(self, model: Callable[[Motion], Present], theta: Array) -> None:
-        """See `Effect.refer`."""
-        self._along = model
+    @override
+    def set_operating_point(self, model: Callable[[Motion], Linearization], theta: Array) -> None:
+        self._model_along = model
 
-    def true(self, motion: Motion) -> Motion:
-        """See `Effect.true`: the link's motion."""
-        ahead = np.stack(self._deflection(motion, self._rubbed(motion)))
-        return replace(self._moved(motion, -ahead), ahead={**motion.ahead, self.joint: ahead})
+    @override
+    def correct_motion(self, motion: Motion) -> Motion:
+        """Motion of the link."""
+        deflection = np.stack(self._deflection(motion, self._motor_friction(motion)))
+        link_motion = self._displaced(motion, -deflection)
+        return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
-    def known(self, motion: Motion) -> Array:
-        """See `Effect.known`: what the motor's side takes more than it would if it moved as the link, as given."""
-        ahead = motion.ahead[self.joint]
-        torque = np.outer(self._rotors[:, self.joint], ahead[2])
-        if self.shape["motor_friction"]:
-            torque[self.joint] += self._rubbed(self._moved(motion, ahead)) - self._rubbed(motion)
+    @override
+    def fixed_torque(self, motion: Motion) -> Array:
+        """Additional torque of the motor side, compared with a motor that moves as the link."""
+        deflection = motion.motor_minus_link[self.joint]
+        torque = np.outer(self._rotor_inertia[:, self.joint], deflection[2])
+        if self.nonlinear_values["motor_friction"]:
+            motor_motion = self._displaced(motion, deflection)
+            torque[self.joint] += self._motor_friction(motor_motion) - self._motor_friction(motion)
         return torque
 
-    def _rubbed(self, motion: Motion) -> Array | float:
-        """Friction on the motor's side that moves so, shape (N,)."""
-        share = self.shape["motor_friction"]
-        return share * self._along(motion).rubbed(self.joint) if share and self._along is not None else 0.0
+    def _motor_friction(self, motion: Motion) -> Array | float:
+        """Friction torque on the motor side, shape (N,) [N·m or N]."""
+        share: float = self.nonlinear_values["motor_friction"]
+        if not share or self._model_along is None:
+            return 0.0
+        return share * self._model_along(motion).friction_torque(self.joint)
 
-    def _moved(self, motion: Motion, by: Array) -> Motion:
-        """The motion with the joint's other by q, v and a, shape (3, N)."""
+    def _displaced(self, motion: Motion, change: Array) -> Motion:
+        """Motion with changes of the joint's q, v and a, shape (3, N)."""
         q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        for x, change in zip((q, v, a), by, strict=True):
-            x[self.joint] += change
+        q[self.joint] += change[0]
+        v[self.joint] += change[1]
+        a[self.joint] += change[2]
         return replace(motion, q=q, v=v, a=a)
 
-    def undefined(self, motion: Motion) -> dict[int, Mask]:
-        """Where the deflection is not known, since its filter reaches beyond the samples."""
+    @override
+    def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
+        """Samples at the ends, where the deflection is not known since its filter reaches beyond them."""
         edge = min(_low_pass(_BANDS[0], motion.dt).edge, len(motion.t))
         mask = np.zeros(len(motion.t), dtype=bool)
-        mask[:edge] = mask[len(mask) - edge :] = True
+        mask[:edge] = True
+        mask[len(mask) - edge :] = True
         return dict.fromkeys(range(len(motion.q)), mask)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        play = mechanism.gears[self.joint].play if self.joint in mechanism.gears else 0.0
-        mechanism.gears[self.joint] = Gear(self.shape["stiffness"], _DAMPING, play, self.shape["motor_friction"])
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        existing = mechanism.transmissions.get(self.joint)
+        mechanism.transmissions[self.joint] = Transmission(
+            stiffness=self.nonlinear_values["stiffness"],
+            damping_ratio=_DAMPING_RATIO,
+            backlash=existing.backlash if existing is not None else 0.0,
+            motor_friction=self.nonlinear_values["motor_friction"],
+        )
 
-    def _deflection(self, motion: Motion, rubbed: Array | float) -> tuple[Array, Array, Array]:
-        """The deflection and its first two derivatives, shape (N,); ``rubbed`` is friction on the motor's side."""
+    def _deflection(self, motion: Motion, motor_friction: Array | float) -> tuple[Array, Array, Array]:
+        """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
         dt = motion.dt
-        carried = motion.tau[self.joint] - self._rotors[self.joint] @ motion.a - rubbed
-        low_pass, r = _low_pass(_band(motion.logged[self.joint], dt), dt), 2 * DIFFERENCE_REACH
-        around = np.pad(carried, low_pass.reach + r, mode="reflect", reflect_type="odd")
-        x = low_pass(around[None], low_pass.reach, low_pass.reach) / self.shape["stiffness"]
-        v = differentiate(x, dt)
-        return x[0, r:-r], v[0, r // 2 : -(r // 2)], differentiate(v, dt)[0]
+        carried = motion.tau[self.joint] - self._rotor_inertia[self.joint] @ motion.a - motor_friction
+        low_pass = _low_pass(_band(motion.logged[self.joint], dt), dt)
+        margin = 2 * DIFFERENCE_REACH
+        padded = np.pad(carried, low_pass.reach + margin, mode="reflect", reflect_type="odd")
+        q = low_pass(padded[None], low_pass.reach, low_pass.reach) / self.nonlinear_values["stiffness"]
+        v = differentiate(q, dt)
+        a = differentiate(v, dt)
+        return q[0, margin:-margin], v[0, margin // 2 : -(margin // 2)], a[0]
 
 
 def _band(tau: Array, dt: float) -> float:
-    """Up to which frequency a torque stands above its noise [Hz]: beyond, its second derivative is mostly noise."""
+    """Frequency up to which a torque stands above its noise [Hz]: beyond, its second derivative is mostly noise."""
     # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
     f, power = welch(tau, 1 / dt, nperseg=min(_SPECTRUM, len(tau)))
-    tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
-    octaves = [power[(f > top / 2) & (f <= top)] for top in tops if top < 0.5 / dt]
+    octave_tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
+    octaves = [power[(f > top / 2) & (f <= top)] for top in octave_tops if top < 0.5 / dt]
     noise = min((np.median(octave) for octave in octaves if octave.size), default=0.0)
-    clear = [np.mean(octave) > _CLEAR * noise if octave.size else False for octave in octaves]
-    for band, above in reversed(list(zip(_BANDS, clear, strict=False))[1:]):
-        if above and band < _OF_RATE / dt:
-            return float(band)
-    return _BANDS[0]
+    best = _BANDS[0]
+    for band, octave in zip(_BANDS[1:], octaves[1:], strict=False):
+        is_clear = octave.size > 0 and np.mean(octave) > _CLEAR * noise
+        if is_clear and band < _MAX_BAND / dt:
+            best = band
+    return best
 
 
 @cache
 def _low_pass(band: float, dt: float) -> LowPass:
-    return LowPass(min(band, _OF_RATE / dt), _ORDER, dt)
+    return LowPass(min(band, _MAX_BAND / dt), _ORDER, dt)

@@ -1,9 +1,11 @@
 """`JointTerm` and `DryFriction`: one coefficient times one column on one joint; `JointTerms`: several of them.
 
-The column is all there is to write: forwards it is the torque at the simulated state. Dry friction gives its level
-instead, from which both follow: the column is the level times the direction of motion; forwards it is what a joint at
-rest can hold. A term is evaluated for several joints at once, ``joint`` being an array and the values in ``shape``
-columns; indexing and elementwise arithmetic need no care for that.
+A subclass writes the column only. In the forward model it is the torque at the simulated state. Dry friction gives its
+level instead, and both follow from that: the column is the level times the direction of motion, and in the forward
+model the level is what a joint at rest can hold.
+
+A term may be evaluated for several joints at once: ``joint`` is then an array and the nonlinear values are columns.
+Indexing and elementwise arithmetic work for both.
 """
 
 from __future__ import annotations
@@ -14,19 +16,21 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.base import Coefficient
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.effect import Coefficient
 from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
-_FAST = 0.1  # widths a sample above which the sign changes within it
-_SURE = 3.0  # widths of the rounded sign beyond which it is ±1 to half a percent
+_FAST = 0.1  # deadbands per sample above which the sign changes within a sample
+_SURE = 3.0  # deadbands beyond which the rounded sign is ±1 to half a percent
 
 
 class JointTerm(JointEffect):
@@ -36,12 +40,12 @@ class JointTerm(JointEffect):
     ----------
     name
         The coefficient's name (contract section 6).
-    unit
+    units
         For a revolute joint, and for a prismatic one.
     lower, upper
-        What physics allows.
+        Physical bounds.
     even
-        Whether the coefficient stays as it is when the joint's direction is turned round.
+        True if the coefficient's sign does not change when the joint's axis is reversed.
 
     Parameters
     ----------
@@ -51,58 +55,64 @@ class JointTerm(JointEffect):
         Index of the joint.
     prior
         The coefficient before any data.
-    shape
-        Values of the parameters in ``held``.
+    nonlinear_values
+        Values of the nonlinear parameters.
     """
 
     name: str
-    unit: tuple[str, str]
+    units: tuple[str, str]
     lower: float = 0.0
     upper: float = np.inf
     even: bool = True
 
-    def __init__(self, model: Model, joint: int, prior: float = 0.0, shape: Mapping[str, float] | None = None) -> None:
-        super().__init__(model, joint, shape)
+    def __init__(
+        self, model: Model, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
+    ) -> None:
+        super().__init__(model, joint, nonlinear_values)
         coefficient = Coefficient(
             effect=self.id,
             owner=self.owner,
             name=self.name,
-            unit=self.unit_in(model, joint),
+            unit=self.unit_on(model, joint),
             prior=prior,
             lower=self.lower,
             upper=self.upper,
             even=self.even,
-            among=self.among,
+            instance=self.instance,
         )
         self.coefficients = (coefficient,)
         self.active = tuple(np.arange(int(j == joint)) for j in range(len(model.joints)))
 
     @classmethod
-    def made(cls) -> tuple[str, ...]:
-        """See `JointEffect.made`."""
+    @override
+    def linear_parameters(cls) -> tuple[str, ...]:
         return (cls.name,)
 
     @classmethod
-    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
-        """See `JointEffect.with_values`."""
-        return cls(model, joint, values[cls.name], shape)
+    @override
+    def with_values(
+        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+    ) -> Self:
+        return cls(model, joint, values[cls.name], nonlinear_values)
 
     @classmethod
-    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
-        """See `JointEffect.probe`."""
-        return probe_of(cls.with_values(survey.model, joint, {cls.name: 0.0}, shape), survey, joint, shape)
+    @override
+    def probe(cls, summary: DataSummary, joint: int, nonlinear_values: Mapping[str, float]) -> Probe:
+        effect = cls.with_values(summary.model, joint, {cls.name: 0.0}, nonlinear_values)
+        return linear_probe(effect, summary, joint, nonlinear_values)
 
-    def unit_in(self, model: Model, joint: int) -> str:
-        """The coefficient's unit on a joint."""
-        return self.unit[model.joints[joint].kind == "prismatic"]
+    def unit_on(self, model: Model, joint: int) -> str:
+        """Unit of the coefficient on a joint."""
+        revolute, prismatic = self.units
+        return prismatic if model.joints[joint].kind == "prismatic" else revolute
 
-    def write(self, motion: Motion, out: Sequence[Array]) -> None:
-        """See `Effect.write`."""
+    @override
+    def columns(self, motion: Motion, out: Sequence[Array]) -> None:
         out[int(self.joint)][0] = self.column(motion)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        mechanism.smooth.append((self, float(theta[0])))
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        mechanism.smooth_terms.append((self, float(theta[0])))
 
     @abstractmethod
     def column(self, motion: Motion) -> Array:
@@ -112,62 +122,62 @@ class JointTerm(JointEffect):
 class DryFriction(JointTerm):
     """One coefficient on one joint whose torque is a level times the direction of motion."""
 
-    friction = True
+    is_friction = True
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        mechanism.dry.append((self, float(theta[0])))
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        mechanism.dry_friction_terms.append((self, float(theta[0])))
 
     @abstractmethod
     def level(self, motion: Motion) -> Array:
-        """What it takes to move, per unit of the coefficient, shape (N,); (k, N) for k joints."""
+        """Breakaway torque per unit of the coefficient, shape (N,); (k, N) for k joints."""
 
+    @override
     def column(self, motion: Motion) -> Array:
-        """The level times the direction of motion, rounded where v is too small to have one.
+        """Level times the direction of motion, which is rounded within the velocity deadband."""
+        x = motion.v[self.joint] / motion.velocity_deadband[self.joint]
+        direction = sample_mean(np.tanh(x), x, log_cosh)
+        return direction * self.level(motion)
 
-        The direction is the mean over the time from half a sample before to half a sample after.
-        """
-        x = motion.v[self.joint] / motion.still[self.joint]
-        return mean_within(np.tanh(x), x, log_cosh) * self.level(motion)
-
-    def undefined(self, motion: Motion) -> dict[int, Mask]:
-        """Where the joint rests: friction there can be anything up to its level."""
+    @override
+    def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
+        """Samples at rest, where friction can be anything up to its level."""
         joint = int(self.joint)
-        return {joint: np.abs(motion.v[joint]) < _SURE * motion.still[joint]}
+        return {joint: np.abs(motion.v[joint]) < _SURE * motion.velocity_deadband[joint]}
 
 
-def mean_within(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array:
-    """Means of a function over the time from half a sample before to half a sample after.
+def sample_mean(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array:
+    """Mean of a function f(x) over the time from half a sample before to half a sample after each sample.
 
     Parameters
     ----------
     f
-        The function at the samples, which is its mean where x hardly changes, shape (N,).
+        f(x) at the samples, shape (N,); it is the mean where x hardly changes.
     x
-        Its argument, in units in which the function changes over 1 at the fastest, shape (N,).
+        Its argument, in units over which f changes by 1 at the fastest, shape (N,).
     integral
-        Its integral over x.
+        The integral of f over x.
     """
-    edge = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
-    change = np.diff(edge)
+    edges = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    change = np.diff(edges)
     fast = np.abs(change) > _FAST
     mean = f.copy()
-    mean[fast] = np.diff(integral(edge))[fast] / change[fast]
+    mean[fast] = np.diff(integral(edges))[fast] / change[fast]
     return mean
 
 
 def log_cosh(x: Array) -> Array:
-    """The integral of tanh, but for a constant."""
+    """Integral of tanh, up to a constant."""
     return np.asarray(np.logaddexp(x, -x))
 
 
 class JointTerms(JointEffect):
-    """Several coefficients on one joint: terms that share their shape values.
+    """Several coefficients on one joint: terms with the same nonlinear values.
 
     Attributes
     ----------
-    kinds
-        The terms, in the order of the coefficients. They bear no id.
+    term_types
+        The terms, in the order of the coefficients. They have no id.
 
     Parameters
     ----------
@@ -176,77 +186,87 @@ class JointTerms(JointEffect):
     joint
         Index of the joint.
     prior
-        The coefficients before any data; none: 0.
-    shape
-        Values of the parameters in ``held``.
+        The coefficients before any data; empty: 0.
+    nonlinear_values
+        Values of the nonlinear parameters.
     """
 
-    kinds: tuple[type[JointTerm], ...] = ()
+    term_types: tuple[type[JointTerm], ...] = ()
 
     def __init__(
-        self, model: Model, joint: int, prior: Sequence[float] = (), shape: Mapping[str, float] | None = None
+        self,
+        model: Model,
+        joint: int,
+        prior: Sequence[float] = (),
+        nonlinear_values: Mapping[str, float] | None = None,
     ) -> None:
-        super().__init__(model, joint, shape)
-        priors = prior or [0.0] * len(self.kinds)
-        self.terms = tuple(kind(model, joint, x, shape) for kind, x in zip(self.kinds, priors, strict=True))
-        self.coefficients = tuple(
-            replace(term.coefficients[0], effect=self.id, among=self.among) for term in self.terms
+        super().__init__(model, joint, nonlinear_values)
+        priors = prior or [0.0] * len(self.term_types)
+        self.terms = tuple(
+            term_type(model, joint, x, nonlinear_values) for term_type, x in zip(self.term_types, priors, strict=True)
         )
-        self.active = tuple(np.arange(len(self.terms) * (j == joint)) for j in range(len(model.joints)))
+        self.coefficients = tuple(
+            replace(term.coefficients[0], effect=self.id, instance=self.instance) for term in self.terms
+        )
+        self.active = tuple(np.arange(len(self.terms) if j == joint else 0) for j in range(len(model.joints)))
 
     @classmethod
-    def made(cls) -> tuple[str, ...]:
-        """See `JointEffect.made`."""
-        return tuple(kind.name for kind in cls.kinds)
+    @override
+    def linear_parameters(cls) -> tuple[str, ...]:
+        return tuple(term_type.name for term_type in cls.term_types)
 
     @classmethod
-    def with_values(cls, model: Model, joint: int, values: Mapping[str, float], shape: Mapping[str, float]) -> Self:
-        """See `JointEffect.with_values`."""
-        return cls(model, joint, [values[name] for name in cls.made()], shape)
+    @override
+    def with_values(
+        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+    ) -> Self:
+        return cls(model, joint, [values[name] for name in cls.linear_parameters()], nonlinear_values)
 
     @classmethod
-    def probe(cls, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
-        """See `JointEffect.probe`."""
-        effect = cls.with_values(survey.model, joint, dict.fromkeys(cls.made(), 0.0), shape)
-        return probe_of(effect, survey, joint, shape)
+    @override
+    def probe(cls, summary: DataSummary, joint: int, nonlinear_values: Mapping[str, float]) -> Probe:
+        zeros = dict.fromkeys(cls.linear_parameters(), 0.0)
+        effect = cls.with_values(summary.model, joint, zeros, nonlinear_values)
+        return linear_probe(effect, summary, joint, nonlinear_values)
 
-    def write(self, motion: Motion, out: Sequence[Array]) -> None:
-        """See `Effect.write`."""
+    @override
+    def columns(self, motion: Motion, out: Sequence[Array]) -> None:
         for row, term in zip(out[int(self.joint)], self.terms, strict=True):
             row[:] = term.column(motion)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         for k, term in enumerate(self.terms):
-            term.join(theta[k : k + 1], mechanism)
+            term.add_to_forward_model(theta[k : k + 1], mechanism)
 
-    def undefined(self, motion: Motion) -> dict[int, Mask]:
-        """See `Effect.undefined`."""
-        masks = [mask for term in self.terms for mask in term.undefined(motion).values()]
+    @override
+    def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
+        masks = [mask for term in self.terms for mask in term.invalid_mask(motion).values()]
         return {int(self.joint): np.logical_or.reduce(masks)} if masks else {}
 
 
-def probe_of(effect: JointEffect, survey: Survey, joint: int, shape: Mapping[str, float]) -> Probe:
-    """An effect on a joint that is linear in its coefficients, at values of its other parameters, as a probe."""
+def linear_probe(effect: JointEffect, summary: DataSummary, joint: int, nonlinear_values: Mapping[str, float]) -> Probe:
+    """Probe of an effect on a joint that is linear in its coefficients, at given nonlinear values."""
     count = len(effect.coefficients)
 
-    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
-        out = [np.empty((count * (j == joint), len(motion.t))) for j in range(len(motion.q))]
-        effect.write(motion, out)
+    def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
+        out = [np.empty((count if j == joint else 0, len(motion.t))) for j in range(len(motion.q))]
+        effect.columns(motion, out)
         return {joint: out[joint]}
 
-    def entry(c: Array, information: Array) -> EffectEntry:
-        made = effect.parameters(c, np.full((count, count), np.inf))
-        return effect.entry(survey.model, joint, {**{name: value for name, (value, _) in made.items()}, **shape})
+    def to_entry(c: Array, information: Array) -> EffectEntry:
+        parameters = effect.parameters(c, np.full((count, count), np.inf))
+        values = {name: value for name, (value, _) in parameters.items()}
+        return effect.to_entry(summary.model, joint, {**values, **nonlinear_values})
 
     return Probe(
         effect=effect.id,
         joint=effect.owner,
         link=None,
         columns=columns,
-        size=count,
-        entry=entry,
-        shape=shape,
+        coefficient_count=count,
+        to_entry=to_entry,
+        nonlinear_values=nonlinear_values,
         lower=tuple(c.lower for c in effect.coefficients),
         upper=tuple(c.upper for c in effect.coefficients),
     )

@@ -1,4 +1,4 @@
-"""`LinkEffect`: an effect that acts on one link, and how an entry of a configuration is read as one."""
+"""`LinkEffect`: an effect that acts on one link, and its reading from an entry of a configuration."""
 
 from __future__ import annotations
 
@@ -7,90 +7,100 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.dynamics.effects.held_effect import HeldEffect
-from idtool.dynamics.effects.named import check_names, place
+from idtool.dynamics.effects.entry_parameters import check_parameter_names, entry_location
+from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
 
-class LinkEffect(HeldEffect):
+class LinkEffect(FixedEffect):
     """An effect on one link, which may be part of a body under another name.
 
     Attributes
     ----------
-    names
-        Of its parameters.
+    parameter_names
+        Names of the parameters.
     link
-        The link.
+        Name of the link.
     frame
-        Where the link's frame is in the body that carries it.
+        Pose of the link's frame in the body that carries it.
     chain
-        The model with no bodies but those that that body hangs on, and itself, which comes last.
+        The model reduced to the bodies from the base to that body, which comes last.
 
     Parameters
     ----------
     model
         The robot.
     link
-        The link.
+        Name of the link.
     frame
-        Where it is.
+        Pose of its frame in the body that carries it.
     """
 
-    names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
 
     def __init__(self, model: Model, link: str, frame: Frame) -> None:
         super().__init__(model)
-        self.link, self.frame = link, frame
+        self.link = link
+        self.frame = frame
         self.chain = _chain(model, frame.body)
 
     @classmethod
-    def of(cls, entry: EffectEntry, model: Model) -> Self:
-        """See `NamedEffect.of`."""
+    @override
+    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
         if entry.link is None or entry.joint is not None:
-            raise ConfigError(place(entry), "acts on a link; give link, and no joint")
+            raise ConfigError(entry_location(entry), "acts on a link; give link, and no joint")
         links = model.robot.links
         if entry.link not in links:
-            raise ConfigError(place(entry), f"{shown(entry.link)} is no link of the URDF; {nearest(entry.link, links)}")
-        check_names(entry, cls.names)
-        return cls.read(entry, model, _frame(entry, entry.link, model))
+            message = f"{shown(entry.link)} is no link of the URDF; {nearest(entry.link, links)}"
+            raise ConfigError(entry_location(entry), message)
+        check_parameter_names(entry, cls.parameter_names)
+        return cls.from_checked_entry(entry, model, _link_frame(entry, entry.link, model))
 
     @classmethod
     @abstractmethod
-    def read(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
-        """The effect that an entry with the right names describes."""
+    def from_checked_entry(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
+        """Effect that an entry describes whose parameter names and link have been checked."""
 
     @property
+    @override
     def key(self) -> tuple[str | float, ...]:
-        """See `NamedEffect.key`."""
         return self.id, self.link
 
 
-def _frame(entry: EffectEntry, link: str, model: Model) -> Frame:
-    """Where a link's frame is in the body that carries it, by way of links on fixed joints that have no inertial."""
-    places = {member.link: member.frame for body in model.bodies for member in body.members}
-    above = {joint.child: joint for joint in model.robot.joints.values()}
-    R, p, at = np.eye(3), np.zeros(3), link
-    while at not in places:
-        if at not in above:
-            raise ConfigError(place(entry), f"link {shown(link)} moves with no joint; name one that does")
-        joint = above[at]
+def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
+    """Pose of a link's frame in the body that carries it, through fixed joints of links without inertial."""
+    frames = {member.link: member.frame for body in model.bodies for member in body.members}
+    parent_joints = {joint.child: joint for joint in model.robot.joints.values()}
+    R = np.eye(3)
+    p = np.zeros(3)
+    ancestor = link
+    while ancestor not in frames:
+        if ancestor not in parent_joints:
+            raise ConfigError(entry_location(entry), f"link {shown(link)} moves with no joint; name one that does")
+        joint = parent_joints[ancestor]
         if joint.kind != "fixed":
-            held = f"hangs on joint {shown(joint.name)}, which is held still"
-            raise ConfigError(place(entry), f"link {shown(link)} {held}; name the link before it")
-        R, p, at = joint.R @ R, joint.p + joint.R @ p, joint.parent
-    return places[at].then(R, p)
+            reason = f"hangs on joint {shown(joint.name)}, which is held still"
+            raise ConfigError(entry_location(entry), f"link {shown(link)} {reason}; name the link before it")
+        R, p = joint.R @ R, joint.p + joint.R @ p
+        ancestor = joint.parent
+    return frames[ancestor].then(R, p)
 
 
 def _chain(model: Model, last: int) -> Model:
-    """See `LinkEffect.chain`."""
+    """Model of the bodies from the base to one of them; see `LinkEffect.chain`."""
     bodies = []
-    while last >= 0:
-        bodies.append(model.bodies[last])
-        last = bodies[-1].mount.body
-    chain = (replace(body, mount=replace(body.mount, body=i - 1)) for i, body in enumerate(reversed(bodies)))
+    index = last
+    while index >= 0:
+        bodies.append(model.bodies[index])
+        index = model.bodies[index].mount.body
+    bodies.reverse()
+    chain = []
+    for i, body in enumerate(bodies):
+        chain.append(replace(body, mount=replace(body.mount, body=i - 1)))
     return replace(model, bodies=tuple(chain))

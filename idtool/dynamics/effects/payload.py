@@ -1,4 +1,4 @@
-"""What a link carries and the model has not."""
+"""A body on a link that the model lacks."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from typing import Self
 
 import numpy as np
 from scipy.optimize import least_squares
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.entry_parameters import entry_location, read_number, read_vector
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.link_effect import LinkEffect
-from idtool.dynamics.effects.named import number, place, vector
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
@@ -33,47 +35,10 @@ from idtool.robot.kinematics import body_motions, cross
 from idtool.robot.model import Model
 
 _ROUNDING = 1e-9  # of the inertia's size
-_SEEN = 1e-9  # of the largest information, that is taken at the least
-_COMPACT = 1e-3  # m²: of a start's inertia over its mass
-_FAR = 1.0  # m: from the link's frame, where a search begins at the most
-_COUNT = 4  # numbers that speak of it: mass and centre; the inertia about it follows within narrow bounds
-
-
-def replaced(load: Payload, pi: Array) -> Payload:
-    """A payload with other parameters, in the link's frame."""
-    other = copy.copy(load)
-    other.pi = transformation(load.frame.R, load.frame.p) @ pi
-    return other
-
-
-def realizable(c: Array, information: Array) -> Array | None:
-    """The parameters of a body that come nearest to c, shape (10,), in the data's own measure; None: it has no mass.
-
-    With J = L Lᵀ, every L is a body (Rucker & Wensing 2022), so that nothing constrains the search.
-    """
-    if not c[0] > 0:
-        return None
-    size = np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(information / size[:, None] / size)
-    root = (vectors * np.sqrt(np.maximum(values, _SEEN * values[-1]))).T * size
-    lower = np.tril_indices(4)
-
-    def body(x: Array) -> Array:
-        L = np.zeros((4, 4))
-        L[lower] = x
-        return from_pseudo_inertia(L @ L.T)
-
-    def off(x: Array) -> Array:
-        return np.asarray(root @ (body(x) - c))
-
-    com = c[1:4] / c[0]
-    com *= min(1.0, _FAR / np.linalg.norm(com)) if com.any() else 1.0
-    start = from_mass_com_inertia(float(c[0]), com, np.eye(3) * _COMPACT * float(c[0]))
-    x = np.linalg.cholesky(pseudo_inertia(start))[lower]
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        found = least_squares(off, x, method="lm")
-    pi = body(found.x)
-    return pi if pi[0] > 0 else None
+_MIN_INFORMATION = 1e-9  # of the largest eigenvalue, that every other is taken to have at least
+_START_INERTIA = 1e-3  # m²: inertia over mass at the start of a search
+_MAX_START_DISTANCE = 1.0  # m: from the link's frame to the centre of mass at the start of a search
+_PARAMETER_COUNT = 4  # mass and centre count; the inertia about it follows within narrow bounds
 
 
 class Payload(LinkEffect):
@@ -86,71 +51,86 @@ class Payload(LinkEffect):
     model
         The robot.
     link
-        The link.
+        Name of the link.
     frame
-        Where it is.
+        Pose of its frame in the body that carries it.
     pi
         The payload's parameters in the link's frame, shape (10,).
     """
 
     id = "payload"
-    means = "the link carries what the model has not"
-    shows = "quick and slow motion in many postures"
-    names = ("mass", "com", "inertia")
+    description = "the link carries what the model has not"
+    excitation_hint = "quick and slow motion in many postures"
+    parameter_names = ("mass", "com", "inertia")
 
     def __init__(self, model: Model, link: str, frame: Frame, pi: Array) -> None:
         super().__init__(model, link, frame)
         self.pi = transformation(frame.R, frame.p) @ pi  # in the body's frame
 
     @classmethod
-    def read(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
-        """See `LinkEffect.read`."""
-        mass, com, inertia = number(entry, "mass"), vector(entry, "com", 3), symmetric(vector(entry, "inertia", 6))
+    @override
+    def from_checked_entry(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
+        mass = read_number(entry, "mass")
+        com = read_vector(entry, "com", 3)
+        inertia = symmetric(read_vector(entry, "inertia", 6))
         if not mass > 0:
-            raise ConfigError(place(entry), f"mass of {mass:g} cannot be; give one above 0")
+            raise ConfigError(entry_location(entry), f"mass of {mass:g} cannot be; give one above 0")
         about_com = pseudo_inertia(from_mass_com_inertia(mass, np.zeros(3), inertia))[:3, :3]
         if np.linalg.eigvalsh(about_com)[0] < -_ROUNDING * np.abs(inertia).max():
-            what = "no body has this inertia about its centre: its moments break a triangle inequality or are negative"
-            raise ConfigError(place(entry), f"{what}; give [ixx, ixy, iyy, ixz, iyz, izz] of one that can be")
+            problem = (
+                "no body has this inertia about its centre: its moments break a triangle inequality or are negative"
+            )
+            advice = "give [ixx, ixy, iyy, ixz, iyz, izz] of one that can be"
+            raise ConfigError(entry_location(entry), f"{problem}; {advice}")
         return cls(model, str(entry.link), frame, from_mass_com_inertia(mass, com, inertia))
 
     @classmethod
-    def shapes(cls) -> tuple[str, ...]:
-        """See `NamedEffect.shapes`."""
-        return "mass", *(f"com.{k}" for k in range(3))
+    @override
+    def gradient_parameters(cls) -> tuple[str, ...]:
+        return "mass", "com.0", "com.1", "com.2"
 
     @classmethod
-    def probes(cls, survey: Survey) -> Iterator[Probe]:
-        """See `NamedEffect.probes`: on links whose inertia is taken as true; else it is the link's own."""
-        if survey.fixed:
-            for body in survey.model.bodies:
-                if body.kind == "link" and not survey.has(cls.id, body.name):
-                    yield cls._probe(survey.model, body.name)
+    @override
+    def probes(cls, summary: DataSummary) -> Iterator[Probe]:
+        """One probe per link if the URDF's inertia is fixed; else a payload is part of the link's own inertia."""
+        if not summary.fixed_inertia:
+            return
+        for body in summary.model.bodies:
+            if body.kind == "link" and not summary.has_effect(cls.id, body.name):
+                yield cls._probe(summary.model, body.name)
 
     @classmethod
     def _probe(cls, model: Model, link: str) -> Probe:
-        """Of the ten parameters in the link's frame, each by itself."""
-        nothing = EffectEntry(
-            effect=cls.id, link=link, parameters={"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
-        )
-        loads = [replaced(cls.of(nothing, model), pi) for pi in np.eye(SIZE)]
+        """Probe of the ten parameters in the link's frame."""
+        parameters = {"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
+        payload = cls.from_entry(EffectEntry(effect=cls.id, link=link, parameters=parameters), model)
+        unit_payloads = [with_parameters(payload, pi) for pi in np.eye(SIZE)]
 
-        def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
-            rows = np.stack([load.known(motion) for load in loads])
+        def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
+            rows = np.stack([unit_payload.fixed_torque(motion) for unit_payload in unit_payloads])
             return {j: rows[:, j] for j in range(len(motion.q)) if rows[:, j].any()}
 
-        def entry(c: Array, information: Array) -> EffectEntry | None:
-            pi = realizable(c, information)
+        def to_entry(c: Array, information: Array) -> EffectEntry | None:
+            pi = nearest_realizable(c, information)
             if pi is None:
                 return None
             mass, com, inertia = mass_com_inertia(pi)
-            given = {"mass": float(mass), "com": com.tolist(), "inertia": six(inertia).tolist()}
-            return EffectEntry(effect=cls.id, link=link, parameters=given)
+            parameters = {"mass": float(mass), "com": com.tolist(), "inertia": six(inertia).tolist()}
+            return EffectEntry(effect=cls.id, link=link, parameters=parameters)
 
-        return Probe(cls.id, None, link, columns, SIZE, entry, count=_COUNT)
+        return Probe(
+            effect=cls.id,
+            joint=None,
+            link=link,
+            columns=columns,
+            coefficient_count=SIZE,
+            to_entry=to_entry,
+            parameter_count=_PARAMETER_COUNT,
+        )
 
-    def known(self, motion: Motion) -> Array:
-        """See `Effect.known`: force and moment about the body's origin that its motion takes (4), on the joints."""
+    @override
+    def fixed_torque(self, motion: Motion) -> Array:
+        """Joint torque from the force and moment about the body's origin that the payload's motion takes (4)."""
         body = body_motions(self.chain, motion.q, motion.v, motion.a)[-1]
         mass, h, inertia = self.pi[0], self.pi[1:4], symmetric(self.pi[4:])
         force = mass * body.acc + np.einsum("ijn,j->in", body.M, h)
@@ -159,6 +139,46 @@ class Payload(LinkEffect):
         tau[body.coordinates] = np.einsum("ikn,in->kn", body.S_v, force) + np.einsum("ikn,in->kn", body.S_w, moment)
         return tau
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.pi[self.frame.body] += self.pi
+
+
+def with_parameters(payload: Payload, pi: Array) -> Payload:
+    """Payload with other parameters in the link's frame, shape (10,)."""
+    other = copy.copy(payload)
+    other.pi = transformation(payload.frame.R, payload.frame.p) @ pi
+    return other
+
+
+def nearest_realizable(c: Array, information: Array) -> Array | None:
+    """Parameters of the body nearest to c, shape (10,), in the metric of the information; None if it has no mass.
+
+    With J = L Lᵀ, every L is a body (Rucker & Wensing 2022), so that the search is unconstrained.
+    """
+    if not c[0] > 0:
+        return None
+    size = np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(information / size[:, None] / size)
+    values = np.maximum(values, _MIN_INFORMATION * values[-1])
+    root = (vectors * np.sqrt(values)).T * size  # rootᵀ root is the information
+    lower = np.tril_indices(4)
+
+    def parameters(x: Array) -> Array:
+        L = np.zeros((4, 4))
+        L[lower] = x
+        return from_pseudo_inertia(L @ L.T)
+
+    def residual(x: Array) -> Array:
+        return np.asarray(root @ (parameters(x) - c))
+
+    mass = float(c[0])
+    com = c[1:4] / c[0]
+    if com.any():
+        com *= min(1.0, _MAX_START_DISTANCE / np.linalg.norm(com))
+    start = from_mass_com_inertia(mass, com, np.eye(3) * _START_INERTIA * mass)
+    x = np.linalg.cholesky(pseudo_inertia(start))[lower]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        solution = least_squares(residual, x, method="lm")
+    pi = parameters(solution.x)
+    return pi if pi[0] > 0 else None

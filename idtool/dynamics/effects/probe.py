@@ -1,8 +1,8 @@
-"""`Probe`: an effect that may be missing, as columns of first order about the model that is there.
+"""`Probe`: an effect that may be missing, as columns of first order about the present model.
 
-What the present model leaves of the measured torque is compared with the columns times free coefficients. An effect
-that is linear in its coefficients has its own columns; one that changes what was measured, or the links' motion, has
-the derivative of the predicted torque by its parameter, in units of the measured torque.
+The residual of the present model is compared with the columns times free coefficients. An effect that is linear in its
+coefficients has its own columns. One that changes what was measured, or the links' motion, has the derivative of the
+predicted torque by its parameter, in units of the measured torque.
 """
 
 from __future__ import annotations
@@ -14,73 +14,75 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.survey import Present
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.robot.config import EffectEntry
 
-Columns = Callable[[Motion, Present], Mapping[int, Array]]
+ProbeColumns = Callable[[Motion, Linearization], Mapping[int, Array]]
 
 
 @dataclass(frozen=True)
 class Probe:
-    """A hypothesis.
+    """A hypothesis: one effect on one joint or link.
 
     Attributes
     ----------
     effect, joint, link
         As in a configuration.
     columns
-        Of k coefficients: by joint index, shape (k, N).
-    size
+        Columns of the k coefficients: joint index to shape (k, N).
+    coefficient_count
         k.
-    shape
-        Values of what is searched by trying, by name: of what the columns depend on.
-    entry
-        Coefficients, shape (k,), and the data's information on them, (k, k), to an entry of a configuration; None: no
-        such effect can be.
+    to_entry
+        Configuration entry, from the coefficients, shape (k,), and the data's information on them, (k, k); None if
+        there is no such effect.
+    nonlinear_values
+        Values, by name, that the columns depend on.
     lower, upper
-        Of the coefficients, shape (k,): beyond, it is no explanation.
-    again
-        Makes it at other values of the shape; None where it has none.
-    local
-        Whether it acts in stretches of time of its own, so that other times tell nothing of it.
-    count
-        How many parameters it has; 0: as many as coefficients and shape values.
+        Physical bounds of the coefficients, shape (k,); empty: none.
+    rebuild
+        The probe at other nonlinear values; None if it has none.
+    is_local
+        True if it acts in time intervals of its own, so that other times tell nothing of it.
+    parameter_count
+        Number of parameters; 0: as many as coefficients and nonlinear values.
     """
 
     effect: str
     joint: str | None
     link: str | None
-    columns: Columns
-    size: int
-    entry: Callable[[Array, Array], EffectEntry | None]
-    shape: Mapping[str, float] = field(default_factory=dict)
+    columns: ProbeColumns
+    coefficient_count: int
+    to_entry: Callable[[Array, Array], EffectEntry | None]
+    nonlinear_values: Mapping[str, float] = field(default_factory=dict)
     lower: Sequence[float] = ()
     upper: Sequence[float] = ()
-    again: Callable[[Mapping[str, float]], Probe] | None = None
-    local: bool = False
-    count: int = 0
+    rebuild: Callable[[Mapping[str, float]], Probe] | None = None
+    is_local: bool = False
+    parameter_count: int = 0
 
-    def at(self, shape: Mapping[str, float]) -> Probe:
-        """The same with other values of what is searched by trying."""
-        return self.again(shape) if self.again else self
-
-    @property
-    def parameters(self) -> int:
-        """How many numbers it takes to write it down."""
-        return self.count or self.size + len(self.shape)
+    def at(self, nonlinear_values: Mapping[str, float]) -> Probe:
+        """The probe at other nonlinear values."""
+        return self.rebuild(nonlinear_values) if self.rebuild else self
 
     @property
-    def on(self) -> tuple[str, str]:
-        """Its effect and what it acts on."""
+    def complexity(self) -> int:
+        """Count of the numbers that describe the effect."""
+        return self.parameter_count or self.coefficient_count + len(self.nonlinear_values)
+
+    @property
+    def subject(self) -> tuple[str, str]:
+        """The effect and the joint or link that it acts on."""
         return self.effect, self.joint or self.link or ""
 
-    def allowed(self, c: Array) -> bool:
-        """Whether physics allows coefficients, shape (k,)."""
-        low = np.asarray(self.lower) if len(self.lower) else -np.inf
-        high = np.asarray(self.upper) if len(self.upper) else np.inf
-        return bool((c >= low).all() and (c <= high).all())
+    def is_feasible(self, c: Array) -> bool:
+        """True if coefficients, shape (k,), are within the physical bounds."""
+        lower = np.asarray(self.lower) if len(self.lower) else -np.inf
+        upper = np.asarray(self.upper) if len(self.upper) else np.inf
+        return bool((c >= lower).all() and (c <= upper).all())
 
 
-def spread(low: float, high: float, count: int) -> list[float]:
-    """Values to try in equal ratios."""
-    return [float(x) for x in np.geomspace(low, high, count)] if 0 < low < high else []
+def geometric_grid(low: float, high: float, count: int) -> list[float]:
+    """Values in equal ratios from ``low`` to ``high``; none if the range is empty."""
+    if not 0 < low < high:
+        return []
+    return [float(x) for x in np.geomspace(low, high, count)]

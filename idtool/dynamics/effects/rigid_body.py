@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.base import Coefficient, Effect
+from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
 from idtool.robot.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
 from idtool.robot.kinematics import BodyMotion, body_motions, cross
 from idtool.robot.model import Model
 
-_LIGHT = 0.1  # of the bodies' median mass
+_MIN_MASS_SHARE = 0.1  # of the bodies' median mass
 
 
 class RigidBodies(Effect):
@@ -30,41 +31,45 @@ class RigidBodies(Effect):
     def __init__(self, model: Model) -> None:
         self.model = model
         typical = typical_mass(model.bodies)
-        self.coefficients = tuple(
-            Coefficient("rigid_body", body.name, name, unit, float(prior), float(scale))
-            for body in model.bodies
-            for name, unit, prior, scale in zip(NAMES, UNITS, body.pi, scales(body, typical), strict=True)
-        )
-        self._support = support = model.support()
-        self.active = tuple(
-            (np.flatnonzero(support[:, j])[:, None] * SIZE + np.arange(SIZE)).ravel() for j in range(support.shape[1])
-        )
-        self._first_row: Indices = (
-            np.cumsum(support, axis=0) - support
-        )  # of each body within a joint's columns, in bodies
+        coefficients = []
+        for body in model.bodies:
+            for name, unit, prior, scale in zip(NAMES, UNITS, body.pi, parameter_scales(body, typical), strict=True):
+                coefficients.append(Coefficient("rigid_body", body.name, name, unit, float(prior), float(scale)))
+        self.coefficients = tuple(coefficients)
 
-    def write(self, motion: Motion, out: Sequence[Array]) -> None:
-        """See `Effect.write`."""
+        support = model.support()
+        active = []
+        for joint in range(support.shape[1]):
+            bodies = np.flatnonzero(support[:, joint])
+            active.append((bodies[:, None] * SIZE + np.arange(SIZE)).ravel())
+        self.active = tuple(active)
+        self._support = support
+        # Number of bodies before each body among the columns of a joint:
+        self._position: Indices = np.cumsum(support, axis=0) - support
+
+    @override
+    def columns(self, motion: Motion, out: Sequence[Array]) -> None:
         for i, body_motion in enumerate(body_motions(self.model, motion.q, motion.v, motion.a)):
             D = _inertia_torque(body_motion)
             body = self.model.bodies[i]
-            above = self._support[body.mount.body] if body.mount.body >= 0 else np.zeros(len(self.active), dtype=bool)
             for k, joint in enumerate(body_motion.coordinates):
-                first = SIZE * self._first_row[i, joint]
+                first = SIZE * self._position[i, joint]
                 rows = out[joint][first : first + SIZE]
-                if above[joint]:
-                    _write_row(body_motion, D, k, rows)
+                parent = body.mount.body
+                moves_parent = parent >= 0 and self._support[parent, joint]
+                if moves_parent:
+                    _write_columns(body_motion, D, k, rows)
                 else:
-                    _write_own_row(body, body_motion, D, body.ratios[joint], rows)
+                    _write_own_axis_columns(body, body_motion, D, body.ratios[joint], rows)
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.pi += theta.reshape(-1, SIZE)
         mechanism.gravity = self.model.gravity
 
 
-def _write_own_row(body: Body, motion: BodyMotion, D: Array, ratio: float, out: Array) -> None:
-    """The same as `_write_row` for a coordinate that moves the body along or about its own axis and in no other way."""
+def _write_own_axis_columns(body: Body, motion: BodyMotion, D: Array, ratio: float, out: Array) -> None:
+    """Write what `_write_columns` does, for a joint that moves the body along or about its own axis alone."""
     axis = ratio * body.axis
     if body.prismatic:
         out[0] = axis @ motion.acc
@@ -76,8 +81,8 @@ def _write_own_row(body: Body, motion: BodyMotion, D: Array, ratio: float, out: 
         out[4:] = np.tensordot(axis, D, axes=1)
 
 
-def _write_row(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
-    """A body's ten columns in one joint's equation: the power that joint's motion takes from the body's wrench.
+def _write_columns(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
+    """Write a body's ten columns in one joint's equation: the power of the body's wrench in that joint's motion.
 
     With the body's wrench f = m acc + M h, n = h × acc + I alpha + w × I w (4), the power is S_v · f + S_w · n;
     collected by parameter.
@@ -90,9 +95,11 @@ def _write_row(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
 
 
 def _inertia_torque(motion: BodyMotion) -> Array:
-    """I alpha + w × I w = D [I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], shape (3, 6, N)."""
-    (x, y, z), (a, b, c), M = motion.w, motion.alpha, motion.M
+    """Matrix D of I alpha + w × I w = D [I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], shape (3, 6, N)."""
+    x, y, z = motion.w
+    a, b, c = motion.alpha
     xy, yz, zx = x * y, y * z, z * x
+    M = motion.M
     D = np.empty((3, 6, len(x)))
     D[0] = a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz
     D[1] = zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx
@@ -101,24 +108,26 @@ def _inertia_torque(motion: BodyMotion) -> Array:
 
 
 def typical_mass(bodies: Sequence[Body]) -> float:
-    """A mass to measure by where a body has none [kg]: the bodies' median, or 1."""
+    """Median mass of the bodies that have one, or 1 [kg]."""
     masses = [body.pi[0] for body in bodies if body.pi[0] > 0]
     return float(np.median(masses)) if masses else 1.0
 
 
-def length(body: Body) -> float:
-    """A body's typical length [m]: its bounds', or the prior's radius of gyration, or 0.1."""
+def typical_length(body: Body) -> float:
+    """Size of a body's bounds, or the prior's radius of gyration, or 0.1 [m]."""
     if body.bounds:
         return max(bound.size for bound in body.bounds)
     mass, _, inertia = mass_com_inertia(body.pi)
-    gyration = np.sqrt(np.trace(inertia) / (2 * mass)) if mass > 0 and np.trace(inertia) > 0 else 0.0
-    return float(gyration) or 0.1
+    trace = np.trace(inertia)
+    if mass > 0 and trace > 0:
+        return float(np.sqrt(trace / (2 * mass)))
+    return 0.1
 
 
-def scales(body: Body, typical: float) -> Array:
+def parameter_scales(body: Body, typical: float) -> Array:
     """Typical sizes of a body's parameters, shape (10,): mass, mass × length, mass × length².
 
-    A mass far below the others' may be there to hold a place, and is not measured by itself.
+    A mass far below the ``typical`` one [kg] may be a placeholder, and is raised to a tenth of it.
     """
-    mass = max(body.pi[0], _LIGHT * typical)
-    return np.asarray(mass * length(body) ** POWERS)
+    mass = max(body.pi[0], _MIN_MASS_SHARE * typical)
+    return np.asarray(mass * typical_length(body) ** POWERS)

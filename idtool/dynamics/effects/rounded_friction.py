@@ -1,42 +1,47 @@
-"""Friction whose direction changes over a range of speeds, as where a simulator rounds its sign off."""
+"""Friction whose direction changes over a range of speeds, as in a simulator that rounds the sign off."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.joint_effect import Held
-from idtool.dynamics.effects.joint_term import JointTerm, log_cosh, mean_within
-from idtool.dynamics.effects.probe import spread
-from idtool.dynamics.effects.survey import Survey
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.joint_term import JointTerm, log_cosh, sample_mean
+from idtool.dynamics.effects.named_effect import NonlinearParameter
+from idtool.dynamics.effects.probe import geometric_grid
 
-_SLOWEST = 4.0  # widths of the sign of a measured velocity
-_FASTEST, _TRIED = 0.3, 6  # of the rms speed: more would pass for viscous friction
+_MIN_VELOCITY = 4.0  # velocity deadbands
+_MAX_VELOCITY = 0.3  # of the rms speed: more would pass for viscous friction
+_TRIALS = 6
 
 
 class RoundedFriction(JointTerm):
     """c tanh(v / velocity), which takes over from Coulomb friction's c sign(v) as far as the data say."""
 
     id = "rounded_friction"
-    means = "friction changes its direction over a range of speeds"
-    shows = "slow reversals"
-    upon = ("coulomb_friction",)
+    description = "friction changes its direction over a range of speeds"
+    excitation_hint = "slow reversals"
+    requires = ("coulomb_friction",)
     name = "coulomb"
-    friction = True
-    named = False
-    unit = ("N·m", "N")
-    held = (Held("velocity", positive=True),)
+    is_friction = True
+    reportable = False
+    units = ("N·m", "N")
+    nonlinear_parameters = (NonlinearParameter("velocity", positive=True),)
 
     @classmethod
-    def tried(cls, survey: Survey, joint: int) -> Iterator[Mapping[str, float]]:
-        """See `JointEffect.tried`."""
-        for velocity in spread(_SLOWEST * survey.still[joint], _FASTEST * survey.speed[joint], _TRIED):
+    @override
+    def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
+        slowest = _MIN_VELOCITY * summary.velocity_deadband[joint]
+        fastest = _MAX_VELOCITY * summary.rms_velocity[joint]
+        for velocity in geometric_grid(slowest, fastest, _TRIALS):
             yield {"velocity": velocity}
 
+    @override
     def column(self, motion: Motion) -> Array:
-        """The rounded direction, its mean over a sample."""
-        x = motion.v[self.joint] / self.shape["velocity"]
-        return mean_within(np.tanh(x), x, log_cosh)
+        """Mean of the rounded direction over a sample."""
+        x = motion.v[self.joint] / self.nonlinear_values["velocity"]
+        return sample_mean(np.tanh(x), x, log_cosh)

@@ -1,4 +1,4 @@
-"""Torque that is recorded late or early against the position."""
+"""Torque that is recorded late or early relative to the position."""
 
 from __future__ import annotations
 
@@ -8,39 +8,46 @@ from typing import Self
 
 import numpy as np
 from scipy import ndimage
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.held_effect import HeldEffect
-from idtool.dynamics.effects.named import check_names, joint_index, number, place
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.entry_parameters import (
+    check_parameter_names,
+    entry_location,
+    read_joint_index,
+    read_number,
+)
+from idtool.dynamics.effects.fixed_effect import FixedEffect
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
-from idtool.dynamics.effects.survey import Present, Survey
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
-WITHIN = 0.9  # samples: what is commanded acts until the next sample, so that half of one is in every log
-_SHIFT = 0.1  # s: no more than that is looked for
-_LONGEST = 1.0  # s: what is later belongs to another motion
+MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
+_MAX_PROBED_DELAY = 0.1  # s
+_MAX_DELAY = 1.0  # s: what is later belongs to another motion
 
 
-class TimeDelay(HeldEffect):
-    """The measured torque is the true one a delay before; below zero, after.
+class TimeDelay(FixedEffect):
+    """The measured torque is the true one a delay earlier, or later if the delay is negative.
 
     Parameters
     ----------
     model
         The robot.
     delay
-        In seconds.
+        The delay [s].
     joint
         Index of the joint whose torque it is; None: all.
     """
 
     id = "time_delay"
-    means = "the torque is recorded late against the position (below zero: early)"
-    shows = "quick motion with sharp changes of torque"
+    description = "the torque is recorded late against the position (below zero: early)"
+    excitation_hint = "quick motion with sharp changes of torque"
 
     def __init__(self, model: Model, delay: float, joint: int | None = None) -> None:
         super().__init__(model)
@@ -49,83 +56,91 @@ class TimeDelay(HeldEffect):
         self._owner = "all joints" if joint is None else model.names[joint]
 
     @classmethod
-    def of(cls, entry: EffectEntry, model: Model) -> Self:
-        """See `NamedEffect.of`."""
+    @override
+    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
         if entry.link is not None:
-            raise ConfigError(place(entry), "acts on a joint, or on all without one; give no link")
-        check_names(entry, ("delay",))
-        joint = None if entry.joint is None else joint_index(entry, entry.joint, model)
-        delay = number(entry, "delay")
-        if not abs(delay) <= _LONGEST:
-            raise ConfigError(place(entry), f"delay of {delay:g} s cannot be told; give one within {_LONGEST:g} s")
+            raise ConfigError(entry_location(entry), "acts on a joint, or on all without one; give no link")
+        check_parameter_names(entry, ("delay",))
+        joint = None if entry.joint is None else read_joint_index(entry, entry.joint, model)
+        delay = read_number(entry, "delay")
+        if not abs(delay) <= _MAX_DELAY:
+            message = f"delay of {delay:g} s cannot be told; give one within {_MAX_DELAY:g} s"
+            raise ConfigError(entry_location(entry), message)
         return cls(model, delay, joint)
 
     @classmethod
-    def probes(cls, survey: Survey) -> Iterator[Probe]:
-        """See `NamedEffect.probes`: of all joints together, and of each."""
-        names = survey.model.names
-        if not survey.has(cls.id, "all joints"):
-            yield _probe(None, range(len(names)), survey.dt)
+    @override
+    def probes(cls, summary: DataSummary) -> Iterator[Probe]:
+        """A probe of all joints together, and one of each joint."""
+        names = summary.model.names
+        if not summary.has_effect(cls.id, "all joints"):
+            yield _probe(None, range(len(names)), summary.dt)
+        if len(names) == 1:
+            return
         for j, name in enumerate(names):
-            if not survey.has(cls.id, name) and len(names) > 1:
-                yield _probe(name, [j], survey.dt)
+            if not summary.has_effect(cls.id, name):
+                yield _probe(name, [j], summary.dt)
 
     @classmethod
-    def shapes(cls) -> tuple[str, ...]:
-        """See `NamedEffect.shapes`."""
+    @override
+    def gradient_parameters(cls) -> tuple[str, ...]:
         return ("delay",)
 
     @property
+    @override
     def key(self) -> tuple[str | float, ...]:
-        """See `NamedEffect.key`."""
         return self.id, self._owner
 
-    def true(self, motion: Motion) -> Motion:
-        """See `Effect.true`; at the ends of the samples, torque that lies beyond them is as there."""
-        return replace(motion, tau=self._late(motion.tau, -self.delay / motion.dt))
+    @override
+    def correct_motion(self, motion: Motion) -> Motion:
+        """Motion with the torque shifted back; torque beyond the samples is taken as at their ends."""
+        return replace(motion, tau=self._shifted(motion.tau, -self.delay / motion.dt))
 
-    def measured(self, tau: Array, motion: Motion) -> Array:
-        """See `Effect.measured`."""
-        return self._late(tau, self.delay / motion.dt)
+    @override
+    def apply_sensor(self, tau: Array, motion: Motion) -> Array:
+        return self._shifted(tau, self.delay / motion.dt)
 
-    def undefined(self, motion: Motion) -> dict[int, Mask]:
-        """Where the torque lies beyond the samples."""
+    @override
+    def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
+        """Samples whose torque lies beyond the batch."""
         mask = np.zeros(len(motion.t), dtype=bool)
         beyond = int(np.ceil(abs(self.delay) / motion.dt))
-        mask[: beyond if self.delay < 0 else 0] = True
-        mask[len(mask) - (beyond if self.delay > 0 else 0) :] = True
+        if self.delay < 0:
+            mask[:beyond] = True
+        elif self.delay > 0:
+            mask[max(len(mask) - beyond, 0) :] = True
         return {int(joint): mask for joint in self.joints}
 
-    def join(self, theta: Array, mechanism: Mechanism) -> None:
-        """See `Effect.join`."""
-        mechanism.torque_late[self.joints] += self.delay
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        mechanism.torque_delay[self.joints] += self.delay
 
-    def _late(self, tau: Array, samples: float) -> Array:
-        """The torque of the joints so many samples before, shape (..., nv, N): on a spline of order 5.
+    def _shifted(self, tau: Array, samples: float) -> Array:
+        """Torque of the joints delayed by a number of samples, shape (..., nv, N), on a spline of order 5.
 
-        A straight line between samples would damp what is near the end of the band.
+        Linear interpolation would damp frequencies near the end of the band.
         """
         if not samples:
             return tau
         tau = tau.copy()
-        for row in np.ndindex(tau.shape[:-2]):
+        for index in np.ndindex(tau.shape[:-2]):
             for joint in self.joints:
-                own = tau[*row, joint]
-                own[:] = ndimage.shift(own, samples, order=5, mode="nearest")
+                row = tau[*index, joint]
+                row[:] = ndimage.shift(row, samples, order=5, mode="nearest")
         return tau
 
 
-def _probe(joint: str | None, which: Sequence[int], dt: float) -> Probe:
-    """The torque of some joints late, to first order."""
+def _probe(joint: str | None, indices: Sequence[int], dt: float) -> Probe:
+    """Probe of a delay of some joints' torque."""
 
-    def columns(motion: Motion, present: Present) -> Mapping[int, Array]:
-        tau = present.predicted(motion)
-        return {j: -np.gradient(tau[j], motion.dt)[None] for j in which}
+    def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
+        tau = linearized.predicted_torque
+        return {j: -np.gradient(tau[j], motion.dt)[None] for j in indices}
 
-    def entry(c: Array, information: Array) -> EffectEntry | None:
-        late = {"delay": float(c[0])}
-        return (
-            EffectEntry(effect=TimeDelay.id, joint=joint, parameters=late) if WITHIN * dt < abs(c[0]) < _SHIFT else None
-        )
+    def to_entry(c: Array, information: Array) -> EffectEntry | None:
+        delay = float(c[0])
+        if not MIN_DELAY_SAMPLES * dt < abs(delay) < _MAX_PROBED_DELAY:
+            return None
+        return EffectEntry(effect=TimeDelay.id, joint=joint, parameters={"delay": delay})
 
-    return Probe(TimeDelay.id, joint, None, columns, 1, entry)
+    return Probe(effect=TimeDelay.id, joint=joint, link=None, columns=columns, coefficient_count=1, to_entry=to_entry)

@@ -1,1 +1,1 @@
-"""The model run forwards: forces, stiction, integration."""
+"""Forward dynamics: forces, stiction, integration, and simulation along a log."""

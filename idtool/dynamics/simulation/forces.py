@@ -1,7 +1,7 @@
-"""`Forces`: all that acts on a mechanism, from its state to its accelerations.
+"""`Forces`: the forces on a mechanism, from its state to its accelerations.
 
 Letters: q, v positions and velocities (n, W); s direction of the dry friction (n, W). W rollouts; n coordinates as in
-`dynamics`: the nv joints, then the motor sides of those whose gear gives way.
+`rigid_body_dynamics`: the nv joints, then the motor sides of those with a transmission.
 """
 
 from __future__ import annotations
@@ -14,135 +14,158 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.dynamics import Dynamics, motor_sides
-from idtool.dynamics.simulation.gears import Gears
-from idtool.dynamics.simulation.moment import Moment, solve
+from idtool.dynamics.simulation.rigid_body_dynamics import RigidBodyDynamics, motor_coordinates
+from idtool.dynamics.simulation.rollout_state import RolloutState, solve_acceleration
+from idtool.dynamics.simulation.transmission import Transmissions
 
-Drive = Callable[[Array, Array, Array, Indices], Array]  # t (w,), q, v (nv, w), which rollouts → torque (nv, w)
+# t (w,), q and v (nv, w) and indices of the rollouts (w,) to torque (nv, w):
+InputTorqueFunction = Callable[[Array, Array, Array, Indices], Array]
 
 _NUDGE = 1e-6  # rad/s, rad: for central differences
 
 
 class Forces:
-    """What acts on a mechanism.
+    """The forces on a mechanism.
 
     Attributes
     ----------
-    motor
-        The coordinate of each joint's motor side, shape (nv,).
-    rubbing
-        Which coordinates have dry friction, shape (n, 1).
-    rubs
-        Whether any has.
-    slopes
-        How the gaps of springs with a beginning change with the coordinates, shape (gaps, n).
+    motor_coordinates
+        Coordinate of each joint's motor side, shape (nv,).
+    has_dry_friction
+        True for coordinates with dry friction, shape (n, 1).
+    any_dry_friction
+        True if any coordinate has it.
+    gap_slopes
+        Gradient of the gaps by the coordinates, shape (gaps, n); see `gaps`.
 
     Parameters
     ----------
     mechanism
-        What moves.
-    drive
-        The torque that acts, a continuous function of time and of the state of the motors' sides.
+        The forward model.
+    input_torque
+        The torque that acts, a continuous function of time and of the state of the motor sides.
     """
 
-    def __init__(self, mechanism: Mechanism, drive: Drive) -> None:
-        self._dynamics, self._drive = Dynamics(mechanism), drive
-        link, motor = mechanism.sides()
-        self._resisting, self._level = link.resisting(), link.level()
-        self._motor_resisting, self._motor_level = motor.resisting(), motor.level()
-        self._gears = Gears(mechanism) if mechanism.gears else None
-        self.motor = motor_sides(mechanism)
-        self._loops = [
-            *link.hysteresis(),
-            *((term, self.motor[joints], factors) for term, joints, factors in motor.hysteresis()),
-        ]
-        self.rubbing = np.pad(link.rubbing, (0, len(mechanism.gears)))[:, None]
-        self.rubbing[self.motor[motor.rubbing]] = True
-        self.rubs = bool(self.rubbing.any())
-        self._still = np.zeros(len(self.motor))
-        stops = [(np.eye(len(self.rubbing))[joint], position) for joint, position in mechanism.stops]
-        stops += self._gears.stops(len(self.rubbing)) if self._gears is not None else []
-        self.slopes = np.array([slope for slope, _ in stops]).reshape(-1, len(self.rubbing))
-        self._where = np.array([[position] for _, position in stops]).reshape(-1, 1)
+    def __init__(self, mechanism: Mechanism, input_torque: InputTorqueFunction) -> None:
+        self._dynamics = RigidBodyDynamics(mechanism)
+        self._input_torque = input_torque
+        self._transmissions = Transmissions(mechanism) if mechanism.transmissions else None
+        self.motor_coordinates = motor_coordinates(mechanism)
+        nv = len(self.motor_coordinates)
+        n = nv + len(mechanism.transmissions)
+
+        link, motor = mechanism.link_and_motor_sides()
+        self._link_smooth_torque = link.smooth_torque()
+        self._link_friction_level = link.friction_level()
+        self._motor_smooth_torque = motor.smooth_torque()
+        self._motor_friction_level = motor.friction_level()
+
+        self._hysteresis_terms = link.grouped_hysteresis_terms()
+        for term, joints, coefficients in motor.grouped_hysteresis_terms():
+            self._hysteresis_terms.append((term, self.motor_coordinates[joints], coefficients))
+
+        self.has_dry_friction = np.zeros((n, 1), dtype=bool)
+        self.has_dry_friction[:nv, 0] = link.has_dry_friction
+        self.has_dry_friction[self.motor_coordinates[motor.has_dry_friction]] = True
+        self.any_dry_friction = bool(self.has_dry_friction.any())
+        self._velocity_deadband = np.zeros(nv)
+
+        breakpoints = [(np.eye(n)[joint], position) for joint, position in mechanism.breakpoints]
+        if self._transmissions is not None:
+            breakpoints += self._transmissions.breakpoints(n)
+        self.gap_slopes = np.array([gradient for gradient, _ in breakpoints]).reshape(-1, n)
+        self._gap_origins = np.array([[position] for _, position in breakpoints]).reshape(-1, 1)
 
     def gaps(self, q: Array) -> Array:
-        """How far springs with a beginning are from it, shape (gaps, W)."""
-        return np.asarray(self.slopes @ q - self._where)
+        """Distances from the points where a spring begins: end stops and teeth, shape (gaps, W)."""
+        return np.asarray(self.gap_slopes @ q - self._gap_origins)
 
-    def start(self, t: Array, q: Array, v: Array) -> Moment:
-        """The first moment, from the state of the motors' sides, shape (nv, W).
+    def initial_state(self, t: Array, q: Array, v: Array) -> RolloutState:
+        """The first state, from that of the motor sides, shape (nv, W).
 
-        A gear is deflected by the torque that acts on it then; hysteresis begins in the middle of its loop.
+        A transmission is deflected by the torque that acts on it then; hysteresis begins in the middle of its loop.
         """
-        lanes = np.arange(len(t))
-        if self._gears is not None:
-            self._gears.damp(self._dynamics(*np.zeros((2, len(self.rubbing), 1)))[0][0])
-            q, v = self._gears.apart(q, v, self._drive(t, q, v, lanes))
-        loops = np.zeros((sum(len(joints) for _, joints, _ in self._loops), len(t)))
-        return self.at(lanes, t, q, v, loops)
+        rollout_ids = np.arange(len(t))
+        if self._transmissions is not None:
+            zero = np.zeros((len(self.has_dry_friction), 1))
+            M, _ = self._dynamics(zero, zero)
+            self._transmissions.set_damping(M[0])
+            q, v = self._transmissions.deflect(q, v, self._input_torque(t, q, v, rollout_ids))
+        count = sum(len(joints) for _, joints, _ in self._hysteresis_terms)
+        return self.state_at(rollout_ids, t, q, v, np.zeros((count, len(t))))
 
-    def at(self, lanes: Indices, t: Array, q: Array, v: Array, loops: Array) -> Moment:
-        """A first moment in which all that the future depends on is known."""
-        rests = np.zeros(q.shape, dtype=bool)
-        return self._moment(lanes, t.copy(), q.copy(), v.copy(), np.zeros(q.shape), rests, loops)
+    def state_at(self, rollout_ids: Indices, t: Array, q: Array, v: Array, hysteresis: Array) -> RolloutState:
+        """State from all that its future depends on; the directions of dry friction are not yet known."""
+        sticking = np.zeros(q.shape, dtype=bool)
+        return self._state(rollout_ids, t.copy(), q.copy(), v.copy(), np.zeros(q.shape), sticking, hysteresis)
 
-    def later(self, start: Moment, h: Array, q: Array, v: Array) -> Moment:
-        """The moment h, shape (W,) [s], after another one, the directions of dry friction being the same."""
-        return self._moment(start.lanes, start.t + h, q, v, start.s, start.held, self._looped(start, q))
+    def state_after(self, start: RolloutState, h: Array, q: Array, v: Array) -> RolloutState:
+        """State a time h, shape (W,) [s], after another one, with the same directions of dry friction."""
+        hysteresis = self._hysteresis_after(start, q)
+        return self._state(start.rollout_ids, start.t + h, q, v, start.s, start.sticking, hysteresis)
 
-    def steepness(self, now: Moment) -> tuple[Array, Array]:
-        """By how much the forces fall with velocities and positions, about, shape (W, n, n)."""
-
-        def slope(q: float, v: float) -> Array:
-            ahead, behind = (
-                self._free(now.t, now.q + way * q, now.v + way * v, now.loops, now.lanes)[0] for way in (1, -1)
-            )
-            return (behind - ahead) / (2 * _NUDGE)
-
-        damping, stiffness = (
-            np.maximum(x, 0.0).T[:, :, None] * np.eye(len(x)) for x in (slope(0.0, _NUDGE), slope(_NUDGE, 0.0))
-        )
-        if self._gears is not None:
-            self._gears.stiffen(damping, stiffness)
+    def damping_and_stiffness(self, state: RolloutState) -> tuple[Array, Array]:
+        """Approximate decrease of the forces with velocities and positions, shape (W, n, n)."""
+        identity = np.eye(len(state.q))
+        damping = self._decrease(state, 0.0, _NUDGE).T[:, :, None] * identity
+        stiffness = self._decrease(state, _NUDGE, 0.0).T[:, :, None] * identity
+        if self._transmissions is not None:
+            self._transmissions.include_stiffness(damping, stiffness)
         return damping, stiffness
 
-    def _moment(self, lanes: Indices, t: Array, q: Array, v: Array, s: Array, held: Mask, loops: Array) -> Moment:
-        M, h = self._dynamics(q, v)
-        force, level = self._free(t, q, v, loops, lanes)
-        force -= h
-        return Moment(lanes, t, q, v, M, force, level, s, held, solve(M, force - s * level, held), loops)
+    def _decrease(self, state: RolloutState, dq: float, dv: float) -> Array:
+        """Decrease of the forces, at least 0, with all positions or all velocities, shape (n, W)."""
+        ids = state.rollout_ids
+        ahead, _ = self._force_and_level(state.t, state.q + dq, state.v + dv, state.hysteresis, ids)
+        behind, _ = self._force_and_level(state.t, state.q - dq, state.v - dv, state.hysteresis, ids)
+        return np.maximum((behind - ahead) / (2 * _NUDGE), 0.0)
 
-    def _free(self, t: Array, q: Array, v: Array, loops: Array, lanes: Indices) -> tuple[Array, Array]:
+    def _state(
+        self, rollout_ids: Indices, t: Array, q: Array, v: Array, s: Array, sticking: Mask, hysteresis: Array
+    ) -> RolloutState:
+        M, h = self._dynamics(q, v)
+        force, level = self._force_and_level(t, q, v, hysteresis, rollout_ids)
+        force -= h
+        a = solve_acceleration(M, force - s * level, sticking)
+        return RolloutState(rollout_ids, t, q, v, M, force, level, s, sticking, a, hysteresis)
+
+    def _force_and_level(
+        self, t: Array, q: Array, v: Array, hysteresis: Array, rollout_ids: Indices
+    ) -> tuple[Array, Array]:
         """All torque but the bias and dry friction, and the level of the latter, shape (n, w)."""
-        if self._gears is None:
-            tau = self._drive(t, q, v, lanes)
-            motion = Motion(t, q, v, v, tau, tau, self._still, 0.0)
-            force = tau - self._resisting(motion)
-            level = self._level(motion) if self.rubs else np.zeros_like(q)
+        nv = len(self.motor_coordinates)
+        if self._transmissions is None:
+            tau = self._input_torque(t, q, v, rollout_ids)
+            motion = Motion(t, q, v, v, tau, tau, self._velocity_deadband, 0.0)
+            force = tau - self._link_smooth_torque(motion)
+            level = self._link_friction_level(motion) if self.any_dry_friction else np.zeros_like(q)
         else:
-            nv = len(self.motor)
-            tau = self._drive(t, q[self.motor], v[self.motor], lanes)
-            motion = Motion(t, q[:nv], v[:nv], v[:nv], tau, tau, self._still, 0.0)
-            force, level = self._gears.torque(q, v), np.zeros_like(q)
-            force[self.motor] += tau
-            force[:nv] -= self._resisting(motion)
-            level[:nv] = self._level(motion)
-            ahead = replace(motion, q=q[self.motor], v=v[self.motor])
-            force[self.motor] -= self._motor_resisting(ahead)
-            level[self.motor] += self._motor_level(ahead)
+            motor = self.motor_coordinates
+            tau = self._input_torque(t, q[motor], v[motor], rollout_ids)
+            link_motion = Motion(t, q[:nv], v[:nv], v[:nv], tau, tau, self._velocity_deadband, 0.0)
+            motor_motion = replace(link_motion, q=q[motor], v=v[motor])
+            force = self._transmissions.torque(q, v)
+            force[motor] += tau
+            force[:nv] -= self._link_smooth_torque(link_motion)
+            force[motor] -= self._motor_smooth_torque(motor_motion)
+            level = np.zeros_like(q)
+            level[:nv] = self._link_friction_level(link_motion)
+            level[motor] += self._motor_friction_level(motor_motion)
         first = 0
-        for term, joints, factors in self._loops:
-            force[joints] -= factors * term.torque(loops[first : first + len(joints)], v[joints])
-            first += len(joints)
+        for term, coordinates, coefficients in self._hysteresis_terms:
+            states = hysteresis[first : first + len(coordinates)]
+            force[coordinates] -= coefficients * term.torque(states, v[coordinates])
+            first += len(coordinates)
         return force, level
 
-    def _looped(self, start: Moment, q: Array) -> Array:
-        """States of the hysteretic terms when the joints have moved to q."""
-        if not self._loops:
-            return start.loops
-        states, first = [], 0
-        for term, joints, _ in self._loops:
-            before = start.loops[first : first + len(joints)]
-            states.append(term.after(before, q[joints] - start.q[joints]))
-            first += len(joints)
+    def _hysteresis_after(self, start: RolloutState, q: Array) -> Array:
+        """States of the hysteresis terms when the joints have moved to q."""
+        if not self._hysteresis_terms:
+            return start.hysteresis
+        states = []
+        first = 0
+        for term, coordinates, _ in self._hysteresis_terms:
+            before = start.hysteresis[first : first + len(coordinates)]
+            states.append(term.next_state(before, q[coordinates] - start.q[coordinates]))
+            first += len(coordinates)
         return np.concatenate(states)

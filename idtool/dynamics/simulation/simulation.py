@@ -1,4 +1,4 @@
-"""The model along a log as a simulation: under the logged torque, or closed loop under the joint controller.
+"""Simulation of a model along a log: under the logged torque, or closed loop under the joint controller.
 
 A rollout starts from the measured state. Those of many windows advance together.
 
@@ -18,22 +18,24 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.drive import Drive, stride
-from idtool.dynamics.simulation.integrate import LONGEST_STEP, Rollouts
-from idtool.dynamics.simulation.moment import Moment, between
-from idtool.dynamics.simulation.windows import measured_states, starts
+from idtool.dynamics.simulation.input_torque import InputTorque, samples_per_step
+from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate
+from idtool.dynamics.simulation.rollouts import LONGEST_STEP, Rollouts
+from idtool.dynamics.simulation.windows import measured_states, start_times
 
-_AT_ONCE = 256  # rollouts that advance together
-_FEW = 8  # rollouts, fewer than which are cut into pieces
+_MAX_TOGETHER = 256  # rollouts that advance together
+_FEW = 8  # windows, fewer than which are cut into pieces
 _PIECE = 1.0  # s
-_SAME = 1e-6  # of a sample
-_JOINED = 1e-7  # SI: by how much a piece may begin elsewhere than the one before it ended
-_PASSES = 5  # over all pieces together, before they are done one by one
-_FASTEST = 1e4  # rad/s or m/s: a rollout beyond it has lost its way
+_ROUNDING = 1e-6  # of a sample
+_MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
+_MAX_PASSES = 5  # over all pieces together, before they are done one by one
+_MAX_SPEED = 1e4  # rad/s or m/s: a faster rollout has diverged
+
+Report = Callable[[float], None]  # told the share that is done
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedWindows:
     """Rollouts along windows of a log.
 
     Attributes
@@ -41,22 +43,22 @@ class Simulated:
     windows
         The samples of the log that each covers, the first being its start.
     q, v, tau
-        Position, velocity and torque as sensors would give them, shape (nv, W, N); of a window that is shorter than the
-        longest, what lies beyond it means nothing.
-    lost
-        Which of them ran away and were stopped where they were, shape (W,).
+        Position, velocity and torque as sensors would give them, shape (nv, W, N); samples beyond the end of a shorter
+        window are undefined.
+    diverged
+        True for rollouts that diverged and were stopped, shape (W,).
     """
 
     windows: tuple[slice, ...]
     q: Array
     v: Array
     tau: Array
-    lost: Mask
+    diverged: Mask
 
 
 def simulate(
-    mechanism: Mechanism, signals: Signals, windows: Sequence[slice], tell: Callable[[float], None]
-) -> Iterator[Simulated]:
+    mechanism: Mechanism, signals: Signals, windows: Sequence[slice], report: Report
+) -> Iterator[SimulatedWindows]:
     """Run a model along windows of a log.
 
     Parameters
@@ -67,7 +69,7 @@ def simulate(
         The log.
     windows
         Samples of the log, no gap within one.
-    tell
+    report
         Told the share that is done.
 
     Yields
@@ -77,61 +79,67 @@ def simulate(
     Raises
     ------
     ModelError
-        If the model cannot move: its mass matrix is not positive definite.
+        If the model can't move: its mass matrix is not positive definite.
     """
-    total, done = max(sum(window.stop - window.start for window in windows), 1), 0
-    longest = max((window.stop - window.start for window in windows), default=0)
-    chained = len(windows) < _FEW and longest > 2 * _piece(signals)
-    for first in range(0, len(windows), 1 if chained else _AT_ONCE):
-        some = tuple(windows[first : first + (1 if chained else _AT_ONCE)])
-        size = sum(window.stop - window.start for window in some)
-        part = partial(_tell_part, tell, done / total, size / total)
-        yield (_chained if chained else _together)(mechanism, signals, some, part)
+    lengths = [window.stop - window.start for window in windows]
+    total = max(sum(lengths), 1)
+    in_pieces = len(windows) < _FEW and max(lengths, default=0) > 2 * _piece_length(signals)
+    count = 1 if in_pieces else _MAX_TOGETHER
+    done = 0
+    for first in range(0, len(windows), count):
+        some = tuple(windows[first : first + count])
+        size = sum(lengths[first : first + count])
+        report_part = partial(_report_part, report, done / total, size / total)
+        if in_pieces:
+            yield _simulate_in_pieces(mechanism, signals, some[0], report_part)
+        else:
+            run = _Run(mechanism, signals, some)
+            run.advance(np.arange(len(some)), report_part)
+            yield run.result()
         done += size
 
 
-def _together(
-    mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...], tell: Callable[[float], None]
-) -> Simulated:
-    """Rollouts that advance together."""
-    run = _Run(mechanism, signals, windows)
-    run.advance(np.arange(len(windows)), tell)
-    return run.result()
+def _report_part(report: Report, before: float, size: float, share: float) -> None:
+    report(before + size * share)
 
 
-def _tell_part(tell: Callable[[float], None], before: float, size: float, share: float) -> None:
-    tell(before + size * share)
-
-
-def _piece(signals: Signals) -> int:
+def _piece_length(signals: Signals) -> int:
+    """Samples of a piece."""
     return max(round(_PIECE / signals.log.dt), 1)
 
 
-def _chained(
-    mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...], tell: Callable[[float], None]
-) -> Simulated:
+def _simulate_in_pieces(mechanism: Mechanism, signals: Signals, window: slice, report: Report) -> SimulatedWindows:
     """One long rollout, section by section, each in pieces that advance together."""
-    (window,) = windows
-    q, v, tau = np.empty((3, len(signals.joints), 1, window.stop - window.start))
-    lost, state, size = False, None, _AT_ONCE * _piece(signals)
-    for first in range(window.start, window.stop - 1, size):
-        section, here = slice(first, min(first + size + 1, window.stop)), first - window.start
-        done = partial(_tell_part, tell, here / q.shape[2], (section.stop - first) / q.shape[2])
-        run = _settled(mechanism, signals, section, state, done)
-        state = run.rollouts.state[:, -1:]
-        some = run.result()
-        for w, part in enumerate(some.windows):
-            at, length = slice(part.start - window.start, part.stop - window.start), part.stop - part.start
-            if lost:  # what comes after a rollout that ran away would have begun nowhere
-                q[:, 0, at], v[:, 0, at], tau[:, 0, at] = q[:, 0, at.start, None], 0.0, tau[:, 0, at.start, None]
+    count = window.stop - window.start
+    q, v, tau = np.empty((3, len(signals.joints), 1, count))
+    diverged = False
+    state_vector = None
+    section_length = _MAX_TOGETHER * _piece_length(signals)
+    for first in range(window.start, window.stop - 1, section_length):
+        section = slice(first, min(first + section_length + 1, window.stop))
+        before = (first - window.start) / count
+        size = (section.stop - section.start) / count
+        run = _simulate_section(mechanism, signals, section, state_vector, partial(_report_part, report, before, size))
+        state_vector = run.rollouts.state_vector[:, -1:]
+        pieces = run.result()
+        for w, piece in enumerate(pieces.windows):
+            start = piece.start - window.start
+            at = slice(start, piece.stop - window.start)
+            length = piece.stop - piece.start
+            if diverged:  # no state to begin in: stay where the rollout was stopped
+                q[:, 0, at] = q[:, 0, start, None]
+                v[:, 0, at] = 0.0
+                tau[:, 0, at] = tau[:, 0, start, None]
             else:
-                q[:, 0, at], v[:, 0, at], tau[:, 0, at] = (x[:, w, :length] for x in (some.q, some.v, some.tau))
-            lost |= bool(some.lost[w])
-    return Simulated(windows, q, v, tau, np.array([lost]))
+                q[:, 0, at] = pieces.q[:, w, :length]
+                v[:, 0, at] = pieces.v[:, w, :length]
+                tau[:, 0, at] = pieces.tau[:, w, :length]
+            diverged |= bool(pieces.diverged[w])
+    return SimulatedWindows((window,), q, v, tau, np.array([diverged]))
 
 
-def _settled(
-    mechanism: Mechanism, signals: Signals, section: slice, state: Array | None, tell: Callable[[float], None]
+def _simulate_section(
+    mechanism: Mechanism, signals: Signals, section: slice, state_vector: Array | None, report: Report
 ) -> _Run:
     """A section from a state, shape (states, 1), or the measured one, in pieces that each begin where the last ended.
 
@@ -139,108 +147,129 @@ def _settled(
     ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
     where it does not, they are done one after the other.
     """
-    size = _piece(signals)
-    firsts = range(section.start, section.stop - 1, size)
-    run = _Run(mechanism, signals, tuple(slice(first, min(first + size + 1, section.stop)) for first in firsts))
-    if state is not None:
-        run.resume(np.zeros(1, dtype=np.intp), state)
-    todo, passes = np.arange(len(firsts)), 0
+    length = _piece_length(signals)
+    firsts = range(section.start, section.stop - 1, length)
+    pieces = tuple(slice(first, min(first + length + 1, section.stop)) for first in firsts)
+    run = _Run(mechanism, signals, pieces)
+    if state_vector is not None:
+        run.restart(np.zeros(1, dtype=np.intp), state_vector)
+    todo = np.arange(len(pieces))
+    passes = 0
     while todo.size:
         if passes:
-            run.resume(todo, run.rollouts.state[:, todo - 1])
-        run.advance(todo, partial(_tell_part, tell, 1 - todo.size / len(firsts), todo.size / len(firsts)))
+            run.restart(todo, run.rollouts.state_vector[:, todo - 1])
+        share = todo.size / len(pieces)
+        run.advance(todo, partial(_report_part, report, 1 - share, share))
         passes += 1
-        todo = 1 + np.flatnonzero((np.abs(run.begun[:, 1:] - run.rollouts.state[:, :-1]) > _JOINED).any(axis=0))
-        todo = todo if passes < _PASSES else todo[:1]
+        jumps = np.abs(run.initial_state_vector[:, 1:] - run.rollouts.state_vector[:, :-1])
+        todo = 1 + np.flatnonzero((jumps > _MAX_JUMP).any(axis=0))
+        if passes >= _MAX_PASSES:
+            todo = todo[:1]
     return run
 
 
 class _Run:
-    """Rollouts that advance together, and what they have left behind.
+    """Rollouts that advance together, and their motion at the log's samples.
 
     Attributes
     ----------
     rollouts
-        Where they are.
-    begun
+        The rollouts, each at its present time.
+    initial_state_vector
         The states that they began in, shape (states, W).
     """
 
     def __init__(self, mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...]) -> None:
-        self._signals, self._windows = signals, windows
-        self._t0, self._last = starts(signals, windows), np.array([w.stop - w.start - 1 for w in windows])
-        self._drive, self._offset = Drive(signals, windows, mechanism), mechanism.position_offset[:, None]
-        q, v = measured_states(signals, [window.start for window in windows])
-        step = stride(signals) * signals.log.dt
         self._mechanism = mechanism
-        with _movable(mechanism):
-            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._drive, min(step, LONGEST_STEP))
+        self._signals = signals
+        self._windows = windows
+        self._t0 = start_times(signals, windows)
+        self._last = np.array([window.stop - window.start - 1 for window in windows])  # samples
+        self._input_torque = InputTorque(signals, windows, mechanism)
+        self._offset = mechanism.position_offset[:, None]
+        q, v = measured_states(signals, [window.start for window in windows])
+        step = min(samples_per_step(signals) * signals.log.dt, LONGEST_STEP)
+        with _immovable_as_error(mechanism):
+            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step)
             np.linalg.cholesky(self.rollouts.mass_matrix)
-        self.begun = self.rollouts.state
-        self._q, self._v = np.zeros((2, len(q), len(windows), self._last.max() + 1))
-        self._lost = np.zeros(len(windows), dtype=bool)
+        self.initial_state_vector = self.rollouts.state_vector
+        shape = (len(q), len(windows), self._last.max() + 1)
+        self._q = np.zeros(shape)
+        self._v = np.zeros(shape)
+        self._diverged = np.zeros(len(windows), dtype=bool)
 
-    def resume(self, lanes: Indices, state: Array) -> None:
+    def restart(self, rollout_ids: Indices, state_vector: Array) -> None:
         """Begin some again, in states, shape (states, w)."""
-        self.rollouts.resume(lanes, state, self._t0[lanes])
-        self.begun[:, lanes] = self.rollouts.state[:, lanes]
-        self._lost[lanes] = False
+        self.rollouts.restart(rollout_ids, state_vector, self._t0[rollout_ids])
+        self.initial_state_vector[:, rollout_ids] = self.rollouts.state_vector[:, rollout_ids]
+        self._diverged[rollout_ids] = False
 
-    def advance(self, lanes: Indices, tell: Callable[[float], None]) -> None:
+    def advance(self, rollout_ids: Indices, report: Report) -> None:
         """Take some to their ends."""
-        rollouts, dt = self.rollouts, self._signals.log.dt
-        self._q[:, lanes, 0] = rollouts.q[:, lanes] - self._offset
-        self._v[:, lanes, 0] = rollouts.v[:, lanes]
+        rollouts = self.rollouts
+        dt = self._signals.log.dt
+        self._q[:, rollout_ids, 0] = rollouts.q[:, rollout_ids] - self._offset
+        self._v[:, rollout_ids, 0] = rollouts.v[:, rollout_ids]
+        durations = self._last * dt
         until = rollouts.t.copy()
-        until[lanes] = self._t0[lanes] + self._last[lanes] * dt
+        until[rollout_ids] = self._t0[rollout_ids] + durations[rollout_ids]
 
-        def keep(lanes: Indices, start: Moment, end: Moment) -> None:
-            self._keep(lanes, start, end)
-            gone = np.abs(end.v).max(axis=0)
-            lost = lanes[~(gone < _FASTEST)]
-            if lost.size:
-                self._lose(lost, until)
-            tell(float(np.min((rollouts.t - self._t0)[lanes] / (self._last[lanes] * dt))))
+        def on_step(stepped_ids: Indices, start: RolloutState, end: RolloutState) -> None:
+            self._record_samples(stepped_ids, start, end)
+            fastest = np.abs(end.v).max(axis=0)
+            diverged_ids = stepped_ids[~(fastest < _MAX_SPEED)]  # NaN has diverged, too
+            if diverged_ids.size:
+                self._stop(diverged_ids, until)
+            elapsed = (rollouts.t - self._t0)[stepped_ids]
+            report(float(np.min(elapsed / durations[stepped_ids])))
 
-        with _movable(self._mechanism):
-            rollouts.advance(until, keep)
+        with _immovable_as_error(self._mechanism):
+            rollouts.advance(until, on_step)
 
-    def _lose(self, lanes: Indices, until: Array) -> None:
-        """Stop rollouts that have run away: they stay where they last were."""
-        for lane in lanes:
-            k = int((self.rollouts.t[lane] - self._t0[lane]) / self._signals.log.dt)
-            self._q[:, lane, k:] = self._q[:, lane, max(k - 1, 0)][:, None]
-            self._v[:, lane, k:] = 0.0
-        self._lost[lanes] = True
-        until[lanes] = -np.inf
+    def _stop(self, rollout_ids: Indices, until: Array) -> None:
+        """Stop diverged rollouts: they stay where they last were."""
+        for rollout_id in rollout_ids:
+            elapsed = self.rollouts.t[rollout_id] - self._t0[rollout_id]
+            k = int(elapsed / self._signals.log.dt)
+            self._q[:, rollout_id, k:] = self._q[:, rollout_id, max(k - 1, 0)][:, None]
+            self._v[:, rollout_id, k:] = 0.0
+        self._diverged[rollout_ids] = True
+        until[rollout_ids] = -np.inf
 
-    def _keep(self, lanes: Indices, start: Moment, end: Moment) -> None:
-        """Take down the samples that lie in a step."""
-        rate, t0, motor = 1 / self._signals.log.dt, self._t0[lanes], self.rollouts.motor
-        begun, ended = ((moment.t - t0) * rate for moment in (start, end))
-        first, last = np.floor(begun + _SAME).astype(np.intp) + 1, np.floor(ended + _SAME).astype(np.intp)
+    def _record_samples(self, rollout_ids: Indices, start: RolloutState, end: RolloutState) -> None:
+        """Record the motion at the samples that lie in a step."""
+        rate = 1 / self._signals.log.dt
+        t0 = self._t0[rollout_ids]
+        motor = self.rollouts.motor_coordinates
+        start_sample = (start.t - t0) * rate
+        end_sample = (end.t - t0) * rate
+        first = np.floor(start_sample + _ROUNDING).astype(np.intp) + 1
+        last = np.floor(end_sample + _ROUNDING).astype(np.intp)
         for k in range(int((last - first).max()) + 1):
-            some = np.flatnonzero(first + k <= last)
-            at, h = first[some] + k, (end.t - start.t)[some]
-            share = np.minimum((at - begun[some]) / (ended - begun)[some], 1.0)
-            every = some.size == len(lanes)
-            q, v = between(start if every else start.of(some), end if every else end.of(some), h, share)
-            self._q[:, lanes[some], at] = q[motor] - self._offset
-            self._v[:, lanes[some], at] = v[motor]
+            columns = np.flatnonzero(first + k <= last)
+            sample = first[columns] + k
+            h = (end.t - start.t)[columns]
+            share = np.minimum((sample - start_sample[columns]) / (end_sample - start_sample)[columns], 1.0)
+            if columns.size == len(rollout_ids):
+                q, v = interpolate(start, end, h, share)
+            else:
+                q, v = interpolate(start.select(columns), end.select(columns), h, share)
+            self._q[:, rollout_ids[columns], sample] = q[motor] - self._offset
+            self._v[:, rollout_ids[columns], sample] = v[motor]
 
-    def result(self) -> Simulated:
-        """What was simulated, as sensors would give it."""
+    def result(self) -> SimulatedWindows:
+        """Motion and torque as sensors would give them."""
         tau = np.empty_like(self._q)
-        lanes = np.arange(len(self._windows))
+        rollout_ids = np.arange(len(self._windows))
         for k in range(tau.shape[2]):
             t = self._t0 + np.minimum(k, self._last) * self._signals.log.dt
-            tau[:, :, k] = self._drive.measured(t, self._q[:, :, k], self._v[:, :, k], lanes)
-        return Simulated(self._windows, self._q, self._v, tau, self._lost)
+            tau[:, :, k] = self._input_torque.measured_torque(t, self._q[:, :, k], self._v[:, :, k], rollout_ids)
+        return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
 
 
 @contextmanager
-def _movable(mechanism: Mechanism) -> Iterator[None]:
-    """What cannot be solved for accelerations as an error that a user can act on."""
+def _immovable_as_error(mechanism: Mechanism) -> Iterator[None]:
+    """Turn a mass matrix that is not positive definite into an error that a user can act on."""
     try:
         yield
     except np.linalg.LinAlgError:

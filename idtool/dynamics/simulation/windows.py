@@ -13,23 +13,25 @@ from idtool.common.arrays import Array
 from idtool.data.signals import Signals
 
 _AROUND = 0.25  # periods of the band to either side from which a state is taken
-_FEWEST = 3  # samples to either side for that, at least
+_MIN_SAMPLES = 3  # to either side for that
 
 
-def stretch_of(signals: Signals, window: slice) -> slice:
-    """The stretch of the log without a gap that a window lies in."""
+def gapless_range(signals: Signals, window: slice) -> slice:
+    """Samples of the log without a gap that a window lies in."""
     parts: list[slice] = signals.channels.parts()
     return next(part for part in parts if part.start <= window.start < part.stop)
 
 
-def starts(signals: Signals, windows: Sequence[slice]) -> Array:
-    """When windows begin, since the log's first sample [s], shape (W,)."""
-    firsts = [signals.channels.times(slice(window.start, window.start + 1))[0] for window in windows]
-    return np.asarray(np.array(firsts) - signals.log.t[0])
+def start_times(signals: Signals, windows: Sequence[slice]) -> Array:
+    """Start of each window, since the log's first sample [s], shape (W,)."""
+    times = [signals.channels.times(slice(window.start, window.start + 1))[0] for window in windows]
+    return np.asarray(np.array(times) - signals.log.t[0])
 
 
-def windows_of(signals: Signals, parts: Sequence[slice], seconds: float | None, again: bool = False) -> list[slice]:
-    """Windows of so many seconds, one after the other.
+def split_into_windows(
+    signals: Signals, parts: Sequence[slice], seconds: float | None, share_ends: bool = False
+) -> list[slice]:
+    """Windows of equal duration, one after the other.
 
     Parameters
     ----------
@@ -37,21 +39,23 @@ def windows_of(signals: Signals, parts: Sequence[slice], seconds: float | None, 
         The log.
     parts
         Samples of it, no gap within one. One that reaches to the first or last sample that has all derivatives is
-        taken to begin or end with its stretch.
+        extended to the gap before or after.
     seconds
-        None: one window a part.
-    again
-        Whether a window ends with the sample that the next one begins with.
+        Duration of a window [s]; None: one window per part.
+    share_ends
+        True if a window's last sample is the first one of the next.
     """
     windows = []
     for part in parts:
-        stretch = stretch_of(signals, part)
+        gapless = gapless_range(signals, part)
         usable = next(whole for whole in signals.ranges if whole.start <= part.start < whole.stop)
-        start = stretch.start if part.start == usable.start else part.start
-        stop = stretch.stop if part.stop == usable.stop else part.stop
-        every = stop - start if seconds is None else max(round(seconds / signals.log.dt), 1)
-        firsts = range(start, stop - 1, every)
-        windows += [slice(first, min(first + every + again, stop)) for first in firsts]
+        start = gapless.start if part.start == usable.start else part.start
+        stop = gapless.stop if part.stop == usable.stop else part.stop
+        length = stop - start
+        if seconds is not None:
+            length = max(round(seconds / signals.log.dt), 1)
+        for first in range(start, stop - 1, length):
+            windows.append(slice(first, min(first + length + share_ends, stop)))
     return windows
 
 
@@ -63,20 +67,21 @@ def measured_states(signals: Signals, samples: Sequence[int]) -> tuple[Array, Ar
     signals
         The log.
     samples
-        Their W indices.
+        W indices.
 
     Returns
     -------
     q, v, shape (nv, W) each.
     """
     dt = signals.log.dt
-    reach = max(_FEWEST, round(_AROUND / (signals.band_hz * dt)))
+    reach = max(_MIN_SAMPLES, round(_AROUND / (signals.band_hz * dt)))
     states = np.zeros((len(samples), 2, len(signals.joints)))
     for state, sample in zip(states, samples, strict=True):
-        within = stretch_of(signals, slice(sample, sample + 1))
-        near = slice(max(sample - reach, within.start), min(sample + reach + 1, within.stop))
-        steps = np.arange(near.start, near.stop) - sample
-        powers = np.vander(steps * dt, min(3, len(steps)), increasing=True)
-        found = np.linalg.lstsq(powers, signals.channels.signal("q", near).T, rcond=None)[0][:2]
-        state[: len(found)] = found
+        gapless = gapless_range(signals, slice(sample, sample + 1))
+        near = slice(max(sample - reach, gapless.start), min(sample + reach + 1, gapless.stop))
+        offsets = np.arange(near.start, near.stop) - sample
+        powers = np.vander(offsets * dt, min(3, len(offsets)), increasing=True)
+        q = signals.channels.signal("q", near)
+        polynomial = np.linalg.lstsq(powers, q.T, rcond=None)[0]
+        state[: min(2, len(polynomial))] = polynomial[:2]
     return states[:, 0].T.copy(), states[:, 1].T.copy()

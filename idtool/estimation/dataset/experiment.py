@@ -137,7 +137,7 @@ class Experiment:
     def rows(self, run: Run, progress: Progress) -> Rows:
         """The torque equation's rows along the training part of a log, batch after batch."""
         stage = f"reading {run.signals.log.path.name}"
-        return map(self.equation.rows, tracked(run.signals.batches(run.train), run.train, progress, stage))
+        return map(self.equation.filtered_rows, tracked(run.signals.batches(run.train), run.train, progress, stage))
 
     def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
         """The training data as R-factors of consecutive blocks, log by log.

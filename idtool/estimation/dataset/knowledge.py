@@ -165,7 +165,7 @@ def _friction_pairs(equation: LinearModel, copy: str, of: str) -> list[tuple[int
     """Indices of a joint's coefficients that do not depend on the direction, and of the same of another joint."""
     index = {c.key: i for i, c in enumerate(equation.coefficients)}
     even = [c for c in equation.coefficients if c.even and c.owner == copy]
-    pairs = [(index[c.key], index.get((c.effect, of, c.name, c.among))) for c in even]
+    pairs = [(index[c.key], index.get((c.effect, of, c.name, c.instance))) for c in even]
     return [(to, fro) for to, fro in pairs if fro is not None]
 
 

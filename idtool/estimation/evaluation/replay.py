@@ -20,7 +20,7 @@ from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import measured_states, windows_of
+from idtool.dynamics.simulation.windows import measured_states, split_into_windows
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 
@@ -171,7 +171,7 @@ def _lanes(
     for simulated in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
         for w, window in enumerate(simulated.windows):
             length = window.stop - window.start
-            yield simulated.q[:, w, :length], simulated.v[:, w, :length], bool(simulated.lost[w])
+            yield simulated.q[:, w, :length], simulated.v[:, w, :length], bool(simulated.diverged[w])
 
 
 class _Measured:
@@ -203,7 +203,7 @@ def _spread(
 ) -> tuple[list[tuple[Signals, list[slice]]], int]:
     """The windows that are simulated of every log that is driven in the same way, and how many there are."""
     jobs = [
-        (signals, windows_of(signals, some, window, again=True))
+        (signals, split_into_windows(signals, some, window, share_ends=True))
         for signals, some in parts
         if some and signals.command.joints.any() == closed
     ]

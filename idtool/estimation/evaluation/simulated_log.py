@@ -17,7 +17,7 @@ from idtool.common.exceptions import LogError, ModelError
 from idtool.data.logs import Log, make_log
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import windows_of
+from idtool.dynamics.simulation.windows import split_into_windows
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 
@@ -116,16 +116,16 @@ def simulated_log(
     """
     run = experiment.runs[0]
     signals, joints = run.signals, experiment.equation.joints
-    windows = windows_of(signals, run.held_out, window)
+    windows = split_into_windows(signals, run.held_out, window)
     stage = f"simulating {signals.log.path.name}"
     mechanism = experiment.equation.mechanism(experiment.model, theta)
     pieces, lost = [], 0
     for some in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
         for w, part in enumerate(some.windows):
             q, v, tau = (x[:, w, : part.stop - part.start] for x in (some.q, some.v, some.tau))
-            lost += bool(some.lost[w])
-            kept = _followed(v) if some.lost[w] else v.shape[1]
-            if kept > 1 or not some.lost[w]:
+            lost += bool(some.diverged[w])
+            kept = _followed(v) if some.diverged[w] else v.shape[1]
+            if kept > 1 or not some.diverged[w]:
                 part = slice(part.start, part.start + kept)
                 pieces.append(_Piece(signals, part, q[:, :kept], v[:, :kept], tau[:, :kept]))
     if not pieces:

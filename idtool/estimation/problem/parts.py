@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.dynamics.effects.rigid_body import length
+from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
 from idtool.robot.inertia import POWERS, SIZE
@@ -100,5 +100,5 @@ def parts_of(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free: Indice
     place = {int(k): i for i, k in enumerate(free)}
     for i, (body, kind) in enumerate(zip(bodies, sets, strict=True)):
         for piece in kind.pieces(body) if SIZE * i in place else ():
-            parts.append(Part(i, place[SIZE * i], parts[-1].stop if parts else 0, piece, length(body)))
+            parts.append(Part(i, place[SIZE * i], parts[-1].stop if parts else 0, piece, typical_length(body)))
     return tuple(parts)

@@ -107,7 +107,7 @@ def prior_bodies(config: Config, model: Model, equation: LinearModel, reduction:
     bodies = _at_known_masses(config, bodies)
     if bodies is not model.bodies:
         effects = build_effects(replace(model, bodies=bodies), config)
-        equation = LinearModel(equation.joints, effects, equation.reference)
+        equation = LinearModel(equation.joints, effects, equation.operating_point)
     return PriorBodies(bodies, equation, tuple(reasons), tuple(warnings))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
-from idtool.dynamics.effects.rigid_body import scales
+from idtool.dynamics.effects.rigid_body import parameter_scales
 from idtool.estimation.problem.identify import solve
 from idtool.estimation.problem.parts import parts_of
 from idtool.estimation.problem.prior import reference
@@ -69,7 +69,7 @@ def project(pi: Array, chosen: ConstraintSet, body: Body, metric: Metric = "eucl
         If the problem could not be solved.
     """
     pi = np.asarray(pi, dtype=float)
-    unit = scales(body, abs(float(pi[0])) or 1.0)
+    unit = parameter_scales(body, abs(float(pi[0])) or 1.0)
     at = reference(pi, unit)
     M = np.eye(SIZE) if metric == "euclidean" else unit[:, None] * pullback(at) * unit
     if metric == "pullback" and chosen.name in ("full", "ellipsoid") and len(body.ellipsoids) < 2 and not body.com:

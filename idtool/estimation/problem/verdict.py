@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.dynamics.effects.rigid_body import length
+from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.estimation.problem.conic import solve_conic
 from idtool.estimation.problem.projection import nearest_problem
 from idtool.robot.body import Body
@@ -63,11 +63,11 @@ def judge(body: Body, pi: Array, pieces: Array | None = None) -> Verdict:
     chosen = choose_set(body)
     demanded = chosen.pieces(body)
     if len(demanded) == 1:
-        found = violations(pi, demanded[0].inequalities, float(pi[0]), length(body), tolerance=_ROUNDING)
+        found = violations(pi, demanded[0].inequalities, float(pi[0]), typical_length(body), tolerance=_ROUNDING)
         if found:
             return _refused(*(violation.text for violation in found))
         return Verdict((), None, *_shown(body, pi[None]))
-    if pieces is None or not _fulfil(pieces, demanded, float(pi[0]), length(body)):
+    if pieces is None or not _fulfil(pieces, demanded, float(pi[0]), typical_length(body)):
         pieces, distance = _split(pi, chosen, body)
         if distance > _NEAR:
             what = f"no density on the union of its {len(demanded)} bounding shapes has these parameters"
@@ -81,7 +81,7 @@ def _split(pi: Array, chosen: ConstraintSet, body: Body) -> tuple[Array, float]:
 
     The sets here are closed, unlike those of `project`: a piece may be a plate, a rod or a point, or without mass.
     """
-    problem = nearest_problem(pi, chosen, body, np.eye(SIZE), pi[0] * length(body) ** POWERS)
+    problem = nearest_problem(pi, chosen, body, np.eye(SIZE), pi[0] * typical_length(body) ** POWERS)
     closed = [replace(part, piece=_closed(part.piece)) for part in problem.parts]
     problem = replace(problem, parts=tuple(closed))
     start = np.asarray(np.linalg.lstsq(problem.S, problem.b, rcond=None)[0], dtype=np.float64)

@@ -95,7 +95,7 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
     for run in experiment.runs:
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
-            blocks, kept = experiment.equation.rows(batch)
+            blocks, kept = experiment.equation.filtered_rows(batch)
             everything = np.arange(blocks[0].shape[1])
             worth = np.full(len(everything), 1 / run.signals.low_pass.redundancy)
             new = Pool(blocks, kept, worth)
@@ -122,7 +122,7 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
     total = empty(experiment.equation.active())
     for run in experiment.runs:
         for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
-            blocks, _ = experiment.equation.rows(batch)
+            blocks, _ = experiment.equation.filtered_rows(batch)
             total = merge(total, tuple(Factor.of(block) for block in blocks))
     return total
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.dynamics.effects.base import Coefficient
+from idtool.dynamics.effects.effect import Coefficient
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Reduction

@@ -164,23 +164,25 @@ class _Sorts:
     def add(self, effect: NamedEffect) -> None:
         theta = np.array([c.prior for c in effect.coefficients])
         alone = Mechanism(self.model)
-        effect.join(theta, alone)
+        effect.add_to_forward_model(theta, alone)
         whose = effect.id, next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
         parameters = effect.parameters(theta, np.full((len(theta), len(theta)), np.inf))
         amounts = [(value, c.unit) for (value, _), c in zip(parameters.values(), effect.coefficients, strict=False)]
         amount = amounts[0] if amounts else ()
-        for term, value in (*alone.smooth, *alone.dry):
+        for term, value in (*alone.smooth_terms, *alone.dry_friction_terms):
             if value:
-                self.terms.append(Term(*whose, value, {name: float(x) for name, x in term.shape.items()}, amount))
+                self.terms.append(
+                    Term(*whose, value, {name: float(x) for name, x in term.nonlinear_values.items()}, amount)
+                )
         inertias = {
-            "in the inertials": alone.pi.any() or effect.alter(self.model) is not self.model,
+            "in the inertials": alone.pi.any() or effect.modify_model(self.model) is not self.model,
             "armature": alone.armature.any(),
             "gravity": (alone.gravity != self.model.gravity).any(),
         }
         self.inertias += [Part(*whose, detail, *amount) for detail, is_there in inertias.items() if is_there]
         if alone.position_offset.any():
             self.offsets.append(Part(*whose, "ref of the joint", *amount))
-        if alone.sensors or alone.torque_late.any():
+        if alone.torque_sensors or alone.torque_delay.any():
             self.others.append(Part(*whose, "it is the sensors', not the robot's", *amount))
-        elif alone.gears or alone.torques or any(value for _, value in alone.loops):
+        elif alone.transmissions or alone.extra_torques or any(value for _, value in alone.hysteresis_terms):
             self.others.append(Part(*whose, NOTHING, *amount))

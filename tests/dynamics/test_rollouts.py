@@ -16,7 +16,7 @@ from forward import (
     LEG_ROTORS,
     LEG_SPINS,
     NO_FRICTION,
-    Drive,
+    InputTorqueFunction,
     alone,
     friction,
     hinge,
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 from stick_slip import StickSlip
 
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -163,10 +163,10 @@ def test_rollouts_do_not_know_of_each_other(robot_of: ReadRobot) -> None:
     until = t0 + np.linspace(0.1, 0.5, 11)[:, None] * rng.uniform(0.5, 2, count)
 
     def run(these: NDArray[np.intp]) -> Array:
-        def drive(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
-            return np.asarray(size[:, these[lanes]] * np.sin(rate[:, these[lanes]] * t))
+        def input_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
+            return np.asarray(size[:, these[rollout_ids]] * np.sin(rate[:, these[rollout_ids]] * t))
 
-        rollouts = Rollouts(leg, t0[these], q0[:, these], v0[:, these], drive)
+        rollouts = Rollouts(leg, t0[these], q0[:, these], v0[:, these], input_torque)
         states = []
         for row in until:
             rollouts.advance(row[these])
@@ -192,12 +192,14 @@ def test_rollouts_of_which_some_are_stiff_do_not_know_of_each_other(robot_of: Re
     samples = np.linspace(0, 0.1, 11)
     for stiff in (3e3, 6e3, 1e4):  # 1/s
 
-        def drive(t: Array, q: Array, v: Array, lanes: NDArray[np.intp], damping: float = stiff * slowest[2]) -> Array:
+        def input_torque(
+            t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp], damping: float = stiff * slowest[2]
+        ) -> Array:
             return pushes(t) - damping * v
 
-        together = np.array(rolled(leg, q0, v0, drive, samples))
+        together = np.array(rolled(leg, q0, v0, input_torque, samples))
         for w in range(4):
-            one = np.array(rolled(leg, q0[:, w], v0[:, w], drive, samples))
+            one = np.array(rolled(leg, q0[:, w], v0[:, w], input_torque, samples))
             np.testing.assert_allclose(one[:, :, 0], together[:, :, w], rtol=0, atol=1e-12)
 
 
@@ -207,12 +209,12 @@ LIGHT = 1e-5  # kg·m²
 class Calls:
     """A drive that counts how often it is asked; at the joints' own rates, a second would take some 500,000 times."""
 
-    def __init__(self, drive: Drive) -> None:
-        self.drive, self.count = drive, 0
+    def __init__(self, input_torque: InputTorqueFunction) -> None:
+        self.input_torque, self.count = input_torque, 0
 
-    def __call__(self, t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def __call__(self, t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         self.count += 1
-        return self.drive(t, q, v, lanes)
+        return self.input_torque(t, q, v, rollout_ids)
 
 
 @pytest.mark.parametrize(("coulomb", "tolerance"), [(0.0, 3e-5), (0.3, 3e-5)])
@@ -233,10 +235,10 @@ def test_a_light_joint_follows_its_controller(robot_of: ReadRobot, kp: float, kd
     b = 1.0
     machine = mechanism(robot_of(hinge(LIGHT)), {"friction": friction(["x1"], [b], [0])})
 
-    def drive(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def input_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return np.asarray(kp * (np.sin(5 * t) - q) + kd * (5 * np.cos(5 * t) - v))
 
-    samples, calls = np.linspace(0, 1, 1001), Calls(drive)
+    samples, calls = np.linspace(0, 1, 1001), Calls(input_torque)
     q, _ = rolled(machine, [0.0], [0.0], calls, samples)
     assert calls.count < 10_000
     found = solve_ivp(

@@ -16,7 +16,7 @@ from robots import actuated, random_urdf
 
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import build_effects
-from idtool.dynamics.present import PresentModel
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
@@ -59,13 +59,13 @@ class Case:
             **config,
         }
         self.motion = sampled(*rng.normal(size=(3, len(self.names), 5)))
-        self.present = self.along(self.motion)
+        self.linearized = self.along(self.motion)
 
-    def along(self, motion: Motion) -> PresentModel:
+    def along(self, motion: Motion) -> LinearizedModel:
         parsed = parse_config(self.config, "")
         model = build_model(self.robot, parsed, self.names)
         linear = LinearModel(model.names, build_effects(model, parsed))
-        return PresentModel(linear, linear.prior, motion)
+        return LinearizedModel(linear, linear.prior, motion)
 
     def reference(self, **changes: Any) -> Reference:
         return Reference(self.text, self.names, {**self.config, **changes})
@@ -89,7 +89,7 @@ def assert_moved(case: Case, motion: Motion, by: Array, free: Callable[[Referenc
     """Every joint in turn is off by ``by``, (3, N)."""
     found = case.reference()
     for joint in range(len(case.names)):
-        ours = case.along(motion).moved(motion, joint, *by)
+        ours = case.along(motion).torque_change_by_motion(joint, *by)
         for n, change in enumerate(by.T):
             state = motion.q[:, n], motion.v[:, n], motion.a[:, n]
             D = slopes(found, *state, None if free is None else free(found))
@@ -131,7 +131,7 @@ def test_between_the_samples_that_it_looks_at_the_change_is_as_good(robot_of: Re
     q, v, a = (x.T for x in sines(np.arange(count) * dt, len(case.names)))
     motion = sampled(q, v, a, dt)
     by = np.random.default_rng(2).normal(size=(3, count))
-    ours = case.along(motion).moved(motion, 0, *by)
+    ours = case.along(motion).torque_change_by_motion(0, *by)
     found = case.reference()
     expected = np.stack(
         [
@@ -148,7 +148,7 @@ def test_another_gravity_pulls_as_pinocchios(robot_of: ReadRobot, rotor: bool) -
     case, change = Case(robot_of, 4, rotor), np.array([2.0, 0.5, -1.0])
     expected = case.torque(case.motion, gravity=(np.array(GRAVITY) + change).tolist()) - case.torque(case.motion)
     assert np.abs(expected).max() > 0.1
-    np.testing.assert_allclose(case.present.pulled(case.motion, change), expected, atol=1e-9)
+    np.testing.assert_allclose(case.linearized.torque_change_by_gravity(change), expected, atol=1e-9)
 
 
 def entry(effect: str, joint: str, **parameters: float) -> dict[str, Any]:
@@ -172,11 +172,11 @@ def test_what_is_predicted_is_pinocchios_torque_and_the_effects(robot_of: ReadRo
     expected = plain.torque(case.motion)
     expected[0] += 7.0 * (case.motion.q[0] - 0.2) + 0.4 * case.motion.v[0]
     expected[-1] += 0.3
-    np.testing.assert_allclose(case.present.predicted(case.motion), expected, atol=1e-9)
+    np.testing.assert_allclose(case.linearized.predicted_torque, expected, atol=1e-9)
     again = case.along(replace(case.motion, tau=case.motion.tau + 5))
-    np.testing.assert_allclose(again.predicted(case.motion), expected, atol=1e-9)
-    late = case.present.true.tau
-    np.testing.assert_allclose(case.present.residual, late - expected, atol=1e-9)
+    np.testing.assert_allclose(again.predicted_torque, expected, atol=1e-9)
+    late = case.linearized.true_motion.tau
+    np.testing.assert_allclose(case.linearized.residual, late - expected, atol=1e-9)
     assert np.abs(late - case.motion.tau).max() > 0.1
 
 
@@ -196,7 +196,7 @@ def test_a_link_carries_what_pinocchio_says_of_the_tree_without_the_rotor(
     if "effects" in config:
         config["effects"] = [{**config["effects"][0], "joint": plain.names[0]}]
     case = Case(robot_of, seed, **config)
-    torque, inertia = case.present.carried(case.motion, 0)
+    torque, inertia = case.linearized.link_load(case.motion, 0)
     np.testing.assert_allclose(torque, plain.torque(case.motion)[0], atol=1e-9)
     found, m = plain.reference(), case.motion
     M = [slopes(found, *state)[2][0, 0] for state in zip(m.q.T, m.v.T, m.a.T, strict=True)]

@@ -17,9 +17,9 @@ from robots import random_rotors, random_urdf
 from scipy.integrate import solve_ivp
 from stick_slip import StickSlip
 
-from idtool.dynamics.effects.stribeck import StribeckFriction
+from idtool.dynamics.effects.stribeck_friction import StribeckFriction
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.integrate import Rollouts
+from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -50,9 +50,9 @@ def test_two_joints_stop_at_the_same_time(robot_of: ReadRobot, carried: bool, ap
 def test_what_lets_go_unloads_the_other(robot_of: ReadRobot, c: tuple[float, float], at_once: bool) -> None:
     """A force on the mass alone is more than the carriage's friction; but the mass slips first, and spares it."""
     force = (lambda t: 10 + 0 * t) if at_once else (lambda t: 10 * t)
-    drive = of_time(lambda t: np.stack([force(t), force(t)]))  # in both coordinates: the mass is on the carriage
+    input_torque = of_time(lambda t: np.stack([force(t), force(t)]))  # in both coordinates: the mass is on the carriage
     samples = np.linspace(0, 2, 41)
-    q, v = rolled(pair(robot_of, (1.0, 2.0), c), [0, 0], [0, 0], drive, samples)
+    q, v = rolled(pair(robot_of, (1.0, 2.0), c), [0, 0], [0, 0], input_torque, samples)
     assert np.abs(q[0]).max() < 1e-12
     assert np.abs(v[0]).max() < 1e-12
     t0 = 0.0 if at_once else 0.2
@@ -66,9 +66,9 @@ def test_what_lets_go_takes_the_other_along(robot_of: ReadRobot) -> None:
 
     As one, (10 t − 1) / 3 is their acceleration, and 10 t − 2 a, which is less than 4 until then, holds the mass.
     """
-    drive = of_time(lambda t: np.stack([10 * t, 10 * t]))  # on the mass
+    input_torque = of_time(lambda t: np.stack([10 * t, 10 * t]))  # on the mass
     samples = np.linspace(0, 2, 81)
-    q, _ = rolled(pair(robot_of, (1.0, 2.0), (1.0, 4.0)), [0, 0], [0, 0], drive, samples)
+    q, _ = rolled(pair(robot_of, (1.0, 2.0), (1.0, 4.0)), [0, 0], [0, 0], input_torque, samples)
     as_one, slipping = np.clip(samples - 0.1, 0, 0.9), np.maximum(samples - 1, 0)
     carriage = 10 / 3 * as_one**3 / 6 + 10 / 3 * 0.9**2 / 2 * slipping + 3 * slipping**2 / 2
     np.testing.assert_allclose(q[0, 0], carriage, rtol=0, atol=1e-9)
@@ -76,9 +76,9 @@ def test_what_lets_go_takes_the_other_along(robot_of: ReadRobot) -> None:
 
 
 def test_a_level_of_zero_is_no_friction(robot_of: ReadRobot) -> None:
-    drive = of_time(lambda t: np.stack([np.sin(5 * t), np.sin(5 * t)]))
+    input_torque = of_time(lambda t: np.stack([np.sin(5 * t), np.sin(5 * t)]))
     samples = np.linspace(0, 3, 31)
-    q, _ = rolled(pair(robot_of, (1.0, 1.0), (0.0, 0.9), carried=False), [0, 0], [0, 0], drive, samples)
+    q, _ = rolled(pair(robot_of, (1.0, 1.0), (0.0, 0.9), carried=False), [0, 0], [0, 0], input_torque, samples)
     np.testing.assert_allclose(q[0, 0], samples / 5 - np.sin(5 * samples) / 25, rtol=0, atol=1e-9)
     np.testing.assert_allclose(q[1, 0, :3], 0, rtol=0, atol=0)
 
@@ -87,7 +87,7 @@ def test_a_level_of_zero_is_no_friction(robot_of: ReadRobot) -> None:
 def test_where_friction_is_nothing_any_load_moves(robot_of: ReadRobot, force: float) -> None:
     """A level of 2 − 3 exp(−v²), less than nothing being nothing."""
     machine = mechanism(robot_of(sliders(1.0)), {"friction": friction(["x1"], [0], [2.0])})
-    machine.dry.append((StribeckFriction(machine.model, 0, 0.0, {"velocity": 1.0}), -3.0))
+    machine.dry_friction_terms.append((StribeckFriction(machine.model, 0, 0.0, {"velocity": 1.0}), -3.0))
     samples = np.linspace(0, 5, 11)
     q, _ = rolled(machine, [0], [0], of_time(lambda t: force + 0 * t[None]), samples)
 
@@ -120,28 +120,28 @@ def belt(robot_of: ReadRobot, count: int) -> tuple[Mechanism, StickSlip, Callabl
     ]
     springs = 60.0 * (3 * np.eye(count) - np.ones((count, count)))
 
-    def drive(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def input_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return -springs @ (q + 0.3 * t)
 
-    torque = alone(drive)
+    torque = alone(input_torque)
     witness = StickSlip(
         lambda q, v: (np.diag(masses), np.zeros(count)),
         lambda t, q, v: torque(t, q, v) - 0.1 * v,
         lambda v: 2 + 2 * np.exp(-((v / 0.2) ** 2)),
     )
-    return mechanism(robot_of(sliders(*masses)), config), witness, drive
+    return mechanism(robot_of(sliders(*masses)), config), witness, input_torque
 
 
 def test_the_period_of_stick_and_slip(robot_of: ReadRobot) -> None:
     """Of a mass on a belt, nine times over."""
-    machine, witness, drive = belt(robot_of, 1)
+    machine, witness, input_torque = belt(robot_of, 1)
     samples = np.linspace(0, 6.5, 1301)
     expected, _ = witness.run(np.zeros(1), np.zeros(1), samples)
     slips = [t for t, _, s in witness.changes if s]
     periods = np.diff(slips[1:])
     assert len(periods) >= 8
     np.testing.assert_allclose(periods, periods[0], rtol=1e-8)
-    q, v = rolled(machine, [0.0], [0.0], drive, samples)
+    q, v = rolled(machine, [0.0], [0.0], input_torque, samples)
     np.testing.assert_allclose(q[:, 0], expected, rtol=0, atol=1e-5)
     # Carried, the mass rests on the belt where it was caught; a period later it rests that much further back.
     rests = q[0, 0, np.flatnonzero((v[0, 0, 1:] == 0) & (v[0, 0, :-1] != 0)) + 1]
@@ -149,12 +149,12 @@ def test_the_period_of_stick_and_slip(robot_of: ReadRobot) -> None:
 
 
 def test_coupled_stick_and_slip(robot_of: ReadRobot) -> None:
-    machine, witness, drive = belt(robot_of, 2)
+    machine, witness, input_torque = belt(robot_of, 2)
     samples = np.linspace(0, 4, 401)
     expected, speeds = witness.run(np.array([0.0, 0.05]), np.zeros(2), samples)
     assert len({s for _, _, s in witness.changes}) > 1
     assert len(witness.changes) > 12
-    q, v = rolled(machine, [0.0, 0.05], [0, 0], drive, samples)
+    q, v = rolled(machine, [0.0, 0.05], [0, 0], input_torque, samples)
     np.testing.assert_allclose(q[:, 0], expected, rtol=0, atol=1e-5)
     assert np.count_nonzero((v[:, 0] == 0) != (np.abs(speeds) < 1e-9)) <= 3
 
@@ -185,14 +185,14 @@ def test_random_machines_move_as_scipy_moves_them(robot_of: ReadRobot, seed: int
     springs = rng.uniform(5, 50, (4, 1))
     q0, v0 = 0.3 * rng.normal(size=4), 2 * rng.normal(size=4) * (rng.random(4) < 0.6)
 
-    def drive(t: Array, q: Array, v: Array, lanes: NDArray[np.intp]) -> Array:
+    def input_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return np.sum(size[..., None] * np.sin(rate[..., None] * t + phase[..., None]), axis=1) - springs * q
 
-    torque, samples = alone(drive), np.linspace(0, 1, 51)
+    torque, samples = alone(input_torque), np.linspace(0, 1, 51)
     witness = StickSlip(tree, lambda t, q, v: torque(t, q, v) - b * v, lambda v: c)
     expected, _ = witness.run(q0, v0, samples)
     assert len(witness.changes) > 1
-    q, _ = rolled(machine, q0, v0, drive, samples)
+    q, _ = rolled(machine, q0, v0, input_torque, samples)
     np.testing.assert_allclose(q[:, 0], expected, rtol=0, atol=1e-5)
 
 
@@ -201,7 +201,7 @@ def starts(machine: Mechanism, tree: Tree, c: Array, q0: Array, seed: int) -> se
     rng, moment, rest, sliding = np.random.default_rng(seed), 1e-7, np.zeros_like(q0), set()
     weight = np.transpose([tree(q, v)[1] for q, v in zip(q0.T, rest.T, strict=True)])
     tau = weight + 2 * c[:, None] * rng.normal(size=q0.shape)
-    rollouts = Rollouts(machine, np.zeros(q0.shape[1]), q0, rest, lambda t, q, v, lanes: tau[:, lanes])
+    rollouts = Rollouts(machine, np.zeros(q0.shape[1]), q0, rest, lambda t, q, v, rollout_ids: tau[:, rollout_ids])
     rollouts.advance(np.full(q0.shape[1], moment))
     for w in range(q0.shape[1]):
         witness = StickSlip(tree, lambda t, q, v, w=w: tau[:, w], lambda v: c)

@@ -1,10 +1,10 @@
-"""Mass matrix and bias of a mechanism: M(q) and h(q, v), batch after batch.
+"""`RigidBodyDynamics`: mass matrix and bias of a mechanism, M(q) and h(q, v), batch after batch.
 
 Every body, rotors included, is a joint of a tree of its own, in which M and h are found by the composite-rigid-body and
 the Newton–Euler algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, sections 6.2 and 5.3). With
 phi = G q + offset, virtual work gives M = Gᵀ M_tree G and h = Gᵀ h_tree.
 
-Shapes: n coordinates: the nv joints, then the motor side of each joint that has a `Gear`, in the joints' order.
+Shapes: n coordinates: the nv joints, then the motor side of each joint that has a `Transmission`, in the joints' order.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
 
 
-class Dynamics:
-    """Rigid bodies, links and rotors, run forwards.
+class RigidBodyDynamics:
+    """Mass matrix and bias of the rigid bodies, links and rotors.
 
     Parameters
     ----------
     mechanism
-        Its bodies with their parameters, and what else has inertia.
+        Its bodies with their parameters, and further inertia on the joints.
 
     Raises
     ------
@@ -35,19 +35,21 @@ class Dynamics:
     def __init__(self, mechanism: Mechanism) -> None:
         bodies = mechanism.model.bodies
         order = _depth_first(bodies)
-        place = {body: i + 1 for i, body in enumerate(order)} | {-1: 0}
+        tree_joints = {-1: 0}  # by index of the body; -1: the base
         self._tree = pin.Model()
         self._tree.gravity.linear = np.array(mechanism.gravity)
         for index in order:
             body = bodies[index]
+            parent = tree_joints[body.mount.body]
             mount = pin.SE3(body.mount.R, body.mount.p)
-            joint = self._tree.addJoint(place[body.mount.body], _joint(body), mount, str(index))
+            joint = self._tree.addJoint(parent, _joint_model(body), mount, str(index))
             self._tree.appendBodyToJoint(joint, _inertia(body, mechanism.pi[index]), pin.SE3.Identity())
+            tree_joints[index] = joint
         self._data = self._tree.createData()
         self._G = np.stack([_ratios(bodies[index], mechanism) for index in order])  # (bodies, n)
         self._offset = np.array([[bodies[index].offset] for index in order])
         armature = np.zeros(self._G.shape[1])
-        np.add.at(armature, motor_sides(mechanism), mechanism.armature)
+        np.add.at(armature, motor_coordinates(mechanism), mechanism.armature)
         self._armature = np.diag(armature)
 
     def __call__(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -62,29 +64,33 @@ class Dynamics:
         -------
         M, shape (W, n, n), and h, shape (n, W): Coriolis, centrifugal and gravity torque.
         """
-        count, size = q.shape[1], len(self._G)
-        phi = np.ascontiguousarray((self._G @ q + self._offset).T)
-        dphi = np.ascontiguousarray((self._G @ v).T)
-        M, h = np.empty((count, size, size)), np.empty((count, size))
+        G = self._G
+        phi = np.ascontiguousarray((G @ q + self._offset).T)
+        dphi = np.ascontiguousarray((G @ v).T)
+        count, size = phi.shape
+        M = np.empty((count, size, size))
+        h = np.empty((count, size))
         tree, data = self._tree, self._data
         for w in range(count):
             M[w] = pin.crba(tree, data, phi[w])
             h[w] = pin.nonLinearEffects(tree, data, phi[w], dphi[w])
-        G = self._G
         return G.T @ M @ G + self._armature, (h @ G).T
 
 
-def motor_sides(mechanism: Mechanism) -> Indices:
-    """The coordinate of each joint's motor side, shape (nv,): the joint's own where it has no gear."""
-    sides = np.arange(len(mechanism.model.joints))
-    sides[sorted(mechanism.gears)] = len(sides) + np.arange(len(mechanism.gears))
-    return sides
+def motor_coordinates(mechanism: Mechanism) -> Indices:
+    """Coordinate of each joint's motor side, shape (nv,): the joint's own where it has no transmission."""
+    nv = len(mechanism.model.joints)
+    coordinates = np.arange(nv)
+    coordinates[sorted(mechanism.transmissions)] = nv + np.arange(len(mechanism.transmissions))
+    return coordinates
 
 
 def _ratios(body: Body, mechanism: Mechanism) -> Array:
-    """How much each coordinate moves a body, shape (n,): links by the link side, rotors by the motor side."""
-    ratios = np.zeros(len(body.ratios) + len(mechanism.gears))
-    ratios[motor_sides(mechanism) if body.kind == "rotor" else np.arange(len(body.ratios))] = body.ratios
+    """Motion of a body per coordinate, shape (n,): links by the link side, rotors by the motor side."""
+    nv = len(body.ratios)
+    coordinates = motor_coordinates(mechanism) if body.kind == "rotor" else np.arange(nv)
+    ratios = np.zeros(nv + len(mechanism.transmissions))
+    ratios[coordinates] = body.ratios
     return ratios
 
 
@@ -93,15 +99,16 @@ def _depth_first(bodies: tuple[Body, ...]) -> list[int]:
     children: dict[int, list[int]] = {}
     for i, body in enumerate(bodies):
         children.setdefault(body.mount.body, []).append(i)
-    order, waiting = [], children.get(-1, [])[::-1]
-    while waiting:
-        index = waiting.pop()
+    order = []
+    stack = children.get(-1, [])[::-1]
+    while stack:
+        index = stack.pop()
         order.append(index)
-        waiting += children.get(index, [])[::-1]
+        stack += children.get(index, [])[::-1]
     return order
 
 
-def _joint(body: Body) -> pin.JointModel:
+def _joint_model(body: Body) -> pin.JointModel:
     kind = pin.JointModelPrismaticUnaligned if body.prismatic else pin.JointModelRevoluteUnaligned
     return kind(np.array(body.axis))
 

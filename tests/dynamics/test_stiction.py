@@ -109,8 +109,8 @@ def test_in_many_rollouts_joints_stay_while_others_shake_them(robot_of: ReadRobo
     rng, count = np.random.default_rng(3), 200
     q0 = np.array([[0.0], [0.2], [-1.0]]) + rng.uniform(-0.3, 0.3, (3, count))
     late = rng.uniform(0, 1, count)
-    drive = lambda t, q, v, lanes: vigorous(t + late[lanes])  # noqa: E731
-    q, v = rolled(leg(robot_of), q0, np.zeros((3, count)), drive, np.linspace(0, 0.5, 11))
+    input_torque = lambda t, q, v, rollout_ids: vigorous(t + late[rollout_ids])  # noqa: E731
+    q, v = rolled(leg(robot_of), q0, np.zeros((3, count)), input_torque, np.linspace(0, 0.5, 11))
     still(q[0], v[0])
     assert np.ptp(q[1:], axis=-1).min() > 0.01
 

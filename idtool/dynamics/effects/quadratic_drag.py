@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
@@ -13,13 +14,13 @@ class QuadraticDrag(JointTerm):
     """d v abs(v)."""
 
     id = "quadratic_drag"
-    means = "drag grows with the square of speed"
-    shows = "steady motion at several high speeds"
+    description = "drag grows with the square of speed"
+    excitation_hint = "steady motion at several high speeds"
     name = "drag"
-    friction = True
-    unit = ("N·m·s²/rad²", "N·s²/m²")
+    is_friction = True
+    units = ("N·m·s²/rad²", "N·s²/m²")
 
+    @override
     def column(self, motion: Motion) -> Array:
-        """The square of the velocity, with its sign."""
         v = motion.v[self.joint]
         return np.asarray(v * np.abs(v))

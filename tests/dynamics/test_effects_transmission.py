@@ -29,8 +29,8 @@ from spatial_arm import (
     written,
 )
 
-from idtool.dynamics.effects import known_effects
-from idtool.dynamics.mechanism import Gear
+from idtool.dynamics.effects import effect_types
+from idtool.dynamics.mechanism import Transmission
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.model import Model
 
@@ -134,7 +134,7 @@ def test_the_deflection_is_that_of_the_torque_that_the_spring_carries(tmp_path: 
     tried = experiment(urdf, csv, ELASTICITY, rotors=rotor("lift", MOTOR))
     (batch,) = tried.runs[0].signals.batches(every_sample=True)
     seen, inner = batch.motion, slice(300, -300)
-    link = tried.equation.effects[-1].true(seen)
+    link = tried.equation.effects[-1].correct_motion(seen)
     carried = seen.tau[1] - MOTOR * N**2 * seen.a[1]
     deflection = seen.q[1] - link.q[1]
     np.testing.assert_allclose(deflection[inner], carried[inner] / K, atol=1e-4)
@@ -148,7 +148,7 @@ def test_samples_whose_deflection_is_not_known_do_not_count(tmp_path: Path, elas
     urdf, csv = written(tmp_path, elastic)
     tried = experiment(urdf, csv, ELASTICITY, rotors=rotor("lift", MOTOR))
     (batch,) = tried.runs[0].signals.batches()
-    masks = tried.equation.effects[-1].undefined(batch.motion)
+    masks = tried.equation.effects[-1].invalid_mask(batch.motion)
     assert sorted(masks) == [0, 1, 2]
     for mask in masks.values():
         inner = np.flatnonzero(~mask)
@@ -230,7 +230,7 @@ def test_backlash_explains_blips_and_what_it_does_not_is_left_out(tmp_path: Path
         batch.filter(batch.motion.tau - tried.equation.torque(batch.motion, tried.equation.prior)) for tried in found
     )
     at = np.round(batch.t * RATE).astype(int)
-    seen, kept = apart[at], found[0].equation.kept(batch)
+    seen, kept = apart[at], found[0].equation.valid_samples(batch)
     assert 0.05 < seen.mean() < 0.3
     for one, other, keep in zip(with_it, without, kept, strict=True):
         assert np.square(one).sum() < 0.3 * np.square(other).sum()
@@ -241,7 +241,7 @@ def test_backlash_explains_blips_and_what_it_does_not_is_left_out(tmp_path: Path
         assert away.max() < 150  # ms from where teeth are apart
 
 
-def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Gear]:
+def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Transmission]:
     """What entries make of a joint with the lift's motor."""
     text = (
         '<robot name="r"><link name="turret"/><link name="l1"/><joint name="lift" type="revolute">'
@@ -249,16 +249,16 @@ def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Gear]:
         '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
     )
     model = build(text, ["lift"], rotors=rotor("lift", MOTOR))
-    effects = [known_effects()[e["effect"]](model, 0, e["parameters"]) for e in entries]
-    return LinearModel(("lift",), tuple(effects)).mechanism(model, np.zeros(0)).gears
+    effects = [effect_types()[e["effect"]](model, 0, e["parameters"]) for e in entries]
+    return LinearModel(("lift",), tuple(effects)).mechanism(model, np.zeros(0)).transmissions
 
 
 def test_a_gear_may_give_and_play(build: Build) -> None:
     play = entry("backlash", "lift", width=0.02)
     for entries in ((ELASTICITY, play), (play, ELASTICITY)):
-        assert gears(build, *entries) == {0: Gear(K, 0.05, 0.02)}
-    assert gears(build, ELASTICITY) == {0: Gear(K, 0.05, 0.0)}
-    assert gears(build, play) == {0: Gear(np.inf, 0.5, 0.02)}
+        assert gears(build, *entries) == {0: Transmission(K, 0.05, 0.02)}
+    assert gears(build, ELASTICITY) == {0: Transmission(K, 0.05, 0.0)}
+    assert gears(build, play) == {0: Transmission(np.inf, 0.5, 0.02)}
 
 
 @pytest.mark.parametrize("given", [ELASTICITY, BACKLASH], ids=lambda given: given["effect"])

@@ -1,0 +1,24 @@
+"""Coulomb friction."""
+
+from __future__ import annotations
+
+import numpy as np
+from typing_extensions import override
+
+from idtool.common.arrays import Array
+from idtool.data.signals import Motion
+from idtool.dynamics.effects.joint_term import DryFriction
+
+
+class CoulombFriction(DryFriction):
+    """c sign(v) (26)."""
+
+    id = "coulomb_friction"
+    description = "friction that does not depend on speed"
+    excitation_hint = "slow motion in both directions"
+    name = "coulomb"
+    units = ("N·m", "N")
+
+    @override
+    def level(self, motion: Motion) -> Array:
+        return np.ones_like(motion.t)

@@ -1,0 +1,102 @@
+"""Parameters of an entry under `effects`, checked and as numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.common.exceptions import ConfigError
+from idtool.common.names import nearest, shown, some
+from idtool.robot.config import EffectEntry, Uncertain
+from idtool.robot.model import Model
+
+
+def entry_location(entry: EffectEntry) -> str:
+    """Location of an entry in the configuration, for messages."""
+    return f"effects: {entry.effect}"
+
+
+def check_parameter_names(entry: EffectEntry, names: tuple[str, ...]) -> None:
+    """Check that an entry gives all parameters of its effect and no others.
+
+    Raises
+    ------
+    ConfigError
+        If it does not.
+    """
+    for given in entry.parameters:
+        if given not in names:
+            raise ConfigError(entry_location(entry), f"has no parameter {shown(given)}; {nearest(given, names)}")
+    missing = [name for name in names if name not in entry.parameters]
+    if missing:
+        raise ConfigError(entry_location(entry), f"needs the parameters {some(names)}; add {some(missing)}")
+
+
+def read_number(entry: EffectEntry, name: str) -> float:
+    """Value of a parameter that is a number, alone or with its standard error.
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    try:
+        return Uncertain.model_validate(entry.parameters[name]).value
+    except ValueError:
+        message = f"{name} is not a number; give one, or value and standard_error"
+        raise ConfigError(entry_location(entry), message) from None
+
+
+def read_vector(entry: EffectEntry, name: str, length: int) -> Array:
+    """Values of a parameter that is a list of numbers, each as for `read_number`; shape (length,).
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    try:
+        return _numbers(entry.parameters[name], length)
+    except ValueError:
+        message = f"{name} is not a list of {length} numbers; give one"
+        raise ConfigError(entry_location(entry), message) from None
+
+
+def read_rows(entry: EffectEntry, name: str, length: int) -> Array:
+    """Values of a parameter that is a list of one or more lists of numbers; shape (rows, length).
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    given = entry.parameters[name]
+    try:
+        if not isinstance(given, list | tuple) or not given:
+            raise ValueError
+        return np.array([_numbers(row, length) for row in given])
+    except ValueError:
+        message = f"{name} is not a list of lists of {length} numbers; give one"
+        raise ConfigError(entry_location(entry), message) from None
+
+
+def _numbers(given: Any, length: int) -> Array:
+    if not isinstance(given, list | tuple) or len(given) != length:
+        raise ValueError
+    return np.array([Uncertain.model_validate(x).value for x in given])
+
+
+def read_joint_index(entry: EffectEntry, name: Any, model: Model, parameter: str = "") -> int:
+    """Index of the joint of that name; ``parameter`` is the one that names it, if any.
+
+    Raises
+    ------
+    ConfigError
+        If the model has no such joint.
+    """
+    if name not in model.names:
+        subject = f"{parameter} {shown(str(name))}".strip()
+        raise ConfigError(entry_location(entry), f"{subject} is no moving joint; {nearest(str(name), model.names)}")
+    return model.names.index(name)

@@ -1,0 +1,41 @@
+"""`Linearization`: a model along a motion and how its torque changes, as the effects need it; see `LinearizedModel`."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from idtool.common.arrays import Array
+from idtool.data.signals import Motion
+
+
+class Linearization(Protocol):
+    """A model with its coefficients along a motion."""
+
+    @property
+    def measured_motion(self) -> Motion:
+        """The motion that the sensors gave."""
+
+    @property
+    def residual(self) -> Array:
+        """Measured torque less the model's, unfiltered, shape (nv, N) [N·m or N]."""
+
+    @property
+    def predicted_torque(self) -> Array:
+        """Torque that the model predicts, shape (nv, N) [N·m or N]."""
+
+    def torque_change_by_motion(self, joint: int, dq: Array, dv: Array, da: Array) -> Array:
+        """First-order change of the torque where a joint's link moves by dq, dv and da, shape (N,) each.
+
+        Returns
+        -------
+        Shape (nv, N) [N·m or N].
+        """
+
+    def torque_change_by_gravity(self, change: Array) -> Array:
+        """Change of the torque with a change of gravity [m/s²], shape (3,); shape (nv, N) [N·m or N]."""
+
+    def link_load(self, motion: Motion, joint: int) -> tuple[Array, Array]:
+        """Torque and inertia of what a joint's link carries, without the rotors; shape (N,) each."""
+
+    def friction_torque(self, joint: int) -> Array:
+        """Friction torque of a joint, shape (N,) [N·m or N]."""

@@ -1,0 +1,141 @@
+"""`NamedEffect`: an effect that a configuration can name under `effects`.
+
+Its parameters (contract section 6) are of two kinds: linear ones, which follow from its coefficients and are
+identified, and nonlinear ones, which a fit leaves as they are and on which its columns depend.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from idtool.common.arrays import Array
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.effect import Effect
+from idtool.dynamics.effects.probe import Probe
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import Model
+
+ParameterValue = tuple[float, float | None]  # and its standard error; None: not known
+
+
+@dataclass(frozen=True)
+class NonlinearParameter:
+    """A parameter on which an effect's columns depend.
+
+    Attributes
+    ----------
+    name
+        As in the contract.
+    positive
+        True if it must be above 0.
+    is_joint
+        True if it names another joint; the effect then has that joint's index.
+    distinguishes_instances
+        True if a joint may have the effect more than once, with different values of this.
+    max_standard_error
+        Largest standard error with which the effect is still reported; None: a share of the value.
+    optional_maximum
+        Largest value of a parameter that may be left out and is then 0; None: it may not be left out.
+    """
+
+    name: str
+    positive: bool = False
+    is_joint: bool = False
+    distinguishes_instances: bool = False
+    max_standard_error: float | None = None
+    optional_maximum: float | None = None
+
+
+class NamedEffect(Effect):
+    """An effect with an id. One that acts on a joint is a `JointEffect`.
+
+    Attributes
+    ----------
+    id
+        Its name in a configuration; empty for a base class or a part of another effect.
+    description
+        What the effect is, in a few words for the user.
+    excitation_hint
+        The motion that excites it.
+    nonlinear_parameters
+        The parameters on which its columns depend.
+    generalizes
+        Simpler effects that it can imitate. They are preferred unless the data insist.
+    requires
+        Effects of which the joint must have at least one, since this effect modifies them.
+    min_explained_share
+        Share of a joint's squared residual that it must explain to be reported, where its column contains the
+        residual's own noise.
+    is_friction
+        True for friction, which may act on the motor side of a transmission.
+    acts_at_reversals
+        True if it shows where a joint reverses, as friction does.
+    reportable
+        True if it is an answer to what a model lacks; else it is only fitted along, so as not to hide others.
+    """
+
+    id: str = ""
+    description: str = ""
+    excitation_hint: str = ""
+    nonlinear_parameters: tuple[NonlinearParameter, ...] = ()
+    generalizes: tuple[str, ...] = ()
+    requires: tuple[str, ...] = ()
+    min_explained_share: float = 0.0
+    is_friction: bool = False
+    acts_at_reversals: bool = False
+    reportable: bool = True
+
+    @classmethod
+    def probes(cls, summary: DataSummary) -> Iterator[Probe]:
+        """Hypotheses of this effect missing from a model."""
+        yield from ()
+
+    @classmethod
+    def gradient_parameters(cls) -> tuple[str, ...]:
+        """Nonlinear parameters that a search moves along a gradient; ``com.0`` is the first element of a list."""
+        return ()
+
+    @classmethod
+    def grid_parameters(cls) -> tuple[str, ...]:
+        """Nonlinear parameters that a search finds by trying values, since the columns jump with them."""
+        return ()
+
+    @classmethod
+    @abstractmethod
+    def from_entry(cls, entry: EffectEntry, model: Model) -> NamedEffect:
+        """Effect that an entry describes; the entry's values are the prior of its coefficients.
+
+        Raises
+        ------
+        ConfigError
+            If the entry names something that does not exist, or a parameter is missing, unknown or out of range.
+        """
+
+    @property
+    @abstractmethod
+    def key(self) -> tuple[str | float, ...]:
+        """Id, what the effect acts on, and what distinguishes it from others on the same."""
+
+    @abstractmethod
+    def parameters(self, theta: Array, covariance: Array) -> dict[str, ParameterValue]:
+        """Linear parameters with their standard errors.
+
+        Parameters
+        ----------
+        theta
+            The coefficients, shape (m,).
+        covariance
+            Covariance of their errors, shape (m, m); infinite where it is not known.
+        """
+
+
+def config_parameters(values: Mapping[str, ParameterValue]) -> dict[str, dict[str, float]]:
+    """Parameters in the form that a configuration has."""
+    parameters = {}
+    for name, (value, error) in values.items():
+        parameters[name] = {"value": value}
+        if error is not None:
+            parameters[name]["standard_error"] = error
+    return parameters

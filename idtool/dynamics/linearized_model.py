@@ -1,0 +1,209 @@
+"""`LinearizedModel`: a torque equation with its coefficients along a motion, and how its torque changes with it.
+
+The partial derivatives of the rigid bodies' torque vary no faster than the motion, so that they are evaluated at some
+samples and interpolated linearly.
+
+Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from idtool.common.arrays import Array, Indices
+from idtool.data.signals import Motion
+from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
+from idtool.robot.inertia import SIZE, symmetric
+
+_RATE = 150.0  # Hz, of the samples at which derivatives are evaluated
+_STEP = 1e-5  # rad, rad/s: of a finite difference
+_ACCELERATION_STEP = 1.0  # rad/s²: the torque is linear in a
+
+
+class TorqueEquation(Protocol):
+    """A torque equation; see `LinearModel`."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The terms."""
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]:
+        """The unknowns."""
+
+    def active(self) -> tuple[Indices, ...]:
+        """Per joint, indices of the unknowns in its equation."""
+
+    def columns(self, motion: Motion) -> list[Array]:
+        """Unfiltered columns and torque, per joint."""
+
+
+class LinearizedModel:
+    """A torque equation with its coefficients along a motion; see `Linearization`.
+
+    Attributes
+    ----------
+    measured_motion, true_motion
+        As the sensors gave it, and as the effects correct it.
+
+    Parameters
+    ----------
+    equation
+        The torque equation.
+    theta
+        Its coefficients, shape (p,).
+    motion
+        As measured.
+    """
+
+    def __init__(self, equation: TorqueEquation, theta: Array, motion: Motion) -> None:
+        self.equation = equation
+        self.theta = theta
+        self.measured_motion = motion
+        self.true_motion = motion
+        for effect in equation.effects:
+            self.true_motion = effect.correct_motion(self.true_motion)
+        self._stride = max(1, int(1 / (_RATE * motion.dt)))
+
+    @cached_property
+    def columns(self) -> list[Array]:
+        """Unfiltered columns and torque, per joint; see `LinearModel.columns`."""
+        return self.equation.columns(self.measured_motion)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Measured torque less the model's, both as the equation has them, unfiltered; shape (nv, N)."""
+        rows = []
+        for active, block in zip(self.equation.active(), self.columns, strict=True):
+            rows.append(block[-1] - self.theta[active] @ block[:-1])
+        return np.stack(rows)
+
+    @property
+    def predicted_torque(self) -> Array:
+        """Torque that the model predicts, shape (nv, N)."""
+        return self.true_motion.tau - self.residual
+
+    def torque_change_by_motion(self, joint: int, dq: Array, dv: Array, da: Array) -> Array:
+        """First-order change of the torque where a joint's link, without its rotors, moves by dq, dv and da."""
+        change = -np.outer(self._rotor_inertia[joint], da)  # rotors stay with the motor
+        for derivatives, displacement in zip(self._derivatives, (dq, dv, da), strict=True):
+            if displacement.any():
+                change += self._at_all_samples(derivatives[joint]) * displacement
+        return change
+
+    def torque_change_by_gravity(self, change: Array) -> Array:
+        """Change of the torque with a change of gravity [m/s²], shape (3,); shape (nv, N)."""
+        model = self._bodies.model
+        changed = RigidBodies(replace(model, gravity=model.gravity + change))
+        samples = self._some_samples
+        difference = self._rigid_body_torque(samples, changed) - self._rigid_body_torque(samples, self._bodies)
+        return self._at_all_samples(difference)
+
+    def link_load(self, motion: Motion, joint: int) -> tuple[Array, Array]:
+        """Torque and inertia of what a joint's link carries, without the rotors; shape (N,) each."""
+        rotor_torque = self._rotor_inertia[joint] @ self.true_motion.a
+        rotor_torque = rotor_torque + self._added_rotor_inertia(joint) * motion.a[joint]
+        by_own_acceleration = self._derivatives[2][joint][joint, None]
+        inertia = self._at_all_samples(by_own_acceleration)[0] - self._rotor_inertia[joint, joint]
+        return self.predicted_torque[joint] - rotor_torque, inertia
+
+    def friction_torque(self, joint: int) -> Array:
+        """Friction torque of a joint, shape (N,)."""
+        total = np.zeros(len(self.true_motion.t))
+        first = 0
+        for effect in self.equation.effects:
+            theta = self.theta[first : first + len(effect.coefficients)]
+            first += len(effect.coefficients)
+            active = effect.active[joint]
+            if isinstance(effect, NamedEffect) and effect.is_friction and len(active):
+                total += theta[active] @ _columns(effect, self.true_motion)[joint]
+        return total
+
+    @cached_property
+    def _bodies(self) -> RigidBodies:
+        return next(effect for effect in self.equation.effects if isinstance(effect, RigidBodies))
+
+    @cached_property
+    def _rotor_inertia(self) -> Array:
+        """Torque that the rotors' spin takes on each joint per acceleration of each, shape (nv, nv)."""
+        nv = len(self.equation.joints)
+        inertia = np.zeros((nv, nv))
+        for i, body in enumerate(self._bodies.model.bodies):
+            if body.kind == "rotor":
+                pi = self.theta[SIZE * i : SIZE * (i + 1)]
+                axial = float(body.axis @ symmetric(pi[4:]) @ body.axis)
+                inertia += axial * np.outer(body.ratios, body.ratios)
+        return inertia
+
+    def _added_rotor_inertia(self, joint: int) -> float:
+        """Inertia of a joint's rotors that are not bodies: its `rotor_inertia`."""
+        wanted = ("rotor_inertia", self.equation.joints[joint])
+        inertia = 0.0
+        for coefficient, value in zip(self.equation.coefficients, self.theta, strict=True):
+            if coefficient.key[:2] == wanted:
+                inertia += float(value)
+        return inertia
+
+    @cached_property
+    def _some_samples(self) -> Motion:
+        """The true motion at the n samples at which derivatives are evaluated."""
+        m = self.true_motion
+        stride = self._stride
+        return replace(
+            m,
+            t=m.t[::stride],
+            q=m.q[:, ::stride],
+            v=m.v[:, ::stride],
+            a=m.a[:, ::stride],
+            tau=m.tau[:, ::stride],
+            logged=m.logged[:, ::stride],
+            dt=m.dt * stride,
+        )
+
+    def _at_all_samples(self, rows: Array) -> Array:
+        """Linear interpolation of rows, shape (k, n), at all samples, shape (k, N)."""
+        t = self._some_samples.t
+        return np.stack([np.interp(self.true_motion.t, t, row) for row in rows])
+
+    def _rigid_body_torque(self, motion: Motion, bodies: RigidBodies) -> Array:
+        """Torque of the rigid bodies, shape (nv, N)."""
+        rows = []
+        for active, columns in zip(bodies.active, _columns(bodies, motion), strict=True):
+            rows.append(self.theta[active] @ columns)  # the bodies' coefficients come first in theta
+        return np.stack(rows)
+
+    @cached_property
+    def _derivatives(self) -> tuple[list[Array], list[Array], list[Array]]:
+        """Derivatives by q, v and a: for each joint those of all joints' torque, shape (nv, n)."""
+        torque = self._rigid_body_torque(self._some_samples, self._bodies)
+        return (
+            self._finite_differences("q", _STEP, torque),
+            self._finite_differences("v", _STEP, torque),
+            self._finite_differences("a", _ACCELERATION_STEP, torque),
+        )
+
+    def _finite_differences(self, name: str, step: float, torque: Array) -> list[Array]:
+        """Derivatives of the rigid bodies' torque by q, v or a of each joint, shape (nv, n) each."""
+        samples = self._some_samples
+        derivatives = []
+        for joint in range(len(samples.q)):
+            x = getattr(samples, name).copy()
+            x[joint] += step
+            stepped = self._rigid_body_torque(replace(samples, **{name: x}), self._bodies)
+            derivatives.append((stepped - torque) / step)
+        return derivatives
+
+
+def _columns(effect: Effect, motion: Motion) -> list[Array]:
+    """Columns of an effect, per joint."""
+    out = [np.empty((len(active), len(motion.t))) for active in effect.active]
+    effect.columns(motion, out)
+    return out
