@@ -124,10 +124,10 @@ def test_the_fit_has_the_delay_that_it_finds() -> None:
     delay = result.experiment.runs[0].signals.command.delay
     assert delay == pytest.approx(7.5 * MS, abs=0.05 * MS)
     for joint in JOINTS:
-        report = fit_report(result)["friction"][joint]
+        report = fit_report(result).to_json()["friction"][joint]
         assert abs(report["viscous"] - TRUTH.friction[joint].viscous) < 4 * report["standard_error"]["viscous"]
     written = model_config(result)["controller"]["delay"]
-    assert written == {"value": delay, "standard_error": fit_report(result)["controller"]["standard_error"]}
+    assert written == {"value": delay, "standard_error": fit_report(result).to_json()["controller"]["standard_error"]}
     again = parse_config(model_config(result), "model.yaml").controller
     assert again is not None
     assert again.known_delay is not None
@@ -157,7 +157,7 @@ def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
     (said,) = (note for note in wrong.warnings if note.startswith("controller.delay"))
     assert said.startswith("controller.delay: 3 ms is given, but the data say 7.")
     assert "off the torque error and mean viscous friction from 1." in said
-    report = fit_report(wrong)["controller"]
+    report = fit_report(wrong).to_json()["controller"]
     assert (report["delay"], report["given"], report["contradicted"]) == (3 * MS, 3 * MS, True)
     assert report["fitted"] == pytest.approx(7.5 * MS, abs=0.05 * MS)
     right = found_in(log, controller={"delay": 7.5 * MS})
@@ -191,7 +191,7 @@ def test_measured_torque_has_no_delay_of_a_command() -> None:
     experiment = experiment_of(replace(log, signals=commanded))
     same, found, data = with_delay(experiment, silent)
     assert (same, found, data) == (experiment, None, None)
-    assert fit_report(fit(same, silent))["controller"] is None
+    assert fit_report(fit(same, silent)).controller is None
 
 
 def test_joints_with_and_without_torque_in_one_log() -> None:

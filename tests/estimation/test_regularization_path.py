@@ -175,7 +175,7 @@ def leg() -> Any:
 
 
 def test_the_result_tells_the_weight_and_its_path(leg: Any) -> None:
-    told = leg._report["regularization"]
+    told = leg.to_json()["regularization"]
     assert told["kind"] == "entropic"
     assert told["weight"] == told["automatic"]["chosen"]["weight"]
     assert told["automatic"]["limit"] in ("validation", "significance")
@@ -184,7 +184,7 @@ def test_the_result_tells_the_weight_and_its_path(leg: Any) -> None:
 
 def test_a_number_is_taken_as_it_is() -> None:
     model = leg_with(lambda config: config.update(regularization={"weight": 1e-3}))
-    told = idtool.fit(model, TRAIN, quick=True)._report["regularization"]
+    told = idtool.fit(model, TRAIN, quick=True).to_json()["regularization"]
     assert (told["weight"], told["mass_precision"], told["automatic"]) == (1e-3, 1.0, None)
 
 

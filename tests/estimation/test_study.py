@@ -60,7 +60,7 @@ def result(leg: Experiment, patch: pytest.MonkeyPatch) -> Study:
 @pytest.fixture(scope="module")
 def report(result: Study) -> dict[str, Any]:
     """Its report, by way of JSON."""
-    data: dict[str, Any] = json.loads(json.dumps(study_report(result), allow_nan=False))
+    data: dict[str, Any] = json.loads(json.dumps(study_report(result).to_json(), allow_nan=False))
     return data
 
 
@@ -257,7 +257,7 @@ def test_sets_that_the_configuration_allows_have_their_rows(tmp_path: Path, quic
     truth = yaml.safe_load((SAMPLES / "truth.yaml").read_text())["leg"]["bodies"]
     shapes = {"shank_link": [{"kind": "cylinder", "center": [0, 0, -0.1725], "radius": 0.05, "length": 0.5}]}
     more = prepared(tmp_path, known_com={"thigh_link": truth["thigh_link"]["com"]}, bounding_shapes=shapes)
-    rows = study_report(study(more, silent, 1))["sets"]
+    rows = study_report(study(more, silent, 1)).to_json()["sets"]
     assert set(rows) == {*ORDER, "points", "known_com", "shape"}
     assert rows["known_com"]["lmi"] == "3×3, 1 linear"
     overall = [row["rms"]["validation"]["overall"] for name, row in rows.items() if name != "points"]
@@ -267,14 +267,14 @@ def test_sets_that_the_configuration_allows_have_their_rows(tmp_path: Path, quic
         for name, rotor in yaml.safe_load(LEG_YAML.read_text())["rotors"].items()
     }
     fewer = prepared(tmp_path, bounding_ellipsoids={}, rotors=rotors)
-    assert set(study_report(study(fewer, silent, 1))["sets"]) == {"none", "semi", "full"}
+    assert set(study_report(study(fewer, silent, 1)).sets) == {"none", "semi", "full"}
 
 
 def test_what_is_known_otherwise_holds_in_every_set(tmp_path: Path, quick: pytest.MonkeyPatch) -> None:
     truth = yaml.safe_load((SAMPLES / "truth.yaml").read_text())["leg"]["bodies"]
     masses = {"thigh_link": truth["thigh_link"]["mass"]}
     result = study(prepared(tmp_path, known={"mass": masses}), silent, 1)
-    for row in study_report(result)["sets"].values():
+    for row in study_report(result).to_json()["sets"].values():
         assert row["masses"]["thigh_link"] == pytest.approx(masses["thigh_link"], rel=1e-9)
 
 
@@ -316,7 +316,7 @@ def test_the_papers_order_with_the_default_draws(leg: Experiment) -> None:
     """Its spread over the draws is small enough to tell the four curves apart."""
     result = study(leg, silent)
     assert result.draws >= 30
-    report = study_report(result)
+    report = study_report(result).to_json()
     medians = at(report, 30)
     assert medians["ellipsoid"] <= medians["full"] <= medians["semi"] * 1.01
     assert medians["semi"] <= 1.01 * medians["none"]

@@ -67,7 +67,7 @@ def test_a_report_asks_for_all_intervals_once(monkeypatch: pytest.MonkeyPatch) -
     count, asked = len(found.estimate.theta), []
     interval = Trust.interval
     monkeypatch.setattr(Trust, "interval", lambda self, rows: asked.append(len(rows)) or interval(self, rows))
-    report = fit_report(found)
+    report = fit_report(found).to_json()
     assert asked.count(count) == 1
     half = found.uncertainty.of(np.eye(count)) * found.uncertainty.reach(np.eye(count))
     pairs = [pair for body in report["bodies"].values() for pair in body["interval"]]

@@ -172,7 +172,7 @@ class Reader:
     def __post_init__(self) -> None:
         self.here = self.folder
         shutil.copytree(SAMPLES, self.folder / "sample_logs")
-        for name in ("configs", "tests"):
+        for name in ("configs", "benchmarks"):
             (self.folder / name).symlink_to(CHECKOUT / name)
         for stem in ("robot", "leg"):
             for ending in (".urdf", ".yaml"):
