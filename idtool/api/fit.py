@@ -17,8 +17,8 @@ from idtool.diagnosis.faults import faults
 from idtool.diagnosis.maps import residual_maps
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
-from idtool.estimation.fit import fit as identify
-from idtool.estimation.identified import Method
+from idtool.estimation.fit import fit as run_fit
+from idtool.estimation.identification import Method
 from idtool.reporting.report import fit_report, model_config
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ def fit_experiment(
     IdtoolError
         As in `fit`.
     """
-    found = identify(experiment, progress, simulate, question, method)
+    found = run_fit(experiment, progress, simulate, question, method)
     if question:
         wrong = [fault for fault in faults(experiment, progress) if fault.fault in _SERIOUS]
         said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)

@@ -211,7 +211,7 @@ def simulate(
         window=done.window,
         seconds=done.seconds,
         rollouts=done.rollouts,
-        lost=done.lost,
+        lost=done.diverged,
         warnings=frozen(report["warnings"]),
         _model=experiment.model,
         _measured=done.measured,
@@ -240,14 +240,14 @@ def _window(experiment: Experiment, given: float | None) -> float | None:
 
 def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> dict[str, Any]:
     """The result as JSON, but for the file."""
-    lost = [f"{done.lost} of {done.rollouts} rollouts ran away; they end where they did"] if done.lost else []
+    lost = [f"{done.diverged} of {done.rollouts} rollouts ran away; they end where they did"] if done.diverged else []
     return {
         "joints": list(done.log.joints),
         "units": {joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
         "kind": done.kind,
         "window": done.window,
         "rollouts": done.rollouts,
-        "lost": done.lost,
+        "lost": done.diverged,
         "samples": len(done.log),
         "seconds": done.seconds,
         "wall_seconds": wall,

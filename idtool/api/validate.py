@@ -17,7 +17,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
-from idtool.estimation.evaluation.replay import Replay, replay
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts
 from idtool.estimation.evaluation.simulation_report import simulation_notes, simulation_report
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.reporting.report import validation_report
@@ -75,7 +75,7 @@ class ValidationResult(Saved):
     _model: RobotModel
     _models: Mapping[str, Array]
     _evaluation: Evaluation
-    _rollouts: Replay | None
+    _rollouts: RolloutEvaluation | None
     _report: Mapping[str, Any]
     _made_by: str
 
@@ -227,7 +227,7 @@ def validate_experiment(
         models["prior"] = coefficients_of(prior.robot, own, experiment)
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
     evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
-    rollouts = replay(experiment, models, held_out=True, progress=progress) if simulate else None
+    rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress) if simulate else None
     simulation = simulation_report(rollouts, "model", experiment)
     report = validation_report(evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources)
     report["warnings"] = [*experiment.warnings, *simulation_notes(rollouts, "model")]

@@ -38,7 +38,7 @@ def adapt_command(
     from idtool.common.outputs import as_json as dump
     from idtool.common.outputs import write_all
     from idtool.estimation.command_delay import with_delay
-    from idtool.estimation.identified import choose_sets
+    from idtool.estimation.identification import choose_sets
     from idtool.estimation.online.adapt import adapt, adapt_report
     from idtool.reporting.pages import adapt_page
     from idtool.reporting.report import HEADER

@@ -83,11 +83,11 @@ def _bound(terminal: Terminal, robot: Robot, margin: float, out: Path | None) ->
 def _check(terminal: Terminal, robot: Robot, config: Config, repair: Path | None) -> None:
     """Links whose inertia no body can have."""
     from idtool.common.outputs import write_all
-    from idtool.estimation.problem.check import check, check_report, nearest_bodies, repaired
+    from idtool.estimation.problem.link_check import check_links, check_report, nearest_bodies, repaired
     from idtool.reporting.report import HEADER
     from idtool.reporting.terminal.check import show_check
 
-    checks = check(robot, config)
+    checks = check_links(robot, config)
     nearest = nearest_bodies(checks) if repair else {}
     report = {**HEADER, **check_report(checks, nearest), "urdf": str(robot.path)}
     if repair is not None:

@@ -166,8 +166,8 @@ def _task(
     from idtool.dynamics.effects import build_effects
     from idtool.dynamics.regressor import LinearModel
     from idtool.estimation.command_delay import with_delay
+    from idtool.estimation.dataset.equality_constraints import equality_constraints
     from idtool.estimation.dataset.experiment import prepare
-    from idtool.estimation.dataset.knowledge import knowledge
     from idtool.estimation.dataset.weights import free_noise
     from idtool.excitation.design import Logged
     from idtool.excitation.task import make_task
@@ -177,19 +177,20 @@ def _task(
     logged = experiment = None
     if logs:
         experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0), progress)
-        model, equation, known, settings = experiment.model, experiment.equation, experiment.known, experiment.config
+        model, equation, settings = experiment.model, experiment.equation, experiment.config
+        equalities = experiment.equalities
         reduction = experiment.reduce(progress)
-        logged = Logged(reduction, free_noise(equation, reduction, known))
+        logged = Logged(reduction, free_noise(equation, reduction, equalities))
         measured = dict(zip(model.names, logged.noise.tolist(), strict=True))
     else:
         model = build_model(
             robot, settings, [j.name for j in robot.joints.values() if j.kind != "fixed" and not j.mimic]
         )
         equation = LinearModel(model.names, build_effects(model, settings))
-        known = knowledge(settings, model, equation)
+        equalities = equality_constraints(settings, model, equation)
     alike = dict.fromkeys(model.names, noises[_ALL]) if _ALL in noises else {}
     noise = {**measured, **alike, **{name: x for name, x in noises.items() if name != _ALL}}
-    return make_task(model, equation, known, settings, noise=noise, **asked), logged, experiment
+    return make_task(model, equation, equalities, settings, noise=noise, **asked), logged, experiment
 
 
 def _write(file: Path, log: Any, report: dict[str, Any]) -> None:

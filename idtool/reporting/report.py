@@ -12,12 +12,12 @@ from idtool.common.arrays import Array
 from idtool.common.provenance import Source, provenance
 from idtool.common.version import VERSION
 from idtool.dynamics.effects import NamedEffect, named_effect, plain
-from idtool.estimation.dataset.knowledge import Fact
+from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.simulation_report import simulation_report
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
+from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.estimation.problem.verdict import Verdict, judge
 from idtool.reporting.trust_report import controller_report, intervals, reflected_inertia, rests_on, trust_report
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
@@ -55,7 +55,7 @@ def fit_report(fit: Fit) -> dict[str, Any]:
         "controller": controller_report(fit),
         **trust_report(fit),
         "regularization": regularization_report(fit),
-        "known": [_known(fact, fit) for fact in experiment.known.facts],
+        "known": [_known(constraint, fit) for constraint in experiment.equalities.constraints],
         "solver": {name: getattr(fit.estimate.certificate, name) for name in _SOLVER},
         "seconds": fit.seconds,
         "warnings": list(fit.warnings),
@@ -92,9 +92,13 @@ def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _known(fact: Fact, fit: Fit) -> dict[str, Any]:
-    own = float(fact.row @ fit.estimate.theta)
-    return {"what": fact.label, "value": fact.value, "standard_error": fact.standard_error, "identified": own}
+def _known(constraint: Constraint, fit: Fit) -> dict[str, Any]:
+    return {
+        "what": constraint.label,
+        "value": constraint.value,
+        "standard_error": constraint.standard_error,
+        "identified": float(constraint.row @ fit.estimate.theta),
+    }
 
 
 def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> dict[str, Any]:
@@ -119,9 +123,9 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
     pi = fit.parameters(index)
     mass, com, inertia = mass_com_inertia(pi)
     errors = fit.uncertainty.standard_error[part]
-    pieces = fit.estimate.parts[index]
-    copy = fit.experiment.known.copies.get(index)
-    verdict = judge(body, pi, pieces if len(pieces) else None)
+    pieces = fit.estimate.pieces[index]
+    copy = fit.experiment.equalities.copies.get(index)
+    verdict = check_realizability(body, pi, pieces if len(pieces) else None)
     least = float(np.linalg.eigvalsh(pseudo_inertia(pi))[0])
     return {
         "kind": body.kind,
@@ -149,7 +153,7 @@ def body_report(fit: Fit, index: int, body: Body) -> dict[str, Any]:
     }
 
 
-def _witness(verdict: Verdict) -> dict[str, Any]:
+def _witness(verdict: RealizabilityCheck) -> dict[str, Any]:
     return {"masses": verdict.masses.tolist(), "points": verdict.points.tolist()}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.provenance import provenance
-from idtool.estimation.problem.identify import stuck_note
+from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.learning import Curve
 from idtool.estimation.study.study import Outcome, Study
 from idtool.robot.inequality import Inequality

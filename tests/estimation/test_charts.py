@@ -120,7 +120,7 @@ def test_residuals_are_the_cost_and_their_jacobian_its_derivative(state: State, 
     problem, start = state(*prior, **FRICTION, **MIRROR)
     residuals = Residuals(problem)
     chart = laid(CHARTS[name], pseudo_inertia(start[residuals.own]))
-    others = np.random.default_rng(0).uniform(0.1, 1, len(problem.others))
+    others = np.random.default_rng(0).uniform(0.1, 1, len(problem.other_coefficients))
     v = np.concatenate([(chart.y + 0.1).ravel(), others])
     z = residuals.z(chart, v)
     assert np.square(residuals.value(v, chart)).sum() + problem.constant == pytest.approx(problem.cost(z), rel=1e-12)

@@ -17,8 +17,8 @@ from idtool.data.logs import Log, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.blocks import Blocks, block_rows, cut, most_blocks, together
-from idtool.estimation.dataset.knowledge import Knowledge, knowledge, with_equal_bounds
+from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.robot.config import Config
 from idtool.robot.model import Model, build_model
@@ -71,7 +71,7 @@ class Experiment:
     config: Config
     model: Model
     equation: LinearModel
-    known: Knowledge
+    equalities: EqualityConstraints
     runs: tuple[Run, ...]
 
     @property
@@ -155,12 +155,12 @@ class Experiment:
         found, length = [], self._block_rows()
         for run in (run for run in self.runs if run.train):
             low_pass = run.signals.low_pass
-            parts = tuple(cut(rows(run), length, low_pass.redundancy))
+            parts = tuple(cut_into_blocks(rows(run), length, low_pass.redundancy))
             if parts:
                 found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
         if not found:
             self.checked(empty(self.equation.active()))
-        self.checked(together([block.total for block in found]))
+        self.checked(merge_reductions([block.total for block in found]))
         return tuple(found)
 
     def _block_rows(self) -> int:
@@ -172,7 +172,7 @@ class Experiment:
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
-        return together([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
+        return merge_reductions([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
 
     def checked(self, data: Reduction) -> Reduction:
         """The training data, with something to fit every joint to.
@@ -267,13 +267,13 @@ def prepare(
     for log in every:
         _check_signals(log, model.names)
     equation = LinearModel(model.names, build_effects(model, config))
-    known = knowledge(config, model, equation)
+    equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         band = min(default_cutoff(log.dt) for log in every)
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
-    return Experiment(config, with_equal_bounds(model, known), equation, known, tuple(runs))
+    return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
 
 
 def _read(log: Path | Log, config: Config) -> Log:

@@ -1,4 +1,4 @@
-"""A replay → plain data for JSON, terminal and pages. Keys are the contract's (section 5)."""
+"""Rollouts as plain data for JSON, terminal and pages. Keys are the contract's (section 5)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from idtool.estimation.dataset.experiment import Experiment
-from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay
+from idtool.estimation.evaluation.rollouts import HORIZONS, RolloutError, RolloutEvaluation
 
 POSITION_UNITS = {"N·m": "rad", "N": "m"}  # of a joint, by that of its torque
 
 
-def simulation_report(replay: Replay | None, model: str, experiment: Experiment) -> dict[str, Any] | None:
+def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment: Experiment) -> dict[str, Any] | None:
     """``simulation`` of report.json and validation.json; None where the model was not or cannot be simulated.
 
     Parameters
@@ -24,49 +24,62 @@ def simulation_report(replay: Replay | None, model: str, experiment: Experiment)
     experiment
         What was simulated.
     """
-    if replay is None or model in replay.failed:
+    if rollouts is None or model in rollouts.failed:
         return None
-    joints, departures = experiment.equation.joints, replay.departures
-    own, baseline, prior = departures[model], departures["baseline"], departures.get("prior")
+    joints = experiment.equation.joints
+    own = rollouts.errors[model]
+    baseline = rollouts.errors["baseline"]
+    prior = rollouts.errors.get("prior")
     dt = sum(run.signals.log.dt for run in experiment.runs) / len(experiment.runs)
     return {
-        "kind": replay.kind,
-        "window": replay.window,
-        "windows": {"simulated": replay.windows, "of": replay.of},
+        "kind": rollouts.kind,
+        "window": rollouts.window,
+        "windows": {"simulated": rollouts.windows, "of": rollouts.available},
         "seconds": own.samples * dt,
         "units": {joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
         **_rmse(own, joints),
         "baseline": _rmse(baseline, joints),
         "prior": _rmse(prior, joints) if prior else None,
-        "horizon": [
+        "horizon": _horizons(own, baseline, prior, joints) if rollouts.kind == "open_loop" else [],
+        "lost": rollouts.diverged[model],
+        "prior_lost": rollouts.diverged["prior"] if prior else None,
+    }
+
+
+def _horizons(
+    own: RolloutError, baseline: RolloutError, prior: RolloutError | None, joints: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Position errors so long after a start, for every horizon that the rollouts reach."""
+    horizons = []
+    for seconds in HORIZONS:
+        position = own.horizon(joints, seconds)
+        if position is None:
+            continue
+        horizons.append(
             {
                 "seconds": seconds,
-                "position": _known(reached),
-                "baseline": _known(baseline.horizon(joints, seconds) or {}),
-                "prior": _known(prior.horizon(joints, seconds) or {}) if prior else None,
+                "position": _finite(position),
+                "baseline": _finite(baseline.horizon(joints, seconds) or {}),
+                "prior": _finite(prior.horizon(joints, seconds) or {}) if prior else None,
             }
-            for seconds in HORIZONS
-            if replay.kind == "open_loop" and (reached := own.horizon(joints, seconds))
-        ],
-        "lost": replay.lost[model],
-        "prior_lost": replay.lost["prior"] if prior else None,
-    }
+        )
+    return horizons
 
 
-def _rmse(departure: Departure, joints: Sequence[str]) -> dict[str, dict[str, float | None]]:
+def _rmse(error: RolloutError, joints: Sequence[str]) -> dict[str, dict[str, float | None]]:
     return {
-        "position": _known(departure.rmse(joints, "position")),
-        "velocity": _known(departure.rmse(joints, "velocity")),
+        "position": _finite(error.rmse(joints, "position")),
+        "velocity": _finite(error.rmse(joints, "velocity")),
     }
 
 
-def _known(figures: Mapping[str, float]) -> dict[str, float | None]:
+def _finite(figures: Mapping[str, float]) -> dict[str, float | None]:
     """The figures, None for what is not finite: rollouts that ran away may have no state."""
     return {name: x if math.isfinite(x) else None for name, x in figures.items()}
 
 
-def simulation_notes(replay: Replay | None, model: str) -> list[str]:
-    """What a user should know of a replay, a plain sentence each.
+def simulation_notes(rollouts: RolloutEvaluation | None, model: str) -> list[str]:
+    """Warnings about rollouts, a plain sentence each.
 
     Parameters
     ----------
@@ -75,13 +88,13 @@ def simulation_notes(replay: Replay | None, model: str) -> list[str]:
     model
         The model's name there.
     """
-    if replay is None:
+    if rollouts is None:
         return []
     notes = []
     for name in (model, "prior"):
         which = "the prior" if name == "prior" else "the model"
-        if name in replay.failed:
-            notes.append(f"no simulation of {which}: {replay.failed[name]}")
-        elif lost := replay.lost.get(name):
-            notes.append(f"{lost} of {replay.windows} simulations of {which} ran away and were stopped")
+        if name in rollouts.failed:
+            notes.append(f"no simulation of {which}: {rollouts.failed[name]}")
+        elif diverged := rollouts.diverged.get(name):
+            notes.append(f"{diverged} of {rollouts.windows} simulations of {which} ran away and were stopped")
     return notes

@@ -121,7 +121,7 @@ def adapt(
         raise ConfigError("--forgetting", f"{forgetting:g} s is no time constant; give a positive one, or inf for none")
     started = time.perf_counter()
     kind = experiment.config.regularization.kind
-    fit = RecursiveFit(experiment.equation, experiment.model, sets, kind, experiment.known)
+    fit = RecursiveFit(experiment.equation, experiment.model, sets, kind, experiment.equalities)
     rows = _Rows(experiment, fit.theta)
     for run in experiment.runs:
         low_pass = run.signals.low_pass

@@ -26,7 +26,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import empty
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
@@ -78,12 +78,17 @@ class RecursiveFit:
     """
 
     def __init__(
-        self, equation: LinearModel, model: Model, sets: Sequence[ConstraintSet], kind: str, known: Knowledge
+        self,
+        equation: LinearModel,
+        model: Model,
+        sets: Sequence[ConstraintSet],
+        kind: str,
+        equalities: EqualityConstraints,
     ) -> None:
         data, noise = empty(equation.active()), np.ones(len(equation.joints))
         chosen = Regularization(kind="pullback" if kind in ("pullback", "entropic") else "euclidean", weight=1.0)
         self.problem, facts = (
-            build_problem(equation, model.bodies, data, sets, prior, noise, known)
+            build_problem(equation, model.bodies, data, sets, prior, noise, equalities)
             for prior in (chosen, Regularization(kind="none"))
         )
         self.T: Array = (self.problem.K * self.problem.scale) @ self.problem.S

@@ -21,9 +21,9 @@ from scipy import sparse
 from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
-from idtool.estimation.problem.parts import Matrix
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
+from idtool.estimation.problem.variables import ConicInequality
 
 APART = 1e-7  # how far inside its set a body is kept at least, that no tolerance of the solver's takes it out
 
@@ -109,7 +109,7 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
 
 def infeasible(problem: Problem) -> InfeasibleError:
     """The error that no parameters fulfil a problem's constraints."""
-    what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
+    what = f" and what is known exactly ({some(problem.equality_labels)})" if problem.equality_labels else ""
     return InfeasibleError(
         "solver", f"found no parameters that fulfil the constraints{what}; loosen one of them, or check its unit"
     )
@@ -164,7 +164,7 @@ def _add_level(rows: _Rows, q: Array, problem: Problem, start: Array, room: floa
         rows.add(slice(None), cone, np.append(np.sqrt(max(room, 0.0)), np.zeros(p)), clarabel.SecondOrderConeT(p + 1))
         return
     z = problem.S @ start
-    room -= sum(term.offset + float(term.slope @ z[term.own]) for term in problem.log_dets)
+    room -= sum(term.offset + float(term.slope @ z[term.z_slice]) for term in problem.log_dets)
     # ‖r‖² ≤ h = room − q v is ‖(1 − h, 2 r)‖ ≤ 1 + h.
     cone = np.vstack([q, -q, -2 * r])
     rows.add(slice(None), cone, np.array([1 + room, 1 - room, *np.zeros(p)]), clarabel.SecondOrderConeT(p + 2))
@@ -192,16 +192,16 @@ def _stated(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]]:
     return rows, q, places
 
 
-def _add_inequality(rows: _Rows, inequality: Matrix, start: Array) -> int:
+def _add_inequality(rows: _Rows, inequality: ConicInequality, start: Array) -> int:
     """The cone of one inequality; returns its place among the blocks."""
     value = inequality.value(start)
     n = len(value)
     interior = max(inequality.interior, APART) if inequality.interior else 0.0
     if value.ndim == 1:
         inside, cone = value - interior, clarabel.NonnegativeConeT(n)
-        return rows.add(inequality.own, -inequality.G.T, inside, cone)
+        return rows.add(inequality.x_slice, -inequality.G.T, inside, cone)
     inside = svec(value - interior * np.eye(n))
-    return rows.add(inequality.own, -svec(inequality.G).T, inside, clarabel.PSDTriangleConeT(n))
+    return rows.add(inequality.x_slice, -svec(inequality.G).T, inside, clarabel.PSDTriangleConeT(n))
 
 
 def _extra(term: LogDet) -> int:
@@ -215,7 +215,7 @@ def _add_log_det(rows: _Rows, q: Array, term: LogDet, problem: Problem, start: A
     n = term.G.shape[-1]
     lower = np.tril_indices(n)
     k = len(lower[0])
-    S = problem.S[term.own]
+    S = problem.S[term.z_slice]
     q[: problem.variables] += term.slope @ S
     q[first + k : first + k + n] = -term.weight
     G = np.zeros((rows.width, 2 * n, 2 * n))

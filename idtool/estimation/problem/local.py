@@ -26,9 +26,9 @@ from scipy.optimize import least_squares
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.conic import svec
-from idtool.estimation.problem.parts import INTERIOR
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
+from idtool.estimation.problem.variables import INTERIOR
 from idtool.robot.inequality import DENSITY
 from idtool.robot.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
 
@@ -167,14 +167,14 @@ class Residuals:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self.own = np.add.outer([part.first for part in problem.parts], np.arange(SIZE))  # each body's ten among z
+        self.own = np.add.outer([part.first for part in problem.pieces], np.arange(SIZE))  # each body's ten among z
 
     def z(self, chart: Chart, v: Array) -> Array:
         """The coefficients, shape (p',)."""
         z = np.empty(len(v))
         J = chart.pseudo_inertias(v[: self.own.size].reshape(-1, SIZE))
         z[self.own] = from_pseudo_inertia(J + INTERIOR * np.eye(4))
-        z[self._problem.others] = v[self.own.size :]
+        z[self._problem.other_coefficients] = v[self.own.size :]
         return z
 
     def at(self, z: Array) -> tuple[Array, Array]:
@@ -184,7 +184,7 @@ class Residuals:
             value, derivative = spectral(term, z)
             r.append(value)
             D.append(np.zeros((len(value), len(z))))
-            D[-1][:, term.own] = derivative
+            D[-1][:, term.z_slice] = derivative
         return np.concatenate(r), np.concatenate(D)
 
     def value(self, v: Array, chart: Chart) -> Array:
@@ -195,7 +195,9 @@ class Residuals:
         """Its derivative with respect to v, shape (rows, m)."""
         D = self.at(self.z(chart, v))[1]
         dpi = from_pseudo_inertia(chart.derivatives(v[: self.own.size].reshape(-1, SIZE)))
-        return np.column_stack([*(D[:, self.own].swapaxes(0, 1) @ dpi.swapaxes(-1, -2)), D[:, self._problem.others]])
+        return np.column_stack(
+            [*(D[:, self.own].swapaxes(0, 1) @ dpi.swapaxes(-1, -2)), D[:, self._problem.other_coefficients]]
+        )
 
     def slope(self, z: Array) -> Array:
         """The cost's derivative with respect to each body's J, shape (B, 4, 4)."""
@@ -212,7 +214,7 @@ def spectral(term: LogDet, z: Array) -> tuple[Array, Array]:
     That matrix as `conic.svec`, shape (10,), and its derivative with respect to the ten of z, shape (10, 10): in X's
     own axes the change of X times the difference quotients of phi (Daleckii & Krein 1965).
     """
-    X = np.tensordot(z[term.own], term.G, axes=1)
+    X = np.tensordot(z[term.z_slice], term.G, axes=1)
     if not np.isfinite(X).all():
         return np.full(SIZE, np.inf), np.zeros((SIZE, SIZE))
     values, V = np.linalg.eigh(X)
@@ -262,9 +264,9 @@ LOCAL = {"log_cholesky": log_cholesky, "manifold": manifold}  # by name
 
 def check(problem: Problem, name: str) -> None:
     """Raise a `SolverError` if a problem has exact facts, or other inequalities than J ⪰ 0 for every body."""
-    for part in problem.parts:
+    for part in problem.pieces:
         if len(part.piece.inequalities) != 1 or part.piece.inequalities[0] is not DENSITY:
-            what = f"{name} knows only constraints: full, and {problem.labels[part.body]} has others; use clarabel"
+            what = f"{name} knows only constraints: full, and {problem.body_names[part.body]} has others; use clarabel"
             raise SolverError("solver.name", what)
     if len(problem.e):
         what = f"{name} cannot hold known masses or centres exactly; give them a standard_error, or use clarabel"
@@ -283,12 +285,12 @@ def _solve(problem: Problem, start: Array, kind: type[Chart]) -> Local:
     z, J = start.copy(), pseudo_inertia(start[residuals.own])
     edge = np.linalg.eigvalsh(J)[:, 0] < _EDGE
     z[residuals.own[edge]] = from_pseudo_inertia(_cut(J[edge], _INNER))
-    z[problem.others] = np.maximum(start[problem.others], problem.lower)
+    z[problem.other_coefficients] = np.maximum(start[problem.other_coefficients], problem.lower)
     lower = np.concatenate([np.tile(kind.lower, len(residuals.own)), problem.lower])
     iterations, cost = 0, np.inf
     for _ in range(kind.runs):
         chart = kind(pseudo_inertia(z[residuals.own]) - INTERIOR * np.eye(4), residuals.slope(z))
-        v = np.concatenate([chart.y.ravel(), z[problem.others]])
+        v = np.concatenate([chart.y.ravel(), z[problem.other_coefficients]])
         with np.errstate(over="ignore", invalid="ignore"):  # scipy goes less far where a step leads beyond all numbers
             answer = least_squares(residuals.value, v, residuals.jacobian, (lower, np.inf), args=(chart,), **_SETTINGS)
         z, iterations = residuals.z(chart, answer.x), iterations + int(answer.nfev)

@@ -125,7 +125,7 @@ class _Row:
 def _rows(problem: Problem, solution: Solution) -> Iterator[_Row]:
     """All inequalities and, last, the lower bounds."""
     for i, (inequality, Z) in enumerate(zip(problem.inequalities, solution.duals, strict=True)):
-        own = np.arange(inequality.own.start, inequality.own.stop)
+        own = np.arange(inequality.x_slice.start, inequality.x_slice.stop)
         if Z.ndim == 2:
             yield _Row(own, inequality.G, inequality.interior, _symmetric(Z), (i, 0))
             continue
@@ -260,7 +260,7 @@ class _Path:
         for form in self._forms:
             form.scale(self.x)
         barrier = np.concatenate([np.zeros((0, m)), *(form.root(m) for form in self._forms)])
-        log_dets = [term.root(self._S @ self.x) @ self._S[term.own] for term in self._problem.log_dets]
+        log_dets = [term.root(self._S @ self.x) @ self._S[term.z_slice] for term in self._problem.log_dets]
         solve = self._factored(np.concatenate([self._root, *log_dets, barrier]))
         mu = sum(form.product() for form in self._forms) / self._count
         downhill = -self._uphill()
@@ -310,7 +310,7 @@ class _Path:
         z = self._S @ self.x
         slope = np.sqrt(2) * self._root.T @ (self._problem.A @ z - self._problem.b)
         for term in self._problem.log_dets:
-            slope += self._S[term.own].T @ term.gradient(z)
+            slope += self._S[term.z_slice].T @ term.gradient(z)
         return np.asarray(slope - sum(form.slope(len(slope)) for form in self._forms))
 
     def _factored(self, H: Array) -> Callable[[Array], Array]:

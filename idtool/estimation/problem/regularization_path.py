@@ -23,8 +23,8 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.blocks import Blocks, together
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.problem.barrier import Barrier
@@ -124,7 +124,7 @@ def regularization_path(
     data: Sequence[Blocks],
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
-    known: Knowledge,
+    equalities: EqualityConstraints,
     noise: Array,
 ) -> RegularizationPath:
     """Fit with every weight of the path, and choose the largest that the data do not object to.
@@ -151,8 +151,8 @@ def regularization_path(
     SolverError
         If nothing fulfils the sets and what is known exactly.
     """
-    total = together([log.total for log in data])
-    tracker = _Tracker(model, bodies, total, sets, regularization, known, noise)
+    total = merge_reductions([log.total for log in data])
+    tracker = _Tracker(model, bodies, total, sets, regularization, equalities, noise)
     fits = tracker.solve(tracker.data_gram, WEIGHTS)
     blocks = _blocks(data)
     if len(blocks) < _FOLDS:
@@ -219,7 +219,7 @@ def _blocks(data: Sequence[Blocks]) -> list[Reduction]:
     block_seconds = min(_BLOCK_SECONDS, seconds / (2 * _FOLDS))
     blocks: list[Reduction] = []
     for log in data:
-        blocks += log.joined(max(round(block_seconds / log.seconds), 1)).parts
+        blocks += log.regrouped(max(round(block_seconds / log.seconds), 1)).parts
     return [block for block in blocks if any(factor.rows for factor in block)]
 
 
@@ -262,11 +262,11 @@ class _Tracker:
         total: Reduction,
         sets: Sequence[ConstraintSet],
         regularization: Regularization,
-        known: Knowledge,
+        equalities: EqualityConstraints,
         noise: Array,
     ) -> None:
         def problem_with(weight: float) -> Problem:
-            return build_problem(model, bodies, total, sets, regularization.weighing(weight), noise, known)
+            return build_problem(model, bodies, total, sets, regularization.with_weight(weight), noise, equalities)
 
         without_prior, self.problem = problem_with(0.0), problem_with(1.0)
         self.model, self.noise, self.body_count = model, noise, len(bodies)
@@ -275,7 +275,7 @@ class _Tracker:
         self._known_gram = gram_without_prior - self.data_gram  # of what is known otherwise
         self._prior_gram = _gram_of_problem(self.problem) - gram_without_prior  # at the weight 1
         gap = _GAP * max(without_prior.constant, _LEAST_COST)
-        prior = model.prior[known.free] / self.problem.scale
+        prior = model.prior[equalities.free] / self.problem.scale
         start = np.asarray(np.linalg.lstsq(self.problem.S, prior, rcond=None)[0])
         self._barrier = Barrier(self.problem, *self._quadratic(self.data_gram, float(WEIGHTS[0])), gap, start)
 

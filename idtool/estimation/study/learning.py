@@ -15,7 +15,7 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import SIZE, pseudo_inertia
 
@@ -50,7 +50,7 @@ class Pool:
         factors = []
         for block, kept in zip(self.blocks, self.kept, strict=True):
             own = chosen[kept[chosen]]
-            factors.append(replace(Factor.of(block[:, own]), independent=float(self.worth[own].sum())))
+            factors.append(replace(Factor.from_columns(block[:, own]), independent=float(self.worth[own].sum())))
         return tuple(factors)
 
 
@@ -123,7 +123,7 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
     for run in experiment.runs:
         for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
             blocks, _ = experiment.equation.rows(batch)
-            total = merge(total, tuple(Factor.of(block) for block in blocks))
+            total = merge(total, tuple(Factor.from_columns(block) for block in blocks))
     return total
 
 
@@ -203,13 +203,13 @@ def _outcome(problem: Problem, validation: Reduction, active: Sequence[Indices])
 
 def rms(data: Reduction, active: Sequence[Indices], theta: Array) -> Array:
     """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
-    squares = [f.squares(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
+    squares = [f.squared_error(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
     return np.asarray(np.sqrt([*map(float, squares), float(np.mean(squares))]))
 
 
 def violation(problem: Problem, z: Array) -> float:
     """How far the worst body is from full consistency, in units of its typical mass and size; 0 where all can be."""
-    inertial = np.setdiff1d(np.arange(len(z)), problem.others)
+    inertial = np.setdiff1d(np.arange(len(z)), problem.other_coefficients)
     least = np.linalg.eigvalsh(pseudo_inertia(z[inertial].reshape(-1, SIZE)))[:, 0]
     return max(-float(least.min()), 0.0)
 

@@ -22,7 +22,7 @@ from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.estimation.online.adapt import adapt, convergence, time_to
 from idtool.estimation.problem.certificate import Certificate
-from idtool.estimation.problem.identify import solve, solve_locally
+from idtool.estimation.problem.estimate import solve, solve_locally
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study.learning import Curve, gather, held_out, learn
@@ -144,7 +144,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     rng = np.random.default_rng(experiment.config.seed)
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)
-    noise = free_noise(equation, total, experiment.known)
+    noise = free_noise(equation, total, experiment.equalities)
     warnings = [*experiment.warnings, *(delay.warnings if delay else ())]
     names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
     state = {name: _stating(experiment, name, noise) for name in names}
@@ -181,7 +181,7 @@ def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduc
     sets = [choose_set(body, name) for body in bodies]
 
     def state(data: Reduction) -> Problem:
-        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.known)
+        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.equalities)
 
     return state
 
@@ -223,8 +223,8 @@ def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[
         kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})
         chosen = "full" if name in LOCAL else "ellipsoid"
         sets = [choose_set(body, chosen) for body in bodies]
-        problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)
-        start = equation.prior[experiment.known.free] / problem.scale
+        problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.equalities)
+        start = equation.prior[experiment.equalities.free] / problem.scale
         attempt = partial(solve_locally, problem, name, start) if name in LOCAL else partial(solve, problem)
         ways[name] = partial(_solved, experiment, chosen, problem, attempt)
     return ways

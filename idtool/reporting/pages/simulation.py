@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.pages.base import Sections
 from idtool.reporting.pages.charts import chart, line, numbers, panel
 from idtool.reporting.pages.curves import drawn
@@ -27,7 +27,7 @@ def with_simulation(sections: Sections, report: Mapping[str, Any]) -> Sections:
     return [section for section in sections if section != SIMULATION or report["simulation"] is not None]
 
 
-def simulation_view(replay: Replay | None, report: Mapping[str, Any], model: str) -> dict[str, Any]:
+def simulation_view(rollouts: RolloutEvaluation | None, report: Mapping[str, Any], model: str) -> dict[str, Any]:
     """What is drawn of a simulation, of bounded size; nothing where there was none.
 
     Parameters
@@ -44,10 +44,10 @@ def simulation_view(replay: Replay | None, report: Mapping[str, Any], model: str
     ``simulation``, as `curves` has the torques, each joint with the ``range`` of positions to show, and ``charts``.
     """
     found = report["simulation"]
-    if replay is None or found is None:
+    if rollouts is None or found is None:
         return {}
     names = {"measured": "measured", "simulated": model, **({"prior": "prior"} if found["prior"] else {})}
-    view = drawn(replay.traces, names, found["units"], _MOST_VALUES)
+    view = drawn(rollouts.traces, names, found["units"], _MOST_VALUES)
     for log in view["logs"]:
         for joint in log["joints"]:
             joint["range"] = _shown(numbers(joint["measured"]), numbers(joint.get("simulated", [])))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import bodies_of, body_views
@@ -30,7 +30,7 @@ def validation_page(
     evaluation: Evaluation,
     report: dict[str, Any],
     command: str,
-    replay: Replay | None = None,
+    rollouts: RolloutEvaluation | None = None,
     bodies: tuple[Model, Mapping[str, Array]] | None = None,
 ) -> str:
     """validation.html.
@@ -57,7 +57,7 @@ def validation_page(
         "Validation of a dynamics model",
         with_robot(with_simulation(_SECTIONS, report), robot),
         ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js"],
-        {**curves(evaluation, "model", units, position=False), **simulation_view(replay, report, "model"), **robot},
+        {**curves(evaluation, "model", units, position=False), **simulation_view(rollouts, report, "model"), **robot},
         report=report,
         groups=by_unit(units),
         **simulation_text(report),

@@ -1,4 +1,4 @@
-"""Which of a URDF's bodies can exist, and the nearest URDF all of whose bodies can."""
+"""Realizability check of a URDF's links, and the nearest URDF whose links are all realizable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.estimation.problem.projection import project
-from idtool.estimation.problem.verdict import judge
+from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.body import Body, Frame
 from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import Config
@@ -24,22 +24,22 @@ from idtool.robot.urdf.writing import rewrite
 
 @dataclass(frozen=True)
 class LinkCheck:
-    """What is to be said of one link's inertial.
+    """Result of one link's check.
 
     Attributes
     ----------
     body
         The link by itself, with the bounds that the configuration gives it.
     violations
-        Why no body can have it, a plain sentence each; none where one can.
+        Reasons why no body can have its inertial, a plain sentence each; none if one can.
     """
 
     body: Body
     violations: tuple[str, ...]
 
 
-def check(robot: Robot, config: Config) -> list[LinkCheck]:
-    """Every link that has an inertial with mass or inertia, against the bounds that the configuration gives it.
+def check_links(robot: Robot, config: Config) -> list[LinkCheck]:
+    """Check every link that has an inertial with mass or inertia, within the bounds that the configuration gives it.
 
     Parameters
     ----------
@@ -63,47 +63,46 @@ def check(robot: Robot, config: Config) -> list[LinkCheck]:
             continue
         ellipsoids = tuple(bounding.ellipsoid() for bounding in config.bounding_ellipsoids.get(link, ()))
         shapes = tuple(bounding_shape(bound, robot, link) for bound in config.bounding_shapes.get(link, ()))
-        place = Frame(-1, np.eye(3), np.zeros(3))
-        body = Body(link, "link", pi, ellipsoids, place, np.zeros(3), False, np.zeros(0), shapes=shapes)
-        checks.append(LinkCheck(body, judge(body, pi).violations))
+        mount = Frame(-1, np.eye(3), np.zeros(3))
+        body = Body(link, "link", pi, ellipsoids, mount, np.zeros(3), False, np.zeros(0), shapes=shapes)
+        checks.append(LinkCheck(body, check_realizability(body, pi).violations))
     return checks
 
 
 def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
-    """The nearest inertials, in the pull-back metric, of the links that no body can have; by link, shape (10,)."""
-    wrong = [c.body for c in checks if c.violations]
-    return {body.name: project(body.pi, choose_set(body), body, "pullback").pi for body in wrong}
+    """Nearest realizable inertials, in the pull-back metric, of links that are not realizable; by link, shape (10,)."""
+    unrealizable = [check.body for check in checks if check.violations]
+    return {body.name: project(body.pi, choose_set(body), body, "pullback").pi for body in unrealizable}
 
 
 def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
-    """The URDF's text with these inertials, every other byte kept."""
+    """The URDF's text with new inertials, every other byte kept."""
     return rewrite(robot.text, inertials, {})
 
 
-def check_report(checks: Sequence[LinkCheck], found: Mapping[str, Array]) -> dict[str, Any]:
-    """What `idtool ellipsoids --check` prints as JSON.
+def check_report(checks: Sequence[LinkCheck], repairs: Mapping[str, Array]) -> dict[str, Any]:
+    """JSON output of `idtool ellipsoids --check`.
 
     Parameters
     ----------
     checks
         The links.
-    found
-        Inertials that some body can have, for those that none can, shape (10,) each.
+    repairs
+        Realizable inertials of links that are not, shape (10,) each.
     """
-    return {
-        "links": {
-            c.body.name: {
-                "mass": float(c.body.pi[0]),
-                "violations": list(c.violations),
-                "nearest": _repair(c.body.pi, found[c.body.name]) if c.body.name in found else None,
-            }
-            for c in checks
+    links = {}
+    for check in checks:
+        name = check.body.name
+        links[name] = {
+            "mass": float(check.body.pi[0]),
+            "violations": list(check.violations),
+            "nearest": _repair_report(check.body.pi, repairs[name]) if name in repairs else None,
         }
-    }
+    return {"links": links}
 
 
-def _repair(pi: Array, nearest: Array) -> dict[str, Any]:
-    """A repaired inertial, and how much of the inertia about the centre of mass it changes, of its largest entry."""
+def _repair_report(pi: Array, nearest: Array) -> dict[str, Any]:
+    """A repaired inertial, and its change of the inertia about the centre of mass relative to the largest entry."""
     mass, com, inertia = mass_com_inertia(nearest)
     before = mass_com_inertia(pi)[2]
     moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
