@@ -22,6 +22,7 @@ from charts import (
 )
 from robots import rotation
 from scipy.spatial.transform import Rotation
+from triangles import triangle_margin
 
 from idtool.estimation.problem.local import Chart, LogCholesky, Manifold, Residuals, spectral
 from idtool.estimation.problem.prior import LogDet
@@ -31,7 +32,6 @@ from idtool.robot.inertia import (
     from_pseudo_inertia,
     pseudo_inertia,
     transformation,
-    triangle_margin,
 )
 from idtool.robot.urdf.reading import Robot
 

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from paths import REAL
 from robots import joint, random_urdf, rotation
 from synthetic import point_parameters
+from triangles import triangle_margin
 from unreal_links import LINKS, WRONG, compiles, links_urdf, without_inertial
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.provenance import Source
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.robot.config import Config, parse_config
-from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
+from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia
 from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
