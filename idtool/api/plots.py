@@ -95,18 +95,14 @@ def gap_figure(view: Mapping[str, Any]) -> go.Figure:
             errors = joint[kind]
             style = {"line": {"color": _colors()[color], "width": 2}, "marker": {"size": 7}}
             at = list(range(len(names)))
-            curve = go.ClusterRobustEstimate(
-                x=at, y=errors["values"], text=names, name=kind, mode="lines+markers", **style
-            )
+            curve = go.Scatter(x=at, y=errors["values"], text=names, name=kind, mode="lines+markers", **style)
             figure.add_trace(curve, row=j, col=k)
             figure.update_yaxes(
                 title_text=f"{joint['name']}: {kind} [{errors['unit']}]", rangemode="tozero", row=j, col=k
             )
             if kind == "torque" and errors["floor"] is not None:
                 floor = {"color": _colors()["quiet"], "width": 2, "dash": "dot"}
-                level = go.ClusterRobustEstimate(
-                    x=at, y=[errors["floor"]] * len(at), name="noise floor", mode="lines", line=floor
-                )
+                level = go.Scatter(x=at, y=[errors["floor"]] * len(at), name="noise floor", mode="lines", line=floor)
                 figure.add_trace(level, row=j, col=k)
     figure.update_xaxes(tickvals=list(range(len(names))), ticktext=names, row=len(joints))
     return figure.update_layout(template="plotly_white", showlegend=False, height=max(_JOINT * len(joints), 400))
@@ -124,9 +120,7 @@ def _draw(figure: go.Figure, row: int, t: Sequence[float], curves: Mapping[str, 
         style = _CURVES[name]
         line = {**style, "color": _colors()[str(style["color"])]}
         known = any(trace.name == name for trace in figure.data)
-        curve = go.ClusterRobustEstimate(
-            x=t, y=values, name=name, mode="lines", line=line, legendgroup=name, showlegend=not known
-        )
+        curve = go.Scatter(x=t, y=values, name=name, mode="lines", line=line, legendgroup=name, showlegend=not known)
         figure.add_trace(curve, row=row, col=1)
     figure.update_yaxes(title_text=title, row=row, col=1)
 

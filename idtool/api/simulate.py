@@ -199,8 +199,8 @@ def simulate(
     """
     started, told, model = time.monotonic(), progress or silent, as_model(model)
     _check_options(model.settings, window, closed_loop, track)
-    seen_as = as_command if track else under_controller if closed_loop else as_logged
-    experiment = experiment_of(model, (), log, progress=told, seen_as=seen_as)
+    transform = as_command if track else under_controller if closed_loop else as_logged
+    experiment = experiment_of(model, (), log, progress=told, transform=transform)
     every = _window(experiment, window)
     done = simulated_log(experiment, experiment.equation.prior, every, Path(FILE), told)
     report = _report(experiment, done, time.monotonic() - started)

@@ -18,7 +18,7 @@ from synthetic import Synthetic, bounds, synthetic
 
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.estimation.problem.certificate import GAP, lower_bound
-from idtool.estimation.problem.conic import APART, Solution, smat, solve_conic, svec
+from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, smat, solve_conic, svec
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.prior import moved_priors
 from idtool.estimation.problem.problem import Problem, build_problem
@@ -159,7 +159,7 @@ def whole_of(name: str, body: Body, unit: float) -> tuple[Any, list[Any]]:
 
 
 def inside(matrix: Any) -> Any:
-    return 0.5 * (matrix + matrix.T) >> APART * np.eye(matrix.shape[0])
+    return 0.5 * (matrix + matrix.T) >> SOLVER_INTERIOR * np.eye(matrix.shape[0])
 
 
 def inertia_of(pi: Any) -> Any:
@@ -183,13 +183,13 @@ def members_of(name: str, pi: Any, ellipsoid: Ellipsoid, center: Array | None) -
     if name == "known_com":
         assert center is not None
         about = I - m * (center @ center * np.eye(3) - np.outer(center, center))
-        return [inside(0.5 * cp.trace(about) * np.eye(3) - about), m >= APART]
+        return [inside(0.5 * cp.trace(about) * np.eye(3) - about), m >= SOLVER_INTERIOR]
     demands = [inside(J_of(pi))]
     if name == "com_ellipsoid":
         d = h - m * np.array(ellipsoid.center)
         demands.append(inside(cp.bmat([[pi[:1][None, :], d[None, :]], [d[:, None], m * ellipsoid.Q_s]])))
     if name == "ellipsoid":
-        demands.append(cp.trace(J_of(pi) @ ellipsoid.Q) >= APART)
+        demands.append(cp.trace(J_of(pi) @ ellipsoid.Q) >= SOLVER_INTERIOR)
     return demands
 
 

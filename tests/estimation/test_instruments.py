@@ -43,7 +43,7 @@ def of(log: Log, controller: Controller | None, holdout: float = 0.0) -> Experim
         kp, kd = (dict(zip(runs.JOINTS, gains, strict=True)) for gains in (controller.kp, controller.kd))
         config["controller"] = {"kp": kp, "kd": kd, "delay": DELAY}
     file = runs.SAMPLES / "leg_train.mcap"
-    return prepare(read_robot(runs.URDF), parse_config(config, ""), [file], holdout=holdout, seen_as=lambda _: log)
+    return prepare(read_robot(runs.URDF), parse_config(config, ""), [file], holdout=holdout, transform=lambda _: log)
 
 
 def run(motion: Motion, seed: int, **options: Any) -> Log:

@@ -176,7 +176,7 @@ def test_a_start_that_no_body_can_have(state: State, name: str, start: str) -> N
     problem, prior = state("pullback", 1.0, **FRICTION)
     x = LOCAL[name](problem, prior).x
     z = prior.copy()
-    bodies = Residuals(problem).own
+    bodies = Residuals(problem).bodies
     if start == "nothing":
         z[:] = 0
     elif start == "negative mass":

@@ -102,7 +102,7 @@ def adapt(
     experiment
         Model and data.
     sets
-        One set a body.
+        One set per body.
     forgetting
         Time constant with which samples lose their weight [s]; infinite: never.
     progress
@@ -115,7 +115,7 @@ def adapt(
     LogError
         If the logs hold no sample that the filters leave.
     SolverError
-        If nothing fulfils the sets and what is known exactly.
+        If nothing fulfils the sets and exact constraints.
     """
     if not forgetting > 0:
         raise ConfigError("--forgetting", f"{forgetting:g} s is no time constant; give a positive one, or inf for none")

@@ -65,16 +65,16 @@ class RecursiveFit:
     model
         Its bodies.
     sets
-        One set a body.
+        One set per body.
     kind
         Of prior. A divergence's second-order form takes its place; without one, the Euclidean: the gain is bounded.
-    known
-        What is known otherwise.
+    equalities
+        The equality constraints.
 
     Raises
     ------
     SolverError
-        If nothing fulfils the sets and what is known exactly.
+        If nothing fulfils the sets and exact constraints.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
-from idtool.estimation.problem.conic import APART, Solution, infeasible
+from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, infeasible
 from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import ConicInequality
 
@@ -60,8 +60,8 @@ def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
         cost += term.weight * (cp.trace(X) - cp.log_det(X))
     inequalities = [_inequality(cp, inequality, x) for inequality in problem.inequalities]
     bounds = [x[problem.bounded] >= problem.bounds] if len(problem.bounded) else []
-    facts = [problem.E @ z == problem.e] if len(problem.e) else []
-    programme = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *facts])
+    equations = [problem.E @ z == problem.e] if len(problem.e) else []
+    programme = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *equations])
     _run(cp, programme, backend)
     if "infeasible" in programme.status:
         raise infeasible(problem)
@@ -74,7 +74,7 @@ def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
 
 
 def _run(cp: ModuleType, programme: Any, backend: str) -> None:
-    with warnings.catch_warnings(action="ignore"):  # of inaccurate solutions: what is found is refined and checked
+    with warnings.catch_warnings(action="ignore"):  # of inaccurate solutions: they are refined and checked
         try:
             programme.solve(solver=backend, **_SETTINGS.get(backend, {}))
         except cp.error.SolverError as error:
@@ -86,7 +86,7 @@ def _run(cp: ModuleType, programme: Any, backend: str) -> None:
 
 
 def _inequality(cp: ModuleType, inequality: ConicInequality, x: Any) -> Any:
-    interior = max(inequality.interior, APART) if inequality.interior else 0.0
+    interior = max(inequality.interior, SOLVER_INTERIOR) if inequality.interior else 0.0
     if inequality.G.ndim == 2:
         return inequality.G.T @ x[inequality.x_slice] >= interior
     return _matrix(cp, inequality.G, x[inequality.x_slice]) >> interior * np.eye(inequality.G.shape[-1])

@@ -116,7 +116,7 @@ class Barrier:
     Raises
     ------
     SolverError
-        If nothing fulfils the inequalities and what is known exactly.
+        If nothing fulfils the inequalities and exact constraints.
     """
 
     def __init__(self, problem: Problem, P: Array, q: Array, gap: float, start: Array | None = None) -> None:

@@ -19,7 +19,7 @@ from idtool.estimation.dataset.weights import free_noise, freedom_left, residual
 from idtool.estimation.problem.backends import solve_by_cvxpy
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.certificate import Certificate, cost_of_margin, lower_bound, violation
-from idtool.estimation.problem.conic import APART, Solution, infeasible, solve_conic
+from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, infeasible, solve_conic
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.refinement import refine
@@ -89,7 +89,7 @@ def estimate(
     reduction
         The data.
     sets
-        One set a body.
+        One set per body.
     regularization
         The prior's kind and weight.
     equalities
@@ -301,7 +301,7 @@ def _refine_and_check(problem: Problem, solution: Solution, name: str, started: 
     if not np.isfinite(problem.cost(problem.S @ solution.x)):
         _, where = violation(problem, solution.x)
         raise _unsolved_error(problem, where, name, f"no body found ({solution.status})")
-    certificate = _certify_solution(problem, solution, APART, name, started)
+    certificate = _certify_solution(problem, solution, SOLVER_INTERIOR, name, started)
     if refined := refine(problem, solution):
         refined_solution = replace(refined.solution, x=_with_exact_constraints(problem, refined.solution.x))
         refined_certificate = replace(

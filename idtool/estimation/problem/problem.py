@@ -170,7 +170,7 @@ def build_problem(
     reduction
         The data.
     sets
-        One set a body.
+        One set per body.
     regularization
         The prior's kind and weight.
     noise

@@ -22,7 +22,9 @@ from idtool.robot.witness import explain, violations, witness
 
 _ROUNDING = 1e-9  # by which an inequality may fail, in units of the body
 _NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the solver's tolerance
-_SETTINGS = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-10, "tol_feas": 1e-10, "equilibrate_enable": False}
+_ACCURATE = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}
+# Equilibrated, it loses accuracy, but does not stall on some unions.
+_ATTEMPTS = ({**_ACCURATE, "equilibrate_enable": False}, {**_ACCURATE, "equilibrate_enable": True})
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,15 @@ def _split(pi: Array, constraint_set: ConstraintSet, body: Body) -> tuple[Array,
     closed = tuple(replace(variables, piece=_closed(variables.piece)) for variables in problem.pieces)
     problem = replace(problem, pieces=closed)
     start = np.asarray(np.linalg.lstsq(problem.S, problem.b, rcond=None)[0], dtype=np.float64)
-    x = solve_conic(problem, start, _SETTINGS).x
-    pieces = np.array([parameters for _, parameters in problem.piece_parameters(x)])
-    return pieces, float(np.linalg.norm(problem.S @ x - problem.b))
+    x, distance = start, np.inf
+    for settings in _ATTEMPTS:
+        solution = solve_conic(problem, start, settings)
+        solution_distance = float(np.linalg.norm(problem.S @ solution.x - problem.b))
+        if solution_distance < distance:
+            x, distance = solution.x, solution_distance
+        if distance <= _NEAR or solution.status == "optimal":
+            break
+    return np.array([parameters for _, parameters in problem.piece_parameters(x)]), distance
 
 
 def _closed(piece: Piece) -> Piece:

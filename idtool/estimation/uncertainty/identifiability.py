@@ -38,7 +38,7 @@ _LEAST_INFORMATION = 1e-9  # square root, on a coefficient without prior that th
 
 @dataclass(frozen=True)
 class ParameterSource:
-    """Where the information on one parameter comes from.
+    """Shares of data, constraints and prior in the information on one parameter.
 
     Attributes
     ----------

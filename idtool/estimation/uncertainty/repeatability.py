@@ -87,7 +87,7 @@ def repeatability(
 
     Parameters
     ----------
-    equation, known, base
+    equation, equalities, base
         The model.
     data
         Two logs or more.
