@@ -188,7 +188,7 @@ def fit_experiment(
     made_by: str,
     progress: Progress,
     simulate: bool = True,
-    question: bool = True,
+    analyze_uncertainty: bool = True,
     method: Method = "ls",
 ) -> FitResult:
     """The same from model and logs put together.
@@ -203,21 +203,21 @@ def fit_experiment(
         As in `fit`.
     simulate
         Whether to run the identified and the given model forwards too.
-    question
-        Whether to ask what each number rests on.
+    analyze_uncertainty
+        If true, find the information source of each parameter, compare logs, and look for bias by noise.
 
     Raises
     ------
     IdtoolError
         As in `fit`.
     """
-    found = run_fit(experiment, progress, simulate, question, method)
-    if question:
+    found = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
+    if analyze_uncertainty:
         wrong = [fault for fault in faults(experiment, progress) if fault.fault in _SERIOUS]
         said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)
         found = replace(found, warnings=(*said, *found.warnings))
     thetas = (experiment.equation.prior, found.estimate.theta)
-    prior, own = (residual_maps(found.experiment, theta, progress) if question else {} for theta in thetas)
+    prior, own = (residual_maps(found.experiment, theta, progress) if analyze_uncertainty else {} for theta in thetas)
     report = fit_report(found)
     return FitResult(
         joints=tuple(report["joints"]),
@@ -228,7 +228,7 @@ def fit_experiment(
         simulation=frozen(report["simulation"]),
         warnings=tuple(report["warnings"]),
         _fit=found,
-        _maps=(prior, own) if question else None,
+        _maps=(prior, own) if analyze_uncertainty else None,
         _report=report,
         _made_by=made_by,
     )

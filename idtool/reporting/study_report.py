@@ -9,7 +9,7 @@ import numpy as np
 from idtool.common.provenance import provenance
 from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.learning import Curve
-from idtool.estimation.study.study import Outcome, Study
+from idtool.estimation.study.study import Study, StudyEntry
 from idtool.robot.inequality import Inequality
 from idtool.robot.inertia import SIZE
 
@@ -57,7 +57,7 @@ def _rms(study: Study, name: str) -> dict[str, dict[str, float]]:
     return {part: evaluation.errors[name].rms(joints) for part, evaluation in parts.items()}
 
 
-def _set_report(study: Study, name: str, outcome: Outcome) -> dict[str, Any]:
+def _set_report(study: Study, name: str, outcome: StudyEntry) -> dict[str, Any]:
     certificate, bodies = outcome.certificate, study.experiment.model.bodies
     bounded = [(s, b) for s, b in zip(outcome.sets, bodies, strict=True) if f"set {s.name}" == name]
     forms = [_form(inequality) for inequality in bounded[0][0].pieces(bounded[0][1])[0].inequalities]
@@ -79,7 +79,7 @@ def _form(inequality: Inequality) -> str:
     return f"{n}×{n}" if inequality.G.ndim == 3 else f"{n} linear"
 
 
-def _estimator_report(study: Study, name: str, outcome: Outcome) -> dict[str, Any]:
+def _estimator_report(study: Study, name: str, outcome: StudyEntry) -> dict[str, Any]:
     certificate = outcome.certificate
     return {
         "rms": _rms(study, name),

@@ -31,7 +31,7 @@ from idtool.robot.sets import ConstraintSet
 
 FORGETTING = 20.0  # s
 _REPORTED = 2000  # rows
-_LATELY = 40.0  # periods of the band over which a joint's noise is judged: about eighty independent samples
+_NOISE_PERIODS = 40.0  # of the band, over which a joint's noise is averaged: about eighty independent samples
 _CHUNK = 1 << 21  # numbers in memory at a time
 _RANK = 1e-9  # of the largest singular value: what lies below is not determined
 
@@ -59,11 +59,11 @@ class Adaptation:
     sets
         The constraint set of each body.
     problem
-        What x is, and what it fulfils.
+        Variables x and their constraints.
     information, pull
         The last estimate minimises ½ xᵀ information x − pullᵀ x; shapes (m, m) and (m,).
     samples
-        How many rows were used.
+        Number of rows that were used.
     update_hz
         Rows, and so updates, per second of log; the lowest of the logs' [Hz].
     seconds
@@ -126,7 +126,7 @@ def adapt(
     for run in experiment.runs:
         low_pass = run.signals.low_pass
         step = run.signals.log.dt * low_pass.stride
-        gamma, lately = float(np.exp(-step / forgetting)), min(step * run.signals.band_hz / _LATELY, 1.0)
+        gamma, lately = float(np.exp(-step / forgetting)), min(step * run.signals.band_hz / _NOISE_PERIODS, 1.0)
         for t, W, tau, defined in _samples(experiment, run, fit.T, progress):
             for k in range(len(t)):
                 fit.update(W[k], tau[k], defined[k], gamma, lately, 1 / low_pass.redundancy)
@@ -136,9 +136,22 @@ def adapt(
         raise LogError(experiment.runs[0].signals.log.path, "is too short for the filters; log for longer")
     t, theta = rows.all(fit.theta)
     update_hz = min(1 / (run.signals.log.dt * run.signals.low_pass.stride) for run in experiment.runs)
+    information, pull = fit.normal()
     return Adaptation(
-        *(t, theta, theta[-1], fit.units, fit.squares, fit.predicted, forgetting, tuple(sets), fit.problem),
-        *(*fit.normal(), fit.samples, update_hz, time.perf_counter() - started),
+        t=t,
+        theta=theta,
+        estimate=theta[-1],
+        units=fit.units,
+        squares=fit.squares,
+        predicted=fit.predicted,
+        forgetting=forgetting,
+        sets=tuple(sets),
+        problem=fit.problem,
+        information=information,
+        pull=pull,
+        samples=fit.samples,
+        update_hz=update_hz,
+        seconds=time.perf_counter() - started,
     )
 
 
