@@ -14,8 +14,9 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.online import adapt as module
-from idtool.estimation.online.adapt import Adaptation, adapt, adapt_report, convergence, time_to
-from idtool.estimation.problem.identify import identify
+from idtool.estimation.online.adapt import Adaptation, adapt, convergence, time_to
+from idtool.estimation.problem.estimate import estimate
+from idtool.reporting.adaptation_report import adaptation_report
 from idtool.robot.config import WEAK, read_config
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
@@ -54,7 +55,7 @@ def test_tighter_sets_converge_sooner_on_the_leg(leg: Experiment) -> None:
     leg = replace(leg, config=leg.config.model_copy(update={"regularization": WEAK}))
     sets = [choose_set(body, "ellipsoid") for body in leg.model.bodies]
     reduction = leg.reduce(quiet)
-    target = identify(leg.equation, leg.model.bodies, reduction, sets, WEAK, leg.known)
+    target = estimate(leg.equation, leg.model.bodies, reduction, sets, WEAK, leg.equalities)
     rows = weighted_rows(leg.equation, reduction, target.noise)[:, :-1]
     seconds: dict[str, float] = {}
     for name in ("none", "full", "ellipsoid"):
@@ -103,7 +104,7 @@ def test_two_logs_follow_each_other(short: Experiment, monkeypatch: pytest.Monke
 
 def test_the_report_is_plain_data(short: Experiment) -> None:
     found = adapted(short, "full", np.inf)
-    report = json.loads(json.dumps(adapt_report(found, short), allow_nan=False))
+    report = json.loads(json.dumps(adaptation_report(found, short).to_json(), allow_nan=False))
     assert report["forgetting"] is None
     assert report["update_hz"] == pytest.approx(1000 / 6)  # of 1 kHz, four rows a period of 40 Hz
     assert report["samples"] == pytest.approx(found.t[-1] * report["update_hz"], abs=1)
