@@ -63,8 +63,8 @@ from leg_runs import (
 from idtool.data.logs import write_log
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.fit import Fit, fit
-from idtool.estimation.identified import Method
-from idtool.estimation.uncertainty.base import BaseParameters, structural_base
+from idtool.estimation.identification import Method
+from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -80,7 +80,7 @@ NORMAL = 1.959964  # half of the 95 % interval of the normal distribution
 
 def intervals(found: Fit, rows: Array) -> Array:
     """The fit's 95 % intervals of combinations of the coefficients, shape (k, p) to (k, 2)."""
-    return found.trust.interval(rows)
+    return found.uncertainty_analysis.interval(rows)
 
 
 def ordinary(found: Fit, rows: Array, every_sample: bool) -> Array:
@@ -176,7 +176,7 @@ def fitted(path: Path, method: Method = "ls") -> Fit:
 def judged(case: Case, folder: Path, method: Method) -> tuple[Array, Array, Array]:
     """Errors of the base parameters, (r,), and of each kind's intervals half the width and whether they cover."""
     found = fitted(log_of(case, folder), method)
-    base = structural_base(found.experiment.model, found.experiment.equation)
+    base = structural_base_parameters(found.experiment.model, found.experiment.equation)
     three = np.array([intervals(found, base.B), *(ordinary(found, base.B, every) for every in (False, True))])
     truth = base.B @ true_theta(found.experiment, case.truth())
     error = base.B @ found.estimate.theta - truth
@@ -265,7 +265,7 @@ def run(kind: str, logs: int, folder: Path, jobs: int, method: Method) -> list[d
     with Pool(jobs) as pool:
         results = pool.map(partial(judged, folder=folder, method=method), cases, chunksize=1)
     experiment = fitted(log_of(cases[0], folder)).experiment
-    names = Names.of(experiment, structural_base(experiment.model, experiment.equation))
+    names = Names.of(experiment, structural_base_parameters(experiment.model, experiment.equation))
     kept = names.inertial | (kind != "stribeck")
     condition = np.array([case.condition for case in cases])
     errors, halves, covered = (np.array(x) for x in zip(*results, strict=True))

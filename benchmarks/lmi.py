@@ -2,7 +2,7 @@
 
 Run ``python benchmarks/lmi.py``. A chain of 30 links with an ellipsoid each and random places, axes and inertias;
 random states, and the torque of the URDF's bodies with as much noise as torque, so that every body ends at its limit.
-All sets get the same R-factors, prior and solver; the time is that of `identify.solve` with its certificate.
+All sets get the same R-factors, prior and solver; the time is that of `estimate.solve` with its certificate.
 
 The 6×6 inequality (semi-consistency) admits more bodies than the 4×4 (full consistency), which is the smaller and the
 tighter at once. Likewise the density's one number Tr(J Q) ≥ 0 against the centre's 4×4 in the same ellipsoid.
@@ -22,7 +22,7 @@ from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.dataset.weights import free_noise
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import WEAK, parse_config
 from idtool.robot.model import build_model
@@ -62,7 +62,7 @@ def stated(rng: np.random.Generator) -> dict[str, Problem]:
     tau = equation.torque(motion, equation.prior)
     tau += tau.std(axis=1, keepdims=True) * rng.normal(size=tau.shape)
     columns = (np.vstack([block[:-1], row]) for block, row in zip(equation.columns(motion), tau, strict=True))
-    factors = tuple(Factor.of(rows) for rows in columns)
+    factors = tuple(Factor.from_columns(rows) for rows in columns)
     noise = free_noise(equation, factors)
     return {
         name: build_problem(equation, model.bodies, factors, [choose_set(b, name) for b in model.bodies], WEAK, noise)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.identified import choose_sets
-from idtool.estimation.problem.identify import identify
+from idtool.estimation.identification import choose_sets
+from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.study.learning import held_out, rms
 from idtool.robot.config import Config, Mirror, read_config
 from idtool.robot.urdf.reading import Robot, read_robot
@@ -36,9 +36,9 @@ def silent(stage: str, share: float) -> None:
 def fitted(experiment: Experiment) -> Array:
     """The coefficients that one chirp gives."""
     sets, _ = choose_sets(experiment.model.bodies, None)
-    data, known = experiment.reduce(silent), experiment.known
-    return identify(
-        experiment.equation, experiment.model.bodies, data, sets, experiment.config.regularization, known
+    data, equalities = experiment.reduce(silent), experiment.equalities
+    return estimate(
+        experiment.equation, experiment.model.bodies, data, sets, experiment.config.regularization, equalities
     ).theta
 
 

@@ -2,7 +2,7 @@
 
 Run ``python benchmarks/reduced_solve.py``. Both are problem (27) of the leg with all bodies on their ellipsoids, in the
 same variables and units, by Clarabel with the same settings. One has the rows of all samples, filtered and not
-decimated, and is stated in cvxpy; the other, `identify.solve`, has their triangular factor. The latter's time includes
+decimated, and is stated in cvxpy; the other, `estimate.solve`, has their triangular factor. The latter's time includes
 its certificate, and in the last ratio the way from the log to the factor, of which the rows are spared.
 """
 
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, reduce_blocks
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
-from idtool.estimation.identified import choose_sets
-from idtool.estimation.problem.identify import _SETTINGS, solve
+from idtool.estimation.identification import choose_sets
+from idtool.estimation.problem.estimate import _SETTINGS, solve
 from idtool.estimation.problem.prior import prior_rows
 from idtool.estimation.problem.problem import _LEAST_WEIGHT, Problem, build_problem
 
@@ -60,7 +60,7 @@ def solve_rows(problem: Problem, A: Array, b: Array) -> Array:
     constraints = [x[problem.bounded] >= problem.bounds]
     for limit in problem.inequalities:
         n = limit.G.shape[-1]
-        value = limit.G.reshape(len(limit.G), -1).T @ x[limit.own]
+        value = limit.G.reshape(len(limit.G), -1).T @ x[limit.x_slice]
         if limit.G.ndim == 2:
             constraints.append(value >= limit.interior)
         else:

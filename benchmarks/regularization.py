@@ -59,13 +59,13 @@ import leg_truth
 import idtool
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.logs import Log, read_log
-from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Rows, Run, prepare
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.fit import fit
-from idtool.estimation.identified import identified
+from idtool.estimation.identification import estimate_from_logs
 from idtool.estimation.study.learning import held_out, rms
-from idtool.estimation.uncertainty.base import structural_base
+from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.urdf.reading import Robot, parse_robot
@@ -157,7 +157,7 @@ class ReducedExperiment(Experiment):
         """Read the logs."""
         blocks = e.blocks(lambda run: e.rows(run, silent))
         kept = tuple(held_out(replace(e, runs=(run,)), silent) for run in e.runs if run.held_out)
-        return ReducedExperiment(e.config, e.model, e.equation, e.known, e.runs, blocks, kept)
+        return ReducedExperiment(e.config, e.model, e.equation, e.equalities, e.runs, blocks, kept)
 
     def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
         """The training data."""
@@ -170,7 +170,7 @@ class ReducedExperiment(Experiment):
             config = self.config.model_copy(update={"regularization": regularization(choice)})
             started = time.process_time()
             try:
-                result = identified(replace(self, config=config), "ls", silent)
+                result = estimate_from_logs(replace(self, config=config), "ls", silent)
             except SolverError:
                 found.append(Outcome(*choice, {}, time.process_time() - started))
             else:
@@ -353,13 +353,13 @@ def draw_leg(prior: LegPrior, choices: Sequence[Choice]) -> list[Outcome]:
     """Every regularization from one prior."""
     experiment = prior.experiment()
     truth, true = experiment.truth(leg_truth.TRUTH.bodies), leg_truth.true_theta(experiment)
-    combinations = structural_base(experiment.model, experiment.equation)
+    combinations = structural_base_parameters(experiment.model, experiment.equation)
     base = combinations.B[combinations.own < SIZE * len(truth.bodies)]
     typical = np.zeros(len(true))
     typical[: SIZE * len(truth.bodies)] = sizes(truth.bodies).ravel()
     size, own = np.sqrt(np.square(base * typical).sum(axis=1)), np.abs(base @ true)
     large = own > _SMALL * size
-    data = together([log.total for log in experiment.reduced])
+    data = merge_reductions([log.total for log in experiment.reduced])
     active = experiment.equation.active()
 
     def torque(theta: Array) -> float:
@@ -467,8 +467,8 @@ def stopwatch(experiment: ReducedExperiment) -> Callable[[Choice], Figures]:
         config = experiment.config.model_copy(update={"regularization": regularization(choice)})
         jobs = {
             "fit": lambda: fit(replace(whole, config=config), silent),
-            "its identification": lambda: identified(replace(whole, config=config), "ls", silent),
-            "without reading": lambda: identified(replace(experiment, config=config), "ls", silent),
+            "its identification": lambda: estimate_from_logs(replace(whole, config=config), "ls", silent),
+            "without reading": lambda: estimate_from_logs(replace(experiment, config=config), "ls", silent),
         }
         return {name: processor_seconds(job) for name, job in jobs.items()}
 

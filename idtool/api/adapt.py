@@ -53,7 +53,7 @@ def adapt(
         If a log, the configuration or the model cannot be used. Messages name options as the command line does.
     """
     from idtool.estimation.command_delay import with_delay
-    from idtool.estimation.identified import choose_sets
+    from idtool.estimation.identification import choose_sets
     from idtool.estimation.online.adapt import adapt as identify_online
 
     tell = progress or silent

@@ -23,7 +23,7 @@ def experiment_of(
     validate: Logs = (),
     holdout: float = 0.3,
     progress: Progress = lambda stage, share: None,
-    seen_as: Callable[[Record], Record] = lambda log: log,
+    transform: Callable[[Record], Record] = lambda log: log,
 ) -> Experiment:
     """Model and logs put together.
 
@@ -35,8 +35,8 @@ def experiment_of(
         As in `idtool.fit`.
     progress
         Told the stage and how far it has come.
-    seen_as
-        A log as read → what it is taken for.
+    transform
+        Applied to every log that is read.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def experiment_of(
     model = as_model(model)
     fitted, kept = ([_record(log, model) for log in listed(given)] for given in (logs, validate))
     try:
-        return prepare(model.robot, model.settings, fitted, kept, holdout, seen_as)
+        return prepare(model.robot, model.settings, fitted, kept, holdout, transform)
     except ConfigError as error:
         source = model.settings.source
         if source is None or error.where.startswith("--"):

@@ -8,8 +8,7 @@ from pathlib import Path
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import notes, table
 from idtool.common.outputs import as_yaml, check_file, write_all
-from idtool.estimation.problem.check import check as check_links
-from idtool.estimation.problem.check import nearest_bodies, repaired
+from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.reporting.check_report import check_report
 from idtool.reporting.figures import figure
 from idtool.reporting.results.base import Ellipsoid

@@ -19,8 +19,8 @@ from idtool.data.logs import write_log
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
-from idtool.estimation.dataset.knowledge import knowledge
 from idtool.estimation.dataset.weights import free_noise
 from idtool.excitation.criteria import Criterion
 from idtool.excitation.design import Design, Logged, Wishes, design
@@ -212,22 +212,23 @@ def _task(
     measured: dict[str, float] = {}
     logged = None
     if experiment is not None:
-        tree, equation, known, settings = experiment.model, experiment.equation, experiment.known, experiment.config
+        tree, equation, settings = experiment.model, experiment.equation, experiment.config
+        equalities = experiment.equalities
         reduction = experiment.reduce(progress)
-        logged = Logged(reduction, free_noise(equation, reduction, known))
+        logged = Logged(reduction, free_noise(equation, reduction, equalities))
         measured = dict(zip(tree.names, logged.noise.tolist(), strict=True))
     else:
         robot, settings = model.robot, model.settings
         moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and not joint.mimic]
         tree = build_model(robot, settings, moving)
         equation = LinearModel(tree.names, build_effects(tree, settings))
-        known = knowledge(settings, tree, equation)
+        equalities = equality_constraints(settings, tree, equation)
     given = dict(noise) if isinstance(noise, Mapping) else {} if noise is None else {ALL: noise}
     of_all = dict.fromkeys(tree.names, given.pop(ALL)) if ALL in given else {}
     task = make_task(
         tree,
         equation,
-        known,
+        equalities,
         settings,
         noise={**measured, **of_all, **given},
         rate=rate,

@@ -17,8 +17,8 @@ from idtool.diagnosis.maps import residual_maps
 from idtool.diagnosis.records import Residual
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
-from idtool.estimation.fit import fit as identify
-from idtool.estimation.identified import Method
+from idtool.estimation.fit import fit as run_fit
+from idtool.estimation.identification import Method
 from idtool.reporting.figures import figure
 from idtool.reporting.report import fit_report, model_config
 from idtool.reporting.results.fit import FitReport
@@ -164,7 +164,7 @@ def fit_experiment(
     made_by: str,
     progress: Progress,
     simulate: bool = True,
-    question: bool = True,
+    analyze_uncertainty: bool = True,
     method: Method = "ls",
 ) -> FitResult:
     """The same from model and logs put together.
@@ -179,23 +179,23 @@ def fit_experiment(
         As in `fit`.
     simulate
         Whether to run the identified and the given model forwards too.
-    question
-        Whether to ask what each number rests on.
+    analyze_uncertainty
+        If true, find the information source of each parameter, compare logs, and look for bias by noise.
 
     Raises
     ------
     IdtoolError
         As in `fit`.
     """
-    found = identify(experiment, progress, simulate, question, method)
-    if question:
+    found = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
+    if analyze_uncertainty:
         wrong = [fault for fault in find_data_faults(experiment, progress) if fault.fault in _SERIOUS]
         said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)
         found = replace(found, warnings=(*said, *found.warnings))
     thetas = (experiment.equation.prior, found.estimate.theta)
-    prior, own = (residual_maps(found.experiment, theta, progress) if question else {} for theta in thetas)
+    prior, own = (residual_maps(found.experiment, theta, progress) if analyze_uncertainty else {} for theta in thetas)
     result = FitResult.extending(fit_report(found))
     result._fit = found
-    result._maps = (prior, own) if question else None
+    result._maps = (prior, own) if analyze_uncertainty else None
     result._made_by = made_by
     return result

@@ -197,8 +197,8 @@ def simulate(
     """
     started, told, model = time.monotonic(), progress or silent, as_model(model)
     _check_options(model.settings, window, closed_loop, track)
-    seen_as = as_command if track else under_controller if closed_loop else as_logged
-    experiment = experiment_of(model, (), log, progress=told, seen_as=seen_as)
+    transform = as_command if track else under_controller if closed_loop else as_logged
+    experiment = experiment_of(model, (), log, progress=told, transform=transform)
     every = _window(experiment, window)
     done = simulated_log(experiment, experiment.equation.prior, every, Path(FILE), told)
     report = _report(experiment, done, time.monotonic() - started)
@@ -226,7 +226,7 @@ def _window(experiment: Experiment, given: float | None) -> float | None:
 
 def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> SimulationReport:
     """The result but for the file."""
-    lost = [f"{done.lost} of {done.rollouts} rollouts ran away; they end where they did"] if done.lost else []
+    lost = [f"{done.diverged} of {done.rollouts} rollouts ran away; they end where they did"] if done.diverged else []
     return SimulationReport(
         file=None,
         joints=done.log.joints,
@@ -234,7 +234,7 @@ def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> Simulati
         kind=done.kind,
         window=done.window,
         rollouts=done.rollouts,
-        lost=done.lost,
+        lost=done.diverged,
         samples=len(done.log),
         seconds=done.seconds,
         wall_seconds=wall,

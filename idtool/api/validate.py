@@ -16,7 +16,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
-from idtool.estimation.evaluation.replay import Replay, replay, simulation_notes
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notes
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.reporting.figures import figure
 from idtool.reporting.report import validation_report
@@ -36,7 +36,7 @@ class ValidationResult(ValidationReport, Saved, Recordable):
     _model: RobotModel
     _models: Mapping[str, Array]
     _evaluation: Evaluation
-    _rollouts: Replay | None
+    _rollouts: RolloutEvaluation | None
     _made_by: str
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
@@ -187,7 +187,7 @@ def validate_experiment(
         models["prior"] = coefficients_of(prior.robot, own, experiment)
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
     evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
-    rollouts = replay(experiment, models, held_out=True, progress=progress) if simulate else None
+    rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress) if simulate else None
     simulation = simulation_report(rollouts, "model", experiment)
     warnings = [*experiment.warnings, *simulation_notes(rollouts, "model")]
     report = validation_report(

@@ -127,7 +127,7 @@ def _of(one: Fit) -> Level:
     joints = one.experiment.equation.joints
     held_out = one.validation.errors["identified"]
     run = one.simulation
-    moved = None if run is None or "identified" in run.failed else run.departures["identified"].rmse(joints, "position")
+    moved = None if run is None or "identified" in run.failed else run.errors["identified"].rmse(joints, "position")
     return Level(one.train.errors["identified"].rms(joints), held_out.rms(joints) if held_out.samples else None, moved)
 
 

@@ -25,13 +25,13 @@ from idtool.data.signals import Batch
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.blocks import Blocks, cut, together
+from idtool.estimation.dataset.blocks import Blocks, cut_into_blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, tracked
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
-from idtool.estimation.identified import choose_sets
+from idtool.estimation.identification import choose_sets
 from idtool.estimation.problem.barrier import Barrier
-from idtool.estimation.problem.identify import Estimate, identify
+from idtool.estimation.problem.estimate import Estimate, estimate
 
 _FOLDS = 36  # blocks of time of all logs together
 _SHORTEST = 0.4  # s of a block
@@ -140,18 +140,21 @@ def ground(
     counting = like.experiment.equation if like and not own_rows else experiment.equation
     blocks = _blocks(experiment, length, progress, counting, apart)
     equation, config = experiment.equation, experiment.config
-    reduction = experiment.checked(together([log.total for log in blocks]))
-    known = experiment.known
+    reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
+    equalities = experiment.equalities
     size = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
-    noise = free_noise(equation, reduction, known) if like is None else like.noise * _rescaled(experiment, size, like)
+    if like is None:
+        noise = free_noise(equation, reduction, equalities)
+    else:
+        noise = like.noise * _rescaled(experiment, size, like)
     sets, _ = choose_sets(experiment.model.bodies, config.constraints)
-    found = identify(
+    found = estimate(
         equation,
         experiment.model.bodies,
         reduction,
         sets,
         config.regularization.or_weak(),
-        known,
+        equalities,
         config.solver.name,
         noise,
         config.solver.backend,
@@ -250,7 +253,7 @@ def _blocks(
     for run in (run for run in experiment.runs if run.train):
         low_pass = run.signals.low_pass
         batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
-        parts = tuple(cut(rows(batches), length, low_pass.redundancy))
+        parts = tuple(cut_into_blocks(rows(batches), length, low_pass.redundancy))
         if parts:
             found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
     for name, own, all_of_them in zip(equation.joints, known, counted, strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from idtool.common.arrays import Array
 from idtool.diagnosis.records import Level
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.evaluation.replay import replay
+from idtool.estimation.evaluation.rollouts import evaluate_rollouts
 from idtool.estimation.evaluation.validation import evaluate
 
 MODEL = "model"
@@ -29,6 +29,6 @@ def level(experiment: Experiment, theta: Array, simulated: bool, progress: Progr
     held_out = any(run.held_out for run in experiment.runs)
     train = evaluate(experiment, models, False, progress).errors[MODEL].rms(joints)
     validation = evaluate(experiment, models, True, progress).errors[MODEL].rms(joints) if held_out else None
-    run = replay(experiment, models, held_out, progress) if simulated else None
-    moved = None if run is None or MODEL in run.failed else run.departures[MODEL].rmse(joints, "position")
+    run = evaluate_rollouts(experiment, models, held_out, progress) if simulated else None
+    moved = None if run is None or MODEL in run.failed else run.errors[MODEL].rmse(joints, "position")
     return Level(train, validation, moved)

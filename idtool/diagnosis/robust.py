@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.estimation.dataset.blocks import block_rows, cut, most_blocks
+from idtool.estimation.dataset.blocks import block_rows, cut_into_blocks, most_blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 _ROUNDS = 15
@@ -96,7 +96,8 @@ def _summed(experiment: Experiment, theta: Array, progress: Progress) -> list[_S
     for run in experiment.runs:
         signals = run.signals
         batches = tracked(signals.batches(), signals.ranges, progress, "looking for contacts")
-        for part in cut(map(experiment.equation.filtered_rows, batches), length, signals.low_pass.redundancy):
+        samples = map(experiment.equation.filtered_rows, batches)
+        for part in cut_into_blocks(samples, length, signals.low_pass.redundancy):
             for own, columns, factor in zip(found, active, part, strict=True):
                 Y = factor.R[:, :-1]
                 e = factor.R[:, -1] - Y @ theta[columns]

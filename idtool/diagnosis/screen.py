@@ -72,15 +72,6 @@ class Found:
         return float(np.sqrt(len(self.gains)) * self.gains.std(ddof=1)) if len(self.gains) > 1 else np.inf
 
     @property
-    def sureness(self) -> float:
-        """How many standard errors the coefficients are from zero."""
-        try:
-            wald = float(self.c @ np.linalg.solve(self.covariance, self.c)) / len(self.c)
-        except np.linalg.LinAlgError:
-            return 0.0
-        return float(np.sqrt(max(wald, 0.0)))
-
-    @property
     def allowed(self) -> bool:
         """Whether physics allows the coefficients."""
         return self.probe.is_feasible(self.c) and self.entry is not None

@@ -24,8 +24,8 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.equality_constraints import Constraint, equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.dataset.knowledge import Fact, knowledge
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import SIZE
 
@@ -87,7 +87,8 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
     if theta is not None:
         now = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
     equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), now)
-    changed = replace(experiment, config=config, equation=equation, known=knowledge(config, experiment.model, equation))
+    equalities = equality_constraints(config, experiment.model, equation)
+    changed = replace(experiment, config=config, equation=equation, equalities=equalities)
     return with_fixed_inertia(changed) if is_fixed(experiment) else changed
 
 
@@ -96,18 +97,18 @@ _FIXED = "--inertia fixed"
 
 def with_fixed_inertia(experiment: Experiment) -> Experiment:
     """The same with the bodies' parameters known to be those of the URDF."""
-    p, known = len(experiment.equation.coefficients), experiment.known
+    p, equalities = len(experiment.equation.coefficients), experiment.equalities
     prior, count = experiment.equation.prior, SIZE * len(experiment.model.bodies)
-    facts = tuple(Fact(_FIXED, np.eye(p)[i], float(prior[i])) for i in known.free if i < count)
+    inertia = tuple(Constraint(_FIXED, np.eye(p)[i], float(prior[i])) for i in equalities.free if i < count)
     nothing = Regularization(kind="none", weight=0)  # left for a prior to say
     config = experiment.config.model_copy(update={"constraints": "none", "regularization": nothing})
-    soft = tuple(fact for fact in known.facts if fact.row[count:].any())  # others speak of what is fixed
-    return replace(experiment, config=config, known=replace(known, facts=(*soft, *facts)))
+    others = tuple(c for c in equalities.constraints if c.row[count:].any())  # others speak of what is fixed
+    return replace(experiment, config=config, equalities=replace(equalities, constraints=(*others, *inertia)))
 
 
 def is_fixed(experiment: Experiment) -> bool:
     """Whether the bodies' parameters are the URDF's."""
-    return any(fact.label == _FIXED for fact in experiment.known.facts)
+    return any(constraint.label == _FIXED for constraint in experiment.equalities.constraints)
 
 
 def tried(

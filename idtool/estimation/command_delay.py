@@ -3,7 +3,7 @@
 The torque of a joint controller is linear in what was commanded. In the band it is a smooth function of the delay d,
 tau(d) = Σ_k w_k(d) tau_k by the polynomial through a few delays, whose tau_k are further columns beside Y. One pass
 over the logs gives their R-factors. From these follow the least residual at any delay, the best delay, and by the
-scores of blocks of time its standard error, which is honest for residuals that are correlated (see `scatter`).
+scores of blocks of time its standard error, which is honest for residuals that are correlated (see `cluster_robust`).
 
 To first order, kp d stands for viscous friction, as a joint that follows its command moves with the command's velocity.
 Friction that may not be negative bounds the delay from above.
@@ -26,22 +26,22 @@ from idtool.common.linear_algebra import svd
 from idtool.data.command import LONGEST_DELAY
 from idtool.data.signals import Signals
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run, tracked
-from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Factor, Reduction
-from idtool.estimation.dataset.weights import free_noise, freedom
-from idtool.estimation.uncertainty.scatter import FEWEST
+from idtool.estimation.dataset.weights import free_noise, freedom_left
+from idtool.estimation.uncertainty.cluster_robust import FEWEST_CLUSTERS
 from idtool.robot.config import Config, Uncertain
 
-_MUCH_THE_SAME = 0.9  # correlation of two effects that are worth a word
+_CONFOUNDED = 0.9  # correlation of two effects from which it is reported
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
-_WEIGHINGS = 5  # of the joints by the noise that is left at the best delay
-_CLOSE = 1e-5  # s, between two of them
-_GROUPS = 2 * FEWEST  # of blocks of time: few, so that what is correlated lies within one
-_GRID = 64  # delays between which the best one is looked for
-_SURE = 3.0  # standard errors
-_WORTH = 0.01  # share of the torque error that another delay must take off
+_WEIGHINGS = 5  # of the joints by the residual noise at the best delay
+_CONVERGED = 1e-5  # s, between two of them
+_CLUSTERS = 2 * FEWEST_CLUSTERS  # few, so that what is correlated lies within one
+_GRID = 64  # delays between which the best one is searched for
+_SIGNIFICANT = 3.0  # standard errors
+_LEAST_GAIN = 0.01  # share of the torque error that another delay must take off
 
 
 @dataclass(frozen=True)
@@ -51,19 +51,19 @@ class CommandDelay:
     Attributes
     ----------
     value
-        At which the torque equation leaves least [s].
+        Delay with the least residual of the torque equation [s].
     standard_error
-        Of it [s]; None: the commands do not tell it.
+        Of the value [s]; None: the commands do not tell it.
     known_friction_error
-        The same if viscous friction were known [s].
+        Standard error if viscous friction were known [s].
     correlation
         Of the delay with viscous friction, all joints' together; 0: there is none in the model.
     slope
-        By how much the coefficients of least squares change with the delay, shape (p,) [1/s].
+        Derivative of the coefficients of least squares with respect to the delay, shape (p,) [1/s].
     given
-        The configuration's; None: it was to be fitted.
+        The configuration's delay; None: it was to be fitted.
     gain
-        Share of the torque error, rms, that ``value`` takes off what ``given`` leaves.
+        Relative reduction of the torque error, rms, from ``given`` to ``value``.
     viscous
         Mean viscous friction of commanded joints with ``given`` and with ``value`` [N·m·s/rad or N·s/m].
     """
@@ -84,42 +84,42 @@ class CommandDelay:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the data contradict what is given."""
+        """True if the given delay differs from the fitted one significantly and with a larger torque error."""
         if self.given is None or self.standard_error is None:
             return False
-        apart = abs(self.value - self.given.value)
+        difference = abs(self.value - self.given.value)
         error = np.hypot(self.standard_error, self.given.standard_error or 0.0)
-        return bool(apart > _SURE * error and self.gain > _WORTH)
+        return bool(difference > _SIGNIFICANT * error and self.gain > _LEAST_GAIN)
 
     @property
     def text(self) -> str | None:
-        """The delay, and how far it can be told from viscous friction, in words; None: the commands do not tell it."""
+        """The delay in words, and its correlation with viscous friction if high; None: the commands do not tell it."""
         if self.standard_error is None or self.known_friction_error is None:
             return None
-        found = _milliseconds(self.value, self.standard_error)
-        said = f"{found} from command to torque, fitted"
+        fitted = _milliseconds(self.value, self.standard_error)
+        text = f"{fitted} from command to torque, fitted"
         if self.given is not None:
-            said = f"{1e3 * self.given.value:.3g} ms from command to torque, as given; the data say {found}"
-        if self.correlation < _MUCH_THE_SAME:
-            return said
+            text = f"{1e3 * self.given.value:.3g} ms from command to torque, as given; the data say {fitted}"
+        if self.correlation < _CONFOUNDED:
+            return text
         known = _milliseconds(self.value, self.known_friction_error).partition(" ")[2]
-        return f"{said}; viscous friction does much the same (correlation {self.correlation:.2f}): if known, {known}"
+        return f"{text}; viscous friction does much the same (correlation {self.correlation:.2f}): if known, {known}"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know, a plain sentence each."""
+        """Warnings about a delay that is undetermined, contradicted or too long, a plain sentence each."""
         if self.standard_error is None:
             if self.given is not None:
                 return ()
             return ("controller.delay: the commands do not tell it, 0 is taken; log a motion, or give it",)
-        found = _milliseconds(self.value, self.standard_error)
         if self.contradicted and self.given is not None:
+            fitted = _milliseconds(self.value, self.standard_error)
             before, after = self.viscous
-            said = f"controller.delay: {1e3 * self.given.value:.3g} ms is given, but the data say {found}"
+            difference = f"controller.delay: {1e3 * self.given.value:.3g} ms is given, but the data say {fitted}"
             change = f"that takes {self.gain:.1%} off the torque error"
             friction = f" and mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
-            return (f"{said}; {change}{friction}; give auto to have it fitted",)
-        if self.given is None and self.value >= LONGEST_DELAY - _CLOSE:
+            return (f"{difference}; {change}{friction}; give auto to have it fitted",)
+        if self.given is None and self.value >= LONGEST_DELAY - _CONVERGED:
             most = f"{1e3 * LONGEST_DELAY:.0f} ms"
             return (f"controller.delay: {most} or more fits best; check controller.kp and kd, or give the delay",)
         return ()
@@ -138,32 +138,34 @@ def with_delay(
 
     Returns
     -------
-    The experiment with the delay; how it was found, None where it is given or no torque comes from a command; and the
+    The experiment with the delay; the fitted delay, None where it is given or no torque comes from a command; and the
     training data with it, None where they must be read anew.
     """
     controller = experiment.config.controller
-    fitted = _fitted(experiment, progress) if controller and controller.known_delay is None else None
-    if controller is None or fitted is None:
+    if controller is None or controller.known_delay is not None:
         return experiment, None, None
-    found, data, lags = fitted
-    delay = Uncertain(value=found.value, standard_error=found.standard_error)
+    result = _fit_delay(experiment, progress)
+    if result is None:
+        return experiment, None, None
+    fitted, data, lags = result
+    delay = Uncertain(value=fitted.value, standard_error=fitted.standard_error)
     config = experiment.config.model_copy(update={"controller": controller.model_copy(update={"delay": delay})})
-    experiment = replace(
-        experiment, config=config, runs=tuple(_later(run, config, found.value) for run in experiment.runs)
-    )
+    runs = tuple(_with_known_delay(run, config, fitted.value) for run in experiment.runs)
+    experiment = replace(experiment, config=config, runs=runs)
     if any(effect.uses_measured_torque for effect in experiment.equation.effects):
-        return experiment, found, None
-    return experiment, found, tuple(log.of(lambda part: lags.at(part, found.value)) for log in data)
+        return experiment, fitted, None
+    return experiment, fitted, tuple(log.map(lambda part: lags.at(part, fitted.value)) for log in data)
 
 
-def _later(run: Run, config: Config, delay: float) -> Run:
+def _with_known_delay(run: Run, config: Config, delay: float) -> Run:
     """A run under a configuration with a delay [s] where there was none."""
-    train, held_out = (tuple(run.signals.after(delay, parts)) for parts in (run.train, run.held_out))
+    train = tuple(run.signals.after(delay, run.train))
+    held_out = tuple(run.signals.after(delay, run.held_out))
     return Run(Signals(run.signals.log, run.signals.joints, config), train, held_out)
 
 
 def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | None:
-    """Fit the delay to the training data, whether one is given or not.
+    """Fit the delay to the training data, also if one is given.
 
     Parameters
     ----------
@@ -176,34 +178,35 @@ def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | 
     -------
     None where no torque comes from a command.
     """
-    fitted = _fitted(experiment, progress)
-    return fitted[0] if fitted else None
+    result = _fit_delay(experiment, progress)
+    return result[0] if result else None
 
 
-def _fitted(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, tuple[Blocks, ...], _Lags] | None:
-    """The delay, and the data with the torque at many."""
+def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, tuple[Blocks, ...], _Lags] | None:
+    """The fitted delay, and the data with the torque at many delays."""
     controller = experiment.config.controller
     by_command = np.any([run.signals.command.joints for run in experiment.runs if run.train], axis=0)
     if controller is None or not by_command.any():
         return None
-    equation, known, given = experiment.equation, experiment.known, controller.known_delay
+    equation, equalities, given = experiment.equation, experiment.equalities, controller.known_delay
     lags = _Lags(experiment.band_hz)
     data = experiment.blocks(lambda run: _rows(equation, run, lags, progress))
-    total = together([log.total for log in data])
+    total = merge_reductions([log.total for log in data])
     value = 0.0
     for _ in range(_WEIGHINGS):
-        noise = free_noise(equation, lags.at(total, value), known)
-        profile = _Profile(equation, known, total, noise, lags)
-        before, value = value, profile.least()
-        if abs(value - before) < _CLOSE:
+        noise = free_noise(equation, lags.at(total, value), equalities)
+        profile = _Profile(equation, equalities, total, noise, lags)
+        previous = value
+        value = profile.minimizer()
+        if abs(value - previous) < _CONVERGED:
             break
-    errors = _Errors(equation, known, data, noise, lags, value)
+    errors = _DelayErrors(equation, equalities, data, noise, lags, value)
     value = 0.0 if errors.value is None else value
     start = min(given.value, LONGEST_DELAY) if given else value
     gain = 1 - np.sqrt(profile.cost(value) / max(profile.cost(start), np.finfo(float).tiny))
     joints = np.flatnonzero(by_command)
     viscous = (profile.viscous(start, joints), profile.viscous(value, joints))
-    found = CommandDelay(
+    fitted = CommandDelay(
         value=value,
         standard_error=errors.value,
         known_friction_error=errors.known_friction,
@@ -213,7 +216,7 @@ def _fitted(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, t
         gain=float(gain),
         viscous=viscous,
     )
-    return found, data, lags
+    return fitted, data, lags
 
 
 def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> Rows:
@@ -227,7 +230,7 @@ def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> R
 
 
 class _Lags:
-    """Delays, and the polynomial that gives the torque in between them: Chebyshev's points, so that it does not ring.
+    """Delays, and the polynomial that interpolates the torque between them: Chebyshev points, so that it does not ring.
 
     Attributes
     ----------
@@ -254,7 +257,7 @@ class _Lags:
     def at(self, data: Reduction, delay: float) -> Reduction:
         """The reduction of [Y, tau(delay)] from that with all delays."""
         m, w = len(self.delays), self.weights(delay)
-        return tuple(Factor.joined((replace(f, R=np.column_stack([f.R[:, :-m], f.R[:, -m:] @ w])),)) for f in data)
+        return tuple(Factor.merged((replace(f, R=np.column_stack([f.R[:, :-m], f.R[:, -m:] @ w])),)) for f in data)
 
 
 class _Profile:
@@ -263,16 +266,18 @@ class _Profile:
     The coefficients are free but for lower bounds, as on friction: what is not bounded is taken out beforehand.
     """
 
-    def __init__(self, equation: LinearModel, known: Knowledge, data: Reduction, noise: Array, lags: _Lags) -> None:
+    def __init__(
+        self, equation: LinearModel, equalities: EqualityConstraints, data: Reduction, noise: Array, lags: _Lags
+    ) -> None:
         self._lags = lags
         every = equation.coefficients
-        coefficients = [every[i] for i in known.free]
+        coefficients = [every[i] for i in equalities.free]
         lower = np.array([c.lower for c in coefficients])
         bounded = np.isfinite(lower)
-        rows = _weighted(equation, known, data, noise, len(lags.delays))
+        rows = _weighted(equation, equalities, data, noise, len(lags.delays))
         Y, taus = (np.concatenate(part) for part in zip(*rows, strict=True))
         rest = np.column_stack([Y[:, bounded], taus - (Y[:, bounded] @ lower[bounded])[:, None]])
-        rest = _less(rest, Y[:, ~bounded])
+        rest = _projected_out(rest, Y[:, ~bounded])
         R = np.asarray(np.linalg.qr(rest, mode="r"))
         count = int(np.count_nonzero(bounded))
         self._Y, self._taus = R[:, :count], R[:, count:]
@@ -280,36 +285,37 @@ class _Profile:
         self._owners = np.array(owners)[bounded]
         self._joints = np.array(equation.joints)
 
-    def _solved(self, delay: float) -> tuple[Array, float]:
+    def _nonnegative_fit(self, delay: float) -> tuple[Array, float]:
+        """Bounded coefficients above their bounds, and the norm of the residual."""
         tau = self._taus @ self._lags.weights(delay)
         if not self._Y.shape[1]:
             return np.zeros(0), float(np.linalg.norm(tau))
-        x, left = nnls(self._Y, tau)
-        return x, float(left)
+        x, residual = nnls(self._Y, tau)
+        return x, float(residual)
 
     def cost(self, delay: float) -> float:
         """Sum of squared residuals."""
-        return self._solved(delay)[1] ** 2
+        return self._nonnegative_fit(delay)[1] ** 2
 
     def viscous(self, delay: float, joints: Indices) -> float:
         """Mean viscous friction of some joints; 0 where the model has none."""
-        own = self._solved(delay)[0][np.isin(self._owners, self._joints[joints])]
+        own = self._nonnegative_fit(delay)[0][np.isin(self._owners, self._joints[joints])]
         return float(own.mean()) if len(own) else 0.0
 
-    def least(self) -> float:
+    def minimizer(self) -> float:
         """The delay of least cost [s]."""
         grid = np.linspace(0, LONGEST_DELAY, _GRID + 1)
         best = int(np.argmin([self.cost(delay) for delay in grid]))
-        around = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])
-        found = float(minimize_scalar(self.cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
-        return min((0.0, found, LONGEST_DELAY), key=self.cost)
+        bracket = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])
+        minimum = float(minimize_scalar(self.cost, bounds=bracket, method="bounded", options={"xatol": 1e-8}).x)
+        return min((0.0, minimum, LONGEST_DELAY), key=self.cost)
 
 
-class _Errors:
+class _DelayErrors:
     """Errors of the delay by least squares without bounds, in which viscous friction is refitted or known.
 
-    What is left out of a model is the same at all times, but not on all joints. So scores are taken together in blocks
-    of time, and by joint: the larger of both standard errors counts, or what the number of independent samples gives.
+    What is left out of a model is the same at all times, but not on all joints. So scores are summed in clusters of
+    time, and by joint: the larger of both standard errors counts, or that by the number of independent samples.
 
     Attributes
     ----------
@@ -318,82 +324,87 @@ class _Errors:
     correlation
         Of the delay with viscous friction.
     slope
-        By how much the coefficients change with the delay, shape (p,) [1/s].
+        Derivative of the coefficients with respect to the delay, shape (p,) [1/s].
     """
 
     def __init__(
         self,
         equation: LinearModel,
-        known: Knowledge,
+        equalities: EqualityConstraints,
         data: Sequence[Blocks],
         noise: Array,
         lags: _Lags,
         delay: float,
     ) -> None:
-        rows = partial(_weighted, equation, known, noise=noise, count=len(lags.delays))
+        rows = partial(_weighted, equation, equalities, noise=noise, count=len(lags.delays))
         w, slopes = lags.weights(delay), lags.slopes(delay)
-        total = together([log.total for log in data])
+        total = merge_reductions([log.total for log in data])
         Y, taus = (np.concatenate(part) for part in zip(*rows(total), strict=True))
         every = equation.coefficients
-        viscous = np.array([every[i].effect == "viscous_friction" for i in known.free])
-        theta, rank = _solved(Y, taus @ w)
-        changes = [_solved(columns, taus @ slopes)[0] for columns in (Y, np.where(viscous, 0.0, Y))]
+        viscous = np.array([every[i].effect == "viscous_friction" for i in equalities.free])
+        theta, rank = _least_squares(Y, taus @ w)
+        with_friction, _ = _least_squares(Y, taus @ slopes)
+        without_friction, _ = _least_squares(np.where(viscous, 0.0, Y), taus @ slopes)
+        changes = (with_friction, without_friction)
 
         def products(part: Reduction) -> Array:
             """By joint and change: slope with itself, and with the residual; shape (2, nv, 2)."""
-            found = np.zeros((2, len(noise), len(changes)))
-            for j, (own, tau) in enumerate(rows(part)):
-                residual = tau @ w - own @ theta
+            sums = np.zeros((2, len(noise), len(changes)))
+            for j, (columns, tau) in enumerate(rows(part)):
+                residual = tau @ w - columns @ theta
                 for k, change in enumerate(changes):
-                    slope = tau @ slopes - own @ change
-                    found[:, j, k] = slope @ slope, slope @ residual
-            return found
+                    slope = tau @ slopes - columns @ change
+                    sums[:, j, k] = slope @ slope, slope @ residual
+            return sums
 
-        self.slope = known.K @ changes[0]
+        self.slope = equalities.K @ with_friction
         self.value = self.known_friction = None
         self.correlation = 0.0
         by_joint = products(total)[0]  # (nv, 2)
-        seen = by_joint.sum(axis=0)
-        worth = sum(factor.independent for factor in total) / sum(factor.rows for factor in total)
-        if seen[0] * worth * LONGEST_DELAY**2 < 1:  # an error of all that is looked for
+        information = by_joint.sum(axis=0)
+        independent_per_row = sum(factor.independent for factor in total) / sum(factor.rows for factor in total)
+        if information[0] * independent_per_row * LONGEST_DELAY**2 < 1:  # an error as large as the whole range
             return
-        length = max(sum(map(len, data)) // _GROUPS, 1)
-        scores = np.array([products(part)[1] for log in data for part in log.joined(length).parts])  # (blocks, nv, 2)
-        share = freedom(total, rank)
-        variance = seen / worth
-        if len(scores) >= FEWEST:
-            variance = np.maximum(variance, _spread(scores.sum(axis=1)) / share)
-        telling = by_joint[:, 0] > _RANK * seen[0]
-        variance = np.maximum(variance, _spread(scores.sum(axis=0)[telling]) / share)
-        self.value, self.known_friction = (np.sqrt(variance) / seen).tolist()
-        self.correlation = float(np.sqrt(max(1 - seen[0] / seen[1], 0.0)))
+        length = max(sum(map(len, data)) // _CLUSTERS, 1)
+        clusters = [part for log in data for part in log.regrouped(length).parts]
+        scores = np.array([products(cluster)[1] for cluster in clusters])  # (clusters, nv, 2)
+        share = freedom_left(total, rank)
+        variance = information / independent_per_row
+        if len(scores) >= FEWEST_CLUSTERS:
+            variance = np.maximum(variance, _variance_of_sum(scores.sum(axis=1)) / share)
+        has_information = by_joint[:, 0] > _RANK * information[0]
+        variance = np.maximum(variance, _variance_of_sum(scores.sum(axis=0)[has_information]) / share)
+        self.value, self.known_friction = (np.sqrt(variance) / information).tolist()
+        self.correlation = float(np.sqrt(max(1 - information[0] / information[1], 0.0)))
 
 
-def _spread(scores: Array) -> Array:
+def _variance_of_sum(scores: Array) -> Array:
     """Variance of the sum of independent scores, shape (n, 2) to (2,); of a single one it is not known."""
     return len(scores) * np.var(scores, axis=0, ddof=1) if len(scores) > 1 else np.zeros(scores.shape[1])
 
 
 def _weighted(
-    equation: LinearModel, known: Knowledge, data: Reduction, noise: Array, count: int
+    equation: LinearModel, equalities: EqualityConstraints, data: Reduction, noise: Array, count: int
 ) -> list[tuple[Array, Array]]:
     """Each joint's rows in units of its noise: Y over the free coefficients, (rows, p'), and tau_k, (rows, K)."""
-    found = []
+    rows = []
     for factor, columns, sigma in zip(data, equation.active(), noise, strict=True):
-        found.append((factor.R[:, :-count] @ known.K[columns] / sigma, factor.R[:, -count:] / sigma))
-    return found
+        Y = factor.R[:, :-count] @ equalities.K[columns] / sigma
+        taus = factor.R[:, -count:] / sigma
+        rows.append((Y, taus))
+    return rows
 
 
-def _solved(Y: Array, right: Array) -> tuple[Array, int]:
-    """Least squares, of the shortest solutions in units of the columns, and the rank of Y."""
+def _least_squares(Y: Array, right: Array) -> tuple[Array, int]:
+    """The shortest least-squares solution in units of the columns, and the rank of Y."""
     size = np.linalg.norm(Y, axis=0)
     size[size == 0] = 1.0
     z, _, rank, _ = np.linalg.lstsq(Y / size, right, rcond=_RANK)
     return z / size, int(rank)
 
 
-def _less(rows: Array, Y: Array) -> Array:
-    """What the columns of Y leave of other columns."""
+def _projected_out(rows: Array, Y: Array) -> Array:
+    """Columns minus their projection onto the span of the columns of Y, shape (rows, k)."""
     size = np.linalg.norm(Y, axis=0)
     U, s, _ = svd(Y[:, size > 0] / size[size > 0])
     U = U[:, s > _RANK * s[0]] if len(s) else U

@@ -1,4 +1,4 @@
-"""The main job: an experiment → identified parameters, how far to trust them, and how well they predict."""
+"""The fit: from an experiment to estimated coefficients, their uncertainty, and how well they predict."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 from idtool.common.arrays import Array
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.doubts import doubts
-from idtool.estimation.evaluation.replay import Replay, replay, simulation_notes
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notes
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
-from idtool.estimation.identified import Method, identified
-from idtool.estimation.problem.identify import Estimate
+from idtool.estimation.fit_warnings import fit_warnings
+from idtool.estimation.identification import Method, estimate_from_logs
+from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
-from idtool.estimation.uncertainty import Trust, trust
-from idtool.estimation.uncertainty.uncertainty import Uncertainty
+from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
+from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import ConstraintSet
 
-_AGAIN = 2  # fits more, where columns depend on what the coefficients are
+_REFITS = 2  # where columns depend on the values of the coefficients
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Fit:
     Attributes
     ----------
     experiment
-        What it was fitted to.
+        Model and data.
     method
-        By least squares, or instrumental variables.
+        Least squares, or instrumental variables.
     sets
         The constraint set of each body.
     estimate
@@ -40,19 +40,19 @@ class Fit:
     regularization
         The prior with its weight as a number.
     path
-        How that was chosen; None where it was given.
-    trust
+        The choice of that weight; None where it was given.
+    uncertainty_analysis
         Standard errors, and what they rest on.
     train, validation
         Errors of the ``identified`` and the ``prior`` model; ``validation`` has no samples where nothing was held out.
     simulation
-        The same models run forwards, on what was held out, else on the training data; None: not asked for.
+        Rollouts of both models, on what was held out, else on the training data; None: not asked for.
     warnings
-        What a user should know, a plain sentence each.
+        Plain sentences for the user.
     seconds
         Wall time of each stage.
     delay
-        From command to torque, as the data have it; None: no torque comes from a command, or it was not asked for.
+        From command to torque, fitted; None: no torque comes from a command, or it was not asked for.
     """
 
     experiment: Experiment
@@ -61,10 +61,10 @@ class Fit:
     estimate: Estimate
     regularization: Regularization
     path: RegularizationPath | None
-    trust: Trust
+    uncertainty_analysis: UncertaintyAnalysis
     train: Evaluation
     validation: Evaluation
-    simulation: Replay | None
+    simulation: RolloutEvaluation | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
     delay: CommandDelay | None
@@ -72,7 +72,7 @@ class Fit:
     @property
     def uncertainty(self) -> Uncertainty:
         """Standard errors."""
-        return self.trust.uncertainty
+        return self.uncertainty_analysis.uncertainty
 
     def parameters(self, index: int) -> Array:
         """The identified parameters of the model's body of that index, shape (10,)."""
@@ -82,11 +82,11 @@ class Fit:
 def fit(
     experiment: Experiment,
     progress: Progress,
-    simulated: bool = False,
-    questioned: bool = False,
+    simulate: bool = False,
+    analyze_uncertainty: bool = False,
     method: Method = "ls",
 ) -> Fit:
-    """Identify.
+    """Identify a model.
 
     Parameters
     ----------
@@ -94,10 +94,10 @@ def fit(
         Model and data.
     progress
         Told the stage and how far it has come.
-    simulated
-        Whether to run the identified model and the prior forwards too.
-    questioned
-        Whether to ask what each number rests on, several logs whether they agree, and whether noise has biased it.
+    simulate
+        If true, simulate the identified model and the prior too.
+    analyze_uncertainty
+        If true, find the information source of each parameter, compare logs, and look for bias by noise.
     method
         Least squares, or instrumental variables.
 
@@ -112,56 +112,72 @@ def fit(
     """
     clock = _Clock()
     experiment, delay, data = with_delay(experiment, progress)
-    if delay is None and questioned:
+    if delay is None and analyze_uncertainty:
         delay = command_delay(experiment, progress)
-    clock.done("delay")
-    found = identified(experiment, method, progress, data)
-    for _ in range(_AGAIN if experiment.equation.depends_on_parameters else 0):
-        experiment = replace(experiment, equation=experiment.equation.linearized_at(found.estimate.theta))
-        settled = experiment.config.model_copy(update={"regularization": found.regularization})
-        found = replace(identified(replace(experiment, config=settled), method, progress), path=found.path)
-    estimate = found.estimate
-    warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *found.warnings]
-    clock.done("identify")
+    clock.stop("delay")
+
+    identification = estimate_from_logs(experiment, method, progress, data)
+    if experiment.equation.depends_on_parameters:
+        path = identification.path
+        for _ in range(_REFITS):
+            equation = experiment.equation.linearized_at(identification.estimate.theta)
+            experiment = replace(experiment, equation=equation)
+            config = experiment.config.model_copy(update={"regularization": identification.regularization})
+            identification = estimate_from_logs(replace(experiment, config=config), method, progress)
+        identification = replace(identification, path=path)
+    estimate = identification.estimate
+    warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *identification.warnings]
+    clock.stop("identify")
+
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
     train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
     validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         warnings.append("nothing was held out: the training error says little of how the model predicts")
-    warnings += doubts(experiment, found, validation if held_out else train, held_out)
-    clock.done("evaluate")
-    change = delay.slope * delay.error if delay and delay.error else None
-    believed = trust(experiment, found, train.independent, progress, questioned, change)
-    warnings += believed.warnings
-    clock.done("uncertainty")
-    simulation = replay(experiment, models, held_out, progress) if simulated else None
-    warnings += simulation_notes(simulation, "identified")
-    clock.done("simulate")
+    warnings += fit_warnings(experiment, identification, validation if held_out else train, held_out)
+    clock.stop("evaluate")
+
+    delay_error = None
+    if delay and delay.error:
+        delay_error = delay.slope * delay.error
+    analysis = uncertainty_analysis(
+        experiment, identification, train.independent, progress, analyze_uncertainty, delay_error
+    )
+    warnings += analysis.warnings
+    clock.stop("uncertainty")
+
+    simulation = None
+    if simulate:
+        simulation = evaluate_rollouts(experiment, models, held_out, progress)
+        warnings += simulation_notes(simulation, "identified")
+    clock.stop("simulate")
     return Fit(
-        experiment,
-        method,
-        found.sets,
-        estimate,
-        found.regularization,
-        found.path,
-        believed,
-        train,
-        validation,
-        simulation,
-        tuple(warnings),
-        clock.seconds,
-        delay,
+        experiment=experiment,
+        method=method,
+        sets=identification.sets,
+        estimate=estimate,
+        regularization=identification.regularization,
+        path=identification.path,
+        uncertainty_analysis=analysis,
+        train=train,
+        validation=validation,
+        simulation=simulation,
+        warnings=tuple(warnings),
+        seconds=clock.seconds,
+        delay=delay,
     )
 
 
 class _Clock:
-    """Wall time of stages, one after the other."""
+    """Wall time of consecutive stages."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._started = time.perf_counter()
 
-    def done(self, stage: str) -> None:
+    def stop(self, stage: str) -> None:
+        """Note the time of a stage that ends now; the next one begins."""
         now = time.perf_counter()
-        self.seconds[stage], self._last = now - self._last, now
+        self.seconds[stage] = now - self._started
+        self._started = now

@@ -1,4 +1,4 @@
-"""Instruments: a motion close to the measured one that knows nothing of the noise in q and v.
+"""Instruments: a motion close to the measured one that is independent of the noise in q and v.
 
 Simulated under the logged command (Janot, Vandanjon & Gautier 2014), or the measured one smoothed where there is none.
 `two_stage` says what they are for.
@@ -26,11 +26,11 @@ from idtool.estimation.evaluation.simulated_log import under_controller
 
 Kind = Literal["closed_loop", "smoothed"]
 
-_STANDS_OUT = 30.0  # times the noise's power from which on motion is told from it
-_ROOM = 1.5  # of a smoothing's cut-off over the highest frequency of the motion
+_STANDS_OUT = 30.0  # power relative to the noise's, from which on it is motion
+_CUTOFF_RATIO = 1.5  # of a smoothing's cut-off to the highest frequency of the motion
 _LINES = 40  # of a spectrum, up to the band
 _ORDER = 4  # of the smoothing, one way
-_INSTEAD = "or estimate by least squares (method ls)"
+_ALTERNATIVE = "or estimate by least squares (method ls)"
 
 
 @dataclass(frozen=True)
@@ -83,20 +83,21 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
         If the model cannot be simulated, or runs away.
     """
     signals, controller = run.signals, experiment.config.controller
-    kind: Kind = "smoothed"
+    kind: Kind
     if controller is not None and all(signals.log.has("qcmd", n) and n in controller.kp for n in signals.joints):
-        kind, cutoff = "closed_loop", np.full(len(signals.joints), np.inf)
-        log = _simulated(experiment, run, theta, progress)
+        kind = "closed_loop"
+        cutoff = np.full(len(signals.joints), np.inf)
+        log = _simulated_log(experiment, run, theta, progress)
     else:
+        kind = "smoothed"
         motion = signals.channels.signal("q", signals.channels.longest(signals.channels.parts()))
         cutoff = np.array([smoothing(q, signals.log.dt, signals.band_hz) for q in motion])
-        log = _smoothed(signals, cutoff)
+        log = _smoothed_log(signals, cutoff)
     config = experiment.config.model_copy(update={"velocity": "differentiated"})  # without noise as good as measured
-    seen = Signals(log, signals.joints, config)
-    seen.velocity_deadband = (
-        signals.velocity_deadband
-    )  # where Z's sign must not be trusted is where Y's is lost in noise
-    return Instruments(run, seen, kind, cutoff)
+    instrument_signals = Signals(log, signals.joints, config)
+    # Where Z's sign must not be trusted is where Y's is lost in noise.
+    instrument_signals.velocity_deadband = signals.velocity_deadband
+    return Instruments(run, instrument_signals, kind, cutoff)
 
 
 def instrumented_rows(
@@ -120,15 +121,16 @@ def instrumented_rows(
     """
     run, equation = made.run, experiment.equation
     batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
-    for batch, free in zip(batches, made.signals.batches(run.train), strict=True):
-        (Y, _), (Z, defined) = equation.filtered_rows(batch), equation.filtered_rows(free)
+    for batch, instrument_batch in zip(batches, made.signals.batches(run.train), strict=True):
+        Y, _ = equation.filtered_rows(batch)
+        Z, defined = equation.filtered_rows(instrument_batch)
         yield [np.concatenate([z[:-1], y]) for z, y in zip(Z, Y, strict=True)], defined
 
 
 def smoothing(q: Array, dt: float, band_hz: float) -> float:
     """Cut-off below which a motion stands out of its noise [Hz]; infinite where it fills the band.
 
-    What is above twice the band is taken for white noise on q.
+    Power above twice the band is taken for white noise on q.
 
     Parameters
     ----------
@@ -141,14 +143,15 @@ def smoothing(q: Array, dt: float, band_hz: float) -> float:
     """
     a = np.diff(q, 2)  # whitens the motion, whose power at 1 Hz is a million times that at 30 Hz
     f, power = signal.welch(a, 1 / dt, nperseg=min(len(a), round(_LINES / band_hz / dt)), average="median")
-    f, power = f[1:], power[1:] / (2 * np.sin(np.pi * f[1:] * dt)) ** 4
+    f, power = f[1:], power[1:]
+    power = power / (2 * np.sin(np.pi * f * dt)) ** 4  # of q
     noise = np.median(power[f > 2 * band_hz]) if f[-1] > 2 * band_hz else 0.0
     stands_out = f[(power > _STANDS_OUT * noise) & (f <= band_hz)]
-    highest = _ROOM * float(stands_out.max(initial=f[0]))
+    highest = _CUTOFF_RATIO * float(stands_out.max(initial=f[0]))
     return highest if highest < band_hz else np.inf
 
 
-def _smoothed(signals: Signals, cutoff: Array) -> Log:
+def _smoothed_log(signals: Signals, cutoff: Array) -> Log:
     """A log with motion and torque through low-passes, joint by joint, and without velocities."""
     channels, dt = signals.channels, signals.log.dt
     filters = [signal.butter(_ORDER, hz, fs=1 / dt, output="sos") if np.isfinite(hz) else None for hz in cutoff]
@@ -163,28 +166,30 @@ def _smoothed(signals: Signals, cutoff: Array) -> Log:
     return _even_log(signals, channels.parts(), [name for name in signals.log.signals if name != "v"], read)
 
 
-def _simulated(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Log:
+def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Log:
     """The model under the logged command, from the measured state at the beginning of each stretch."""
     log, signals = run.signals.log, run.signals
     if not signals.command.joints.all():
         signals = Signals(under_controller(log), signals.joints, experiment.config)
     mechanism = experiment.equation.mechanism(experiment.model, theta)
-    found: dict[tuple[str, int], Array] = {}
-    windows = _windows(run)
+    simulated: dict[tuple[str, int], Array] = {}  # by signal and first sample
+    windows = _simulated_windows(run)
+    stage = f"simulating {log.path.name}"
     try:
-        for some in simulate(mechanism, signals, windows, lambda share: progress(f"simulating {log.path.name}", share)):
-            if some.diverged.any():
+        for batch in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
+            if batch.diverged.any():
                 raise ModelError(mechanism.model.robot.path, "runs away under the logged command; check the controller")
-            for w, part in enumerate(some.windows):
+            for w, part in enumerate(batch.windows):
                 length = part.stop - part.start
-                found["q", part.start], found["tau", part.start] = some.q[:, w, :length], some.tau[:, w, :length]
+                simulated["q", part.start] = batch.q[:, w, :length]
+                simulated["tau", part.start] = batch.tau[:, w, :length]
     except ModelError as error:
-        raise ModelError(error.where, f"{error.what}, {_INSTEAD}") from None
-    return _even_log(run.signals, windows, ["q", "tau"], lambda name, part: found[name, part.start])
+        raise ModelError(error.where, f"{error.what}, {_ALTERNATIVE}") from None
+    return _even_log(run.signals, windows, ["q", "tau"], lambda name, part: simulated[name, part.start])
 
 
-def _windows(run: Run) -> list[slice]:
-    """What to simulate: the training part, from the beginning of each stretch, and what derivatives at its end need."""
+def _simulated_windows(run: Run) -> list[slice]:
+    """The training part, from the beginning of each stretch to the samples that derivatives at its end need."""
     windows = []
     for part in run.train:
         usable = next(s for s in run.signals.ranges if s.start <= part.start < s.stop)
@@ -196,9 +201,10 @@ def _windows(run: Run) -> list[slice]:
 def _even_log(signals: Signals, parts: list[slice], names: list[str], read: Callable[[str, slice], Array]) -> Log:
     """A log of the model's joints with the samples of another one, on its even clock; NaN beside the parts."""
     log = signals.log
-    t, found = log.t.copy(), {name: np.full((len(log), len(signals.joints)), np.nan) for name in names}
+    t = log.t.copy()
+    samples = {name: np.full((len(log), len(signals.joints)), np.nan) for name in names}
     for part in parts:
         t[part] = signals.channels.times(part)[0] + log.dt * np.arange(part.stop - part.start)
-        for name, x in found.items():
+        for name, x in samples.items():
             x[part] = read(name, part).T
-    return Log(log.path, signals.joints, t, found, tuple(parts), log.dt)
+    return Log(log.path, signals.joints, t, samples, tuple(parts), log.dt)

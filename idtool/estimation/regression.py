@@ -1,4 +1,4 @@
-"""The regression: every case of a manifest is fitted and held to its recorded bounds."""
+"""Regression test: every case of a manifest is fitted and compared with its recorded bounds."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
-        """Whether the bound was met."""
+        """True if the bound was met."""
         return self.rms <= self.bound
 
 
@@ -95,8 +95,9 @@ def run_case(case: Case, folder: Path, progress: Progress) -> list[Outcome]:
     )
     result = fit(experiment, progress)
     joints = experiment.equation.joints
-    rms, prior = (result.validation.errors[model].rms(joints) for model in ("identified", "prior"))
-    strangers = set(case.max_rms) - set(rms)
-    if strangers:
-        raise ConfigError(f"max_rms of case {case.name}", f"names no joint of it: {', '.join(sorted(strangers))}")
+    rms = result.validation.errors["identified"].rms(joints)
+    prior = result.validation.errors["prior"].rms(joints)
+    unknown = set(case.max_rms) - set(rms)
+    if unknown:
+        raise ConfigError(f"max_rms of case {case.name}", f"names no joint of it: {', '.join(sorted(unknown))}")
     return [Outcome(case.name, name, rms[name], bound, prior[name]) for name, bound in case.max_rms.items()]

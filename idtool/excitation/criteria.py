@@ -26,9 +26,9 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.common.names import nearest
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.estimation.uncertainty.base_parameters import BaseParameters
 
 Criterion = Literal["d", "a", "e", "condition"]
 CRITERIA: tuple[Criterion, ...] = ("d", "a", "e", "condition")
@@ -114,13 +114,13 @@ class BaseColumns:
         The torque equation.
     base
         Its base parameters.
-    known
+    equalities
         Whose copies share their columns.
     """
 
-    def __init__(self, equation: LinearModel, base: BaseParameters, known: Knowledge) -> None:
-        place = np.searchsorted(known.free, base.own)
-        K = known.K[:, place]  # (p, r)
+    def __init__(self, equation: LinearModel, base: BaseParameters, equalities: EqualityConstraints) -> None:
+        place = np.searchsorted(equalities.free, base.own)
+        K = equalities.K[:, place]  # (p, r)
         self.own: list[Indices] = []  # per joint, which of the r appear in its equation
         self._shares: list[Array] = []
         for active in equation.active():

@@ -16,8 +16,8 @@ from idtool.common.names import nearest
 from idtool.data.filters import LowPass
 from idtool.data.signals import Motion, default_cutoff
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
-from idtool.estimation.uncertainty.base import BaseParameters, structural_base
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
+from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
 from idtool.excitation.criteria import Aim, BaseColumns, Criterion, favoured, sizes
 from idtool.excitation.limits import Limits, limits_of
 from idtool.excitation.patterns import Fourier, Samples, Setting
@@ -38,7 +38,7 @@ class Task:
 
     Attributes
     ----------
-    model, equation, known
+    model, equation, equalities
         The robot, its torque equation, and what is known of its coefficients.
     theta
         Coefficients that predict the torque, shape (p,).
@@ -58,7 +58,7 @@ class Task:
 
     model: Model
     equation: LinearModel
-    known: Knowledge
+    equalities: EqualityConstraints
     theta: Array
     full: Limits
     limits: Limits
@@ -104,7 +104,7 @@ class Task:
 def make_task(
     model: Model,
     equation: LinearModel,
-    known: Knowledge,
+    equalities: EqualityConstraints,
     config: Config,
     *,
     rate: float,
@@ -118,7 +118,7 @@ def make_task(
 
     Parameters
     ----------
-    model, equation, known, config
+    model, equation, equalities, config
         The robot, its torque equation, what is known of its coefficients, and the configuration.
     rate
         Of the log to come [Hz].
@@ -141,21 +141,21 @@ def make_task(
             raise ConfigError("--noise", f"{name} is no moving joint; {nearest(name, model.names)}")
     full = limits_of(model, config)
     limits = full.within(margin)
-    base = structural_base(model, equation, known)
+    base = structural_base_parameters(model, equation, equalities)
     if not len(base):
         raise ModelError(model.robot.path, "has no parameter that a motion could tell: its torque is always zero")
     sigma, typical, assumed = _scales(model, equation, limits, noise)
     return Task(
         model=model,
         equation=equation,
-        known=known,
+        equalities=equalities,
         theta=equation.prior,
         full=full,
         limits=limits,
         collision=SelfCollision.of(model, config.locked_joints),
         clearance=clearance,
         base=base,
-        columns=BaseColumns(equation, base, known),
+        columns=BaseColumns(equation, base, equalities),
         size=sizes(base, equation, typical),
         noise=sigma,
         noise_assumed=assumed,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.estimation.problem.check import LinkCheck
+from idtool.estimation.problem.link_check import LinkCheck
 from idtool.reporting.results.ellipsoids import CheckedLink, CheckReport, RepairedLink
 from idtool.robot.inertia import mass_com_inertia, six
 from idtool.robot.urdf.reading import Robot

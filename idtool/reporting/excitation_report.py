@@ -10,7 +10,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.common.provenance import Source
-from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task

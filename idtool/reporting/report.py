@@ -11,11 +11,11 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.provenance import Source
 from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry
-from idtool.estimation.dataset.knowledge import Fact
+from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
+from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.estimation.problem.verdict import Verdict, judge
 from idtool.reporting.results.base import Samples, reproducible
 from idtool.reporting.results.fit import (
     AutomaticWeight,
@@ -67,7 +67,7 @@ def fit_report(fit: Fit) -> FitReport:
     experiment = fit.experiment
     joints = experiment.equation.joints
     validated = fit.validation.errors["identified"].samples > 0
-    uncertainty = fit.trust
+    analysis = fit.uncertainty_analysis
     return FitReport(
         **reproducible(experiment.sources),
         joints=joints,
@@ -86,11 +86,11 @@ def fit_report(fit: Fit) -> FitReport:
         rotors=reflected_inertia(fit),
         controller=controller_report(fit),
         uncertainty=uncertainty_report(fit),
-        base_parameters=base_report(fit, uncertainty.identifiability) if uncertainty.identifiability else None,
-        bias=bias_report(fit, uncertainty.identifiability, uncertainty.bias),
-        repeatability=repeatability_report(fit, uncertainty.identifiability, uncertainty.repeatability),
+        base_parameters=base_report(fit, analysis.identifiability) if analysis.identifiability else None,
+        bias=bias_report(fit, analysis.identifiability, analysis.bias),
+        repeatability=repeatability_report(fit, analysis.identifiability, analysis.repeatability),
         regularization=regularization_report(fit),
-        known=[_known(fact, fit) for fact in experiment.known.facts],
+        known=[_known(constraint, fit) for constraint in experiment.equalities.constraints],
         solver=SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields}),
         seconds=fit.seconds,
         warnings=fit.warnings,
@@ -131,9 +131,13 @@ def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _known(fact: Fact, fit: Fit) -> KnownValue:
-    identified = float(fact.row @ fit.estimate.theta)
-    return KnownValue(what=fact.label, value=fact.value, standard_error=fact.standard_error, identified=identified)
+def _known(constraint: Constraint, fit: Fit) -> KnownValue:
+    return KnownValue(
+        what=constraint.label,
+        value=constraint.value,
+        standard_error=constraint.standard_error,
+        identified=float(constraint.row @ fit.estimate.theta),
+    )
 
 
 def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> TorqueErrors:
@@ -158,9 +162,9 @@ def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
     pi = fit.parameters(index)
     mass, com, inertia = mass_com_inertia(pi)
     errors = fit.uncertainty.standard_error[part]
-    pieces = fit.estimate.parts[index]
-    copy = fit.experiment.known.copies.get(index)
-    verdict = judge(body, pi, pieces if len(pieces) else None)
+    pieces = fit.estimate.pieces[index]
+    copy = fit.experiment.equalities.copies.get(index)
+    verdict = check_realizability(body, pi, pieces if len(pieces) else None)
     least = float(least_eigenvalue(pi))
     return BodyReport(
         kind=body.kind,
@@ -188,7 +192,7 @@ def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
     )
 
 
-def _witness(verdict: Verdict) -> PointMasses:
+def _witness(verdict: RealizabilityCheck) -> PointMasses:
     return PointMasses(masses=verdict.masses.tolist(), points=verdict.points.tolist())
 
 

@@ -6,47 +6,51 @@ import math
 from collections.abc import Mapping, Sequence
 
 from idtool.estimation.dataset.experiment import Experiment
-from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay
+from idtool.estimation.evaluation.rollouts import HORIZONS, RolloutError, RolloutEvaluation
 from idtool.reporting.results.rollouts import Horizon, MotionErrors, Simulation, WindowCount
 
 POSITION_UNITS = {"N·m": "rad", "N": "m"}  # of a joint, by that of its torque
 
 
-def simulation_report(replay: Replay | None, model: str, experiment: Experiment) -> Simulation | None:
+def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment: Experiment) -> Simulation | None:
     """The record of a simulation; None where the model was not or cannot be simulated.
 
     Parameters
     ----------
-    replay
+    rollouts
         The model's simulation and, where there is one, that of ``prior``; None: not asked for.
     model
         The model's name there.
     experiment
         What was simulated.
     """
-    if replay is None or model in replay.failed:
+    if rollouts is None or model in rollouts.failed:
         return None
-    joints, departures = experiment.equation.joints, replay.departures
-    own, baseline, prior = departures[model], departures["baseline"], departures.get("prior")
+    joints = experiment.equation.joints
+    own = rollouts.errors[model]
+    baseline = rollouts.errors["baseline"]
+    prior = rollouts.errors.get("prior")
     sample_time = sum(run.signals.log.dt for run in experiment.runs) / len(experiment.runs)
     errors = _errors(own, joints)
     return Simulation(
-        kind=replay.kind,
-        window=replay.window,
-        windows=WindowCount(simulated=replay.windows, of=replay.of),
+        kind=rollouts.kind,
+        window=rollouts.window,
+        windows=WindowCount(simulated=rollouts.windows, of=rollouts.available),
         seconds=own.samples * sample_time,
         units={joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
         position=errors.position,
         velocity=errors.velocity,
         baseline=_errors(baseline, joints),
         prior=_errors(prior, joints) if prior else None,
-        horizon=_horizons(joints, own, baseline, prior) if replay.kind == "open_loop" else (),
-        lost=replay.lost[model],
-        prior_lost=replay.lost["prior"] if prior else None,
+        horizon=_horizons(joints, own, baseline, prior) if rollouts.kind == "open_loop" else (),
+        lost=rollouts.diverged[model],
+        prior_lost=rollouts.diverged["prior"] if prior else None,
     )
 
 
-def _horizons(joints: Sequence[str], own: Departure, baseline: Departure, prior: Departure | None) -> list[Horizon]:
+def _horizons(
+    joints: Sequence[str], own: RolloutError, baseline: RolloutError, prior: RolloutError | None
+) -> list[Horizon]:
     """Errors at all times since a restart that some rollout reached."""
     horizons = []
     for seconds in HORIZONS:
@@ -63,9 +67,9 @@ def _horizons(joints: Sequence[str], own: Departure, baseline: Departure, prior:
     return horizons
 
 
-def _errors(departure: Departure, joints: Sequence[str]) -> MotionErrors:
+def _errors(error: RolloutError, joints: Sequence[str]) -> MotionErrors:
     return MotionErrors(
-        position=_finite(departure.rmse(joints, "position")), velocity=_finite(departure.rmse(joints, "velocity"))
+        position=_finite(error.rmse(joints, "position")), velocity=_finite(error.rmse(joints, "velocity"))
     )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.estimation.problem.identify import stuck_note
-from idtool.estimation.study.study import Outcome, Study
+from idtool.estimation.problem.estimate import stuck_note
+from idtool.estimation.study.study import Study, StudyEntry
 from idtool.reporting.results.base import Samples, reproducible
 from idtool.reporting.results.study import (
     Advantage,
@@ -70,7 +70,7 @@ def _rms(study: Study, name: str) -> StudyErrors:
     return StudyErrors(train=study.train.errors[name].rms(joints), validation=study.validation.errors[name].rms(joints))
 
 
-def _set_report(study: Study, name: str, outcome: Outcome) -> SetReport:
+def _set_report(study: Study, name: str, outcome: StudyEntry) -> SetReport:
     certificate, bodies = outcome.certificate, study.experiment.model.bodies
     bounded = [(s, b) for s, b in zip(outcome.sets, bodies, strict=True) if f"set {s.name}" == name]
     forms = [_form(inequality) for inequality in bounded[0][0].pieces(bounded[0][1])[0].inequalities]
@@ -92,7 +92,7 @@ def _form(inequality: Inequality) -> str:
     return f"{n}×{n}" if inequality.G.ndim == 3 else f"{n} linear"
 
 
-def _estimator_report(study: Study, name: str, outcome: Outcome) -> EstimatorReport:
+def _estimator_report(study: Study, name: str, outcome: StudyEntry) -> EstimatorReport:
     certificate = outcome.certificate
     return EstimatorReport(
         rms=_rms(study, name),

@@ -9,9 +9,10 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.effect import Coefficient
 from idtool.estimation.fit import Fit
-from idtool.estimation.uncertainty.base import BaseParameters as BaseParameterization
+from idtool.estimation.uncertainty.base_parameters import BaseParameters as BaseParameterization
 from idtool.estimation.uncertainty.bias import BiasCheck
-from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination
+from idtool.estimation.uncertainty.identifiability import Identifiability, combination
+from idtool.estimation.uncertainty.identifiability import ParameterSource as SourceShares
 from idtool.estimation.uncertainty.repeatability import Repeatability
 from idtool.reporting.results.base import Term
 from idtool.reporting.results.fit import (
@@ -58,16 +59,16 @@ def terms_report(base: BaseParameterization, i: int, coefficients: Sequence[Coef
 
 def uncertainty_report(fit: Fit) -> UncertaintyReport:
     """The entry ``uncertainty`` of report.json."""
-    trust, joints = fit.trust, fit.experiment.equation.joints
-    found = trust.scatter
-    ahead = trust.prediction
+    analysis, joints = fit.uncertainty_analysis, fit.experiment.equation.joints
+    robust = analysis.cluster_robust
+    ahead = analysis.prediction
     return UncertaintyReport(
         confidence=0.95,
-        blocks=found.blocks if found.bootstrap else 0,
-        block_seconds=found.seconds,
-        correlated_beyond_blocks=found.correlated,
-        bootstrap_ratio=_bootstrap_ratio(fit),
-        independent_samples={name: trust.independent[name] for name in joints},
+        blocks=robust.cluster_count if robust.bootstrap else 0,
+        block_seconds=robust.cluster_seconds,
+        correlated_beyond_blocks=robust.correlated_beyond_clusters,
+        bootstrap_ratio=robust.bootstrap_ratio,
+        independent_samples={name: analysis.independent[name] for name in joints},
         torque_standard_error=_by_joint(joints, ahead.rms),
         torque_standard_error_largest=_by_joint(joints, ahead.largest),
         torque_undetermined=_by_joint(joints, ahead.unknown),
@@ -95,32 +96,23 @@ def controller_report(fit: Fit) -> ControllerDelay | None:
     )
 
 
-def _bootstrap_ratio(fit: Fit) -> float | None:
-    """Resampled standard errors over analytic ones, the median."""
-    found = fit.trust.scatter
-    if found.bootstrap is None or not len(found.bootstrap.spread):
-        return None
-    squares = [np.diag(u.spread) for u in (found.bootstrap, found.uncertainty)]
-    return float(np.median(np.sqrt(squares[0] / np.maximum(squares[1], np.finfo(float).tiny))))
-
-
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float]:
     return dict(zip(joints, values.tolist(), strict=True))
 
 
 def intervals(fit: Fit) -> list[list[float] | None]:
     """The 95 % interval of every coefficient; None where the data do not determine it."""
-    pairs = zip(fit.trust.intervals.tolist(), fit.uncertainty.identifiable, strict=True)
+    pairs = zip(fit.uncertainty_analysis.intervals.tolist(), fit.uncertainty.identifiable, strict=True)
     return [pair if sees and np.isfinite(pair).all() else None for pair, sees in pairs]
 
 
 def base_report(fit: Fit, asked: Identifiability) -> BaseParameters:
     """The entry ``base_parameters``."""
     coefficients = fit.experiment.equation.coefficients
-    limits, pulls = fit.trust.interval(asked.base.B), fit.trust.pull(asked.base.B)
+    limits, pulls = fit.uncertainty_analysis.interval(asked.base.B), fit.uncertainty_analysis.pull(asked.base.B)
     entries = []
     for i in range(len(asked.base)):
-        sees = bool(asked.seen[i])
+        sees = bool(asked.determined[i])
         entries.append(
             BaseParameter(
                 name=combination_name(asked.base, i, coefficients),
@@ -135,7 +127,7 @@ def base_report(fit: Fit, asked: Identifiability) -> BaseParameters:
     return BaseParameters(
         of=len(coefficients),
         structural=len(asked.base),
-        determined=int(np.count_nonzero(asked.seen)),
+        determined=int(np.count_nonzero(asked.determined)),
         held_away=int(np.count_nonzero(pulls > PULLED)),
         parameters=entries,
     )
@@ -143,48 +135,48 @@ def base_report(fit: Fit, asked: Identifiability) -> BaseParameters:
 
 def rests_on(fit: Fit, index: int) -> list[ParameterSource] | None:
     """What the ten parameters of a body rest on; None where it was not asked for."""
-    asked = fit.trust.identifiability
+    asked = fit.uncertainty_analysis.identifiability
     if asked is None:
         return None
-    return [_basis(fit, asked, SIZE * index + k) for k in range(SIZE)]
+    return [_source_report(fit, asked, SIZE * index + k) for k in range(SIZE)]
 
 
-def _basis(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
-    coefficients, basis = fit.experiment.equation.coefficients, asked.bases[k]
+def _source_report(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
+    coefficients, source = fit.experiment.equation.coefficients, asked.sources[k]
     return ParameterSource(
-        on=basis.on,
-        data=basis.data,
-        constraints=basis.constraints,
-        prior=basis.prior,
-        range=list(basis.range),
+        on=source.information_source,
+        data=source.data,
+        constraints=source.constraints,
+        prior=source.prior,
+        range=list(source.range),
         moves_with=[
             CorrelatedParameter(of=coefficients[i].owner, what=coefficients[i].name, correlation=tied)
-            for i, tied in basis.moves_with
+            for i, tied in source.moves_with
         ],
-        combinations=list(basis.combinations),
+        combinations=list(source.combinations),
         text=basis_text(fit, asked, k),
     )
 
 
 def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
     """What a parameter rests on, in words."""
-    coefficients, basis = fit.experiment.equation.coefficients, asked.bases[k]
-    names = [quantity(coefficients[i]) for i, _ in basis.moves_with[:2]]
-    moves = f"; moves with {' and '.join(names)}" if names and basis.on != "data" else ""
-    return f"{quantity(coefficients[k])}: {_ground_text(basis, asked, coefficients)}{moves}"
+    coefficients, source = fit.experiment.equation.coefficients, asked.sources[k]
+    names = [quantity(coefficients[i]) for i, _ in source.moves_with[:2]]
+    moves = f"; moves with {' and '.join(names)}" if names and source.information_source != "data" else ""
+    return f"{quantity(coefficients[k])}: {_source_text(source, asked, coefficients)}{moves}"
 
 
-def _ground_text(basis: Basis, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
-    if basis.on == "data":
+def _source_text(source: SourceShares, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
+    if source.information_source == "data":
         return "determined by the data"
-    if basis.on == "constraints":
-        low, high = basis.range
+    if source.information_source == "constraints":
+        low, high = source.range
         ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
-        return f"held by the constraints{ends} ({basis.constraints:.0%})"
-    if basis.on == "combination":
-        name = combination_name(asked.base, basis.combinations[0], coefficients) if basis.combinations else ""
+        return f"held by the constraints{ends} ({source.constraints:.0%})"
+    if source.information_source == "combination":
+        name = combination_name(asked.base, source.combinations[0], coefficients) if source.combinations else ""
         return f"by the data only in a combination: {name}"
-    return "prior only" if basis.prior > 0.9 else f"mostly prior ({basis.prior:.0%})"
+    return "prior only" if source.prior > 0.9 else f"mostly prior ({source.prior:.0%})"
 
 
 def repeatability_report(
@@ -198,8 +190,8 @@ def repeatability_report(
     return RepeatabilityReport(
         logs=list(compared.logs),
         agree=bool(compared.agrees.all()),
-        odd_one_out=None if compared.odd is None else compared.logs[compared.odd],
-        cross_rms=compared.cross.tolist(),
+        odd_one_out=None if compared.outlier is None else compared.logs[compared.outlier],
+        cross_rms=compared.cross_error.tolist(),
         parameters=[
             RepeatedParameter(
                 name=combination_name(asked.base, i, coefficients),
@@ -262,7 +254,7 @@ def reflected_inertia(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]:
                 joints[joint] = ReflectedInertia(
                     reflected_inertia=float(row[0] @ fit.estimate.theta),
                     standard_error=error if sees else None,
-                    interval=fit.trust.interval(row)[0].tolist() if sees else None,
+                    interval=fit.uncertainty_analysis.interval(row)[0].tolist() if sees else None,
                 )
         found[body.name] = joints
     return found

@@ -144,9 +144,3 @@ def mirrored(signs: ArrayLike) -> Array:
     """The 10×10 matrix that takes pi to that of the body's image, in which x, y and z have these signs, shape (3,)."""
     T = np.append(np.asarray(signs, dtype=float), 1.0)
     return from_pseudo_inertia(T[:, None] * BASIS * T).T
-
-
-def triangle_margin(pi: ArrayLike) -> float:
-    """The smallest of J₁+J₂−J₃ and cyclic over the principal moments about the centre of mass [kg·m²] (13)."""
-    moments = np.linalg.eigvalsh(mass_com_inertia(pi)[2])
-    return float(moments[0] + moments[1] - moments[2])

@@ -16,11 +16,11 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError, SolverError
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
-from idtool.estimation.dataset.knowledge import knowledge
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
-from idtool.estimation.identified import choose_sets
-from idtool.estimation.problem.identify import identify
+from idtool.estimation.identification import choose_sets
+from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.problem.prior_bodies import prior_bodies
 from idtool.estimation.problem.regularization_path import assumed_weight
 from idtool.robot.config import Config
@@ -95,12 +95,12 @@ class Bench:
         equation = LinearModel(model.names, build_effects(model, config))
         train = self._part(self.train, equation)
         sets, _ = choose_sets(model.bodies, config.constraints)
-        known = knowledge(config, model, equation)
+        equalities = equality_constraints(config, model, equation)
         prior = prior_bodies(config, model, equation, train)
-        solve = partial(identify, prior.equation, prior.bodies, train, sets, known=known)
+        solve = partial(estimate, prior.equation, prior.bodies, train, sets, equalities=equalities)
         given = config.regularization
         # Bodies are held, or they would stand in for the terms that are tried.
-        held = given.weighing(assumed_weight(train)) if given.is_automatic else given
+        held = given.with_weight(assumed_weight(train)) if given.is_automatic else given
         try:
             theta = solve(regularization=held).theta
         except SolverError:  # data that no body explains, as of torque with the wrong sign
@@ -124,7 +124,7 @@ class Bench:
         for factor, has, takes in zip(whole, full.active(), equation.active(), strict=True):
             place = {keys[k]: i for i, k in enumerate(has)}
             columns = [*(place[wanted[k]] for k in takes), len(has)]
-            parts.append(Factor.joined((replace(factor, R=factor.R[:, columns]),)))
+            parts.append(Factor.merged((replace(factor, R=factor.R[:, columns]),)))
         return tuple(parts)
 
 
@@ -136,13 +136,13 @@ def _reduced(experiment: Experiment, parts: Callable[[Run], tuple[slice, ...]], 
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts(run)), parts(run), progress, stage):
             rows = zip(*experiment.equation.filtered_rows(batch), strict=True)
-            total = merge(total, tuple(Factor.of(x[:, kept], redundancy) for x, kept in rows))
+            total = merge(total, tuple(Factor.from_columns(x[:, kept], redundancy) for x, kept in rows))
     return total
 
 
 def _errors(equation: LinearModel, theta: Array, data: Reduction) -> Array:
     pairs = zip(data, equation.active(), strict=True)
-    return np.array([f.squares(theta[active]) / f.rows if f.rows else np.nan for f, active in pairs])
+    return np.array([f.squared_error(theta[active]) / f.rows if f.rows else np.nan for f, active in pairs])
 
 
 def _shares(equation: LinearModel, theta: Array, data: Reduction) -> Array:

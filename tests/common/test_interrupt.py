@@ -131,7 +131,7 @@ def test_an_interrupt_during_the_work_is_said_too(tmp_path: Path, monkeypatch: p
     def hit(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("idtool.api.fit.identify", hit)
+    monkeypatch.setattr("idtool.api.fit.run_fit", hit)
     done = idtool("fit", LEG, TRAIN, "--out", tmp_path / "out")
     assert (done.code, done.out, done.err) == (130, "", "stopped\n")
     assert not (tmp_path / "out").exists()

@@ -57,7 +57,7 @@ def of_arm(written: Callable[[str, str], Path]) -> Callable[..., Experiment]:
     def put(signals: Signals, text: str = ARM, **config: Any) -> Experiment:
         log = make_log(Path("arm.csv"), signals["t"], JOINTS, {k: x for k, x in signals.items() if k != "t"})
         settings = parse_config(config, "arm.yaml")
-        return prepare(read_robot(written(text, "arm.urdf")), settings, [TRAIN], seen_as=lambda _: log)
+        return prepare(read_robot(written(text, "arm.urdf")), settings, [TRAIN], transform=lambda _: log)
 
     return put
 
@@ -77,7 +77,7 @@ def sample(robot: str, change: Change = lambda s: None, log: Path = TRAIN) -> Ex
         return make_log(log.path, signals.pop("t"), log.joints, signals)
 
     urdf = SAMPLES / f"{robot}.urdf"
-    return prepare(read_robot(urdf), read_config(urdf.with_suffix(".yaml")), [log], seen_as=seen)
+    return prepare(read_robot(urdf), read_config(urdf.with_suffix(".yaml")), [log], transform=seen)
 
 
 def named(experiment: Experiment) -> Named:
@@ -371,7 +371,7 @@ def test_a_fault_of_several_logs_is_told_once(of_arm: Callable[..., Experiment])
         return make_log(log.path, log.t, log.joints, signals)
 
     config = read_config(LEG.with_suffix(".yaml"))
-    both = prepare(read_robot(LEG), config, [TRAIN, TRAIN], seen_as=seen)
+    both = prepare(read_robot(LEG), config, [TRAIN, TRAIN], transform=seen)
     found = find_data_faults(both, silent)
     assert [(fault.fault, fault.joint) for fault in found if not fault.undone] == [("wrong_sign", "hip")]
     assert {fault.joint for fault in found if fault.undone} == {"abad", "hip", "knee"}

@@ -15,7 +15,7 @@ from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.online import adapt as module
 from idtool.estimation.online.adapt import Adaptation, adapt, convergence, time_to
-from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.estimate import estimate
 from idtool.reporting.adaptation_report import adaptation_report
 from idtool.robot.config import WEAK, read_config
 from idtool.robot.sets import choose_set
@@ -55,7 +55,7 @@ def test_tighter_sets_converge_sooner_on_the_leg(leg: Experiment) -> None:
     leg = replace(leg, config=leg.config.model_copy(update={"regularization": WEAK}))
     sets = [choose_set(body, "ellipsoid") for body in leg.model.bodies]
     reduction = leg.reduce(quiet)
-    target = identify(leg.equation, leg.model.bodies, reduction, sets, WEAK, leg.known)
+    target = estimate(leg.equation, leg.model.bodies, reduction, sets, WEAK, leg.equalities)
     rows = weighted_rows(leg.equation, reduction, target.noise)[:, :-1]
     seconds: dict[str, float] = {}
     for name in ("none", "full", "ellipsoid"):

@@ -18,7 +18,7 @@ from synthetic import Synthetic, bounds, synthetic
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.certificate import GAP
 from idtool.estimation.problem.conic import solve_conic
-from idtool.estimation.problem.identify import ENOUGH, Estimate, identify, solve, solve_with_backend
+from idtool.estimation.problem.estimate import PARAMETER_TOLERANCE, Estimate, estimate, solve, solve_with_backend
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.sets import choose_set
@@ -33,17 +33,17 @@ def data(robot_of: Robots, **config: Any) -> Synthetic:
     return synthetic(rng, robot, 80, {**bounds(rng, robot), **config})
 
 
-def estimate(s: Synthetic, prior: tuple[str, float] = ("euclidean", 1e-4), **options: Any) -> Estimate:
+def estimate_of(s: Synthetic, prior: tuple[str, float] = ("euclidean", 1e-4), **options: Any) -> Estimate:
     bodies, (kind, weight) = s.model.bodies, prior
     sets = [choose_set(body, "ellipsoid") for body in bodies]
     regularization = Regularization(kind=kind, weight=weight)
-    return identify(s.linear, bodies, s.reduction(s.noisy(1.0)), sets, regularization, s.known, **options)
+    return estimate(s.linear, bodies, s.reduction(s.noisy(1.0)), sets, regularization, s.equalities, **options)
 
 
 def problem_of(s: Synthetic, name: str = "ellipsoid") -> Problem:
     bodies, regularization = s.model.bodies, Regularization(kind="euclidean", weight=1e-4)
     sets, sigma = [choose_set(body, name) for body in bodies], s.tau.std(axis=1)
-    return build_problem(s.linear, bodies, s.reduction(s.noisy(1.0)), sets, regularization, sigma, s.known)
+    return build_problem(s.linear, bodies, s.reduction(s.noisy(1.0)), sets, regularization, sigma, s.equalities)
 
 
 @pytest.mark.parametrize("backend", ["CLARABEL", "SCS"])
@@ -53,12 +53,12 @@ def test_every_backend_ends_at_the_same_optimum(
     robot_of: Robots, backend: str, prior: tuple[str, float], known: dict[str, Any]
 ) -> None:
     s = data(robot_of, known=known)
-    ours, theirs = estimate(s, prior), estimate(s, prior, solver="cvxpy", backend=backend)
+    ours, theirs = estimate_of(s, prior), estimate_of(s, prior, solver="cvxpy", backend=backend)
     assert theirs.certificate.name == f"cvxpy ({backend})"
     assert theirs.certificate.certified
     scale = ours.problem.scale
-    assert np.abs(theirs.theta - ours.theta).max() < 10 * ENOUGH * scale.max()
-    np.testing.assert_allclose(theirs.problem.S @ theirs.x, ours.problem.S @ ours.x, rtol=0, atol=ENOUGH)
+    assert np.abs(theirs.theta - ours.theta).max() < 10 * PARAMETER_TOLERANCE * scale.max()
+    np.testing.assert_allclose(theirs.problem.S @ theirs.x, ours.problem.S @ ours.x, rtol=0, atol=PARAMETER_TOLERANCE)
 
 
 def test_a_backend_for_quadratic_programmes_solves_one(robot_of: Robots) -> None:
@@ -66,7 +66,7 @@ def test_a_backend_for_quadratic_programmes_solves_one(robot_of: Robots) -> None
     problem = problem_of(data(robot_of), "none")
     x, certificate = solve_with_backend(problem, "OSQP")
     assert certificate.certified
-    np.testing.assert_allclose(problem.S @ x, problem.S @ solve(problem)[0], rtol=0, atol=ENOUGH)
+    np.testing.assert_allclose(problem.S @ x, problem.S @ solve(problem)[0], rtol=0, atol=PARAMETER_TOLERANCE)
 
 
 def test_a_backend_for_quadratic_programmes_only_is_named_with_those_that_can_more(robot_of: Robots) -> None:
@@ -78,7 +78,7 @@ def test_a_first_order_method_that_stops_short_is_refused(robot_of: Robots, monk
     """Unless it can be refined."""
     problem = problem_of(data(robot_of))
     monkeypatch.setattr("idtool.estimation.problem.backends._SETTINGS", {"SCS": {"max_iters": 20}})
-    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: None)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: None)
     with pytest.raises(SolverError, match=r"not solved well enough by cvxpy \(SCS\): relative duality gap \d"):
         solve_with_backend(problem, "SCS")
 
@@ -88,7 +88,7 @@ def test_what_no_parameters_fulfil_is_said(robot_of: Robots) -> None:
     with pytest.raises(
         SolverError, match=r"^solver: found no parameters that fulfil the constraints and what is known"
     ):
-        estimate(s, solver="cvxpy")
+        estimate_of(s, solver="cvxpy")
 
 
 def test_numbers_that_are_none_are_refused(robot_of: Robots) -> None:
@@ -99,25 +99,25 @@ def test_numbers_that_are_none_are_refused(robot_of: Robots) -> None:
 
 def test_where_clarabel_fails_cvxpy_takes_over(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
     s = data(robot_of)
-    ours = estimate(s)
+    ours = estimate_of(s)
 
     def fails(*_: Any) -> None:
         raise SolverError("solver", "broke down on these numbers")
 
-    monkeypatch.setattr("idtool.estimation.problem.identify.solve_conic", fails)
-    theirs = estimate(s)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.solve_conic", fails)
+    theirs = estimate_of(s)
     assert theirs.certificate.name == "cvxpy (CLARABEL)"
     assert abs(theirs.certificate.duality_gap) < GAP
-    np.testing.assert_allclose(theirs.problem.S @ theirs.x, ours.problem.S @ ours.x, rtol=0, atol=ENOUGH)
+    np.testing.assert_allclose(theirs.problem.S @ theirs.x, ours.problem.S @ ours.x, rtol=0, atol=PARAMETER_TOLERANCE)
 
 
 def test_an_infeasible_problem_is_not_tried_again(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("idtool.estimation.problem.identify.solve_with_backend", never)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.solve_with_backend", never)
     with pytest.raises(SolverError, match="found no parameters"):
-        estimate(data(robot_of, known={"mass": {"link1": 3, "link2": 2}, "total_mass": 4}))
+        estimate_of(data(robot_of, known={"mass": {"link1": 3, "link2": 2}, "total_mass": 4}))
 
 
 def test_a_fallback_is_said_in_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +129,7 @@ def test_a_fallback_is_said_in_a_warning(tmp_path: Path, monkeypatch: pytest.Mon
             raise SolverError("solver", "broke down on these numbers")
         return solve_conic(problem, start, settings)
 
-    monkeypatch.setattr("idtool.estimation.problem.identify.solve_conic", fails)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.solve_conic", fails)
     done = idtool("fit", LEG, TRAIN, "--quick", "--no-simulation", "--out", tmp_path, "--json")
     assert done.code == 0
     assert done.json["solver"]["name"] == "cvxpy (CLARABEL)"

@@ -15,7 +15,7 @@ from synthetic import bounds, synthetic
 from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.reduction import empty
 from idtool.estimation.problem.barrier import Barrier
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.inequality import least
@@ -39,7 +39,7 @@ def stated(rng: np.random.Generator, robot_of: Callable[[str], Robot]) -> Stated
         sets = [choose_set(body, name) for body in found.model.bodies]
         nothing, ones = empty(found.linear.active()), np.ones(len(found.linear.joints))
         prior = Regularization(kind="euclidean", weight=1.0)
-        return build_problem(found.linear, found.model.bodies, nothing, sets, prior, ones, found.known)
+        return build_problem(found.linear, found.model.bodies, nothing, sets, prior, ones, found.equalities)
 
     return state
 

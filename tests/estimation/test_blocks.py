@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from idtool.estimation.dataset.blocks import Blocks, block_rows, cut, most_blocks, together
+from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.reduction import Factor, Reduction
 
 Array = NDArray[np.float64]
@@ -59,17 +59,17 @@ streams = st.builds(Stream, st.integers(1, 90), st.integers(0, 2**32 - 1), st.sa
 @given(streams, st.integers(1, 40), st.lists(st.integers(0, 100), max_size=6))
 def test_a_block_holds_its_rows_wherever_batches_end(stream: Stream, length: int, ends: list[int]) -> None:
     """Empty batches, batches of many blocks and blocks of many batches; the last block is shorter."""
-    blocks = list(cut(stream.batches(ends), length, 2.5))
+    blocks = list(cut_into_blocks(stream.batches(ends), length, 2.5))
     assert len(blocks) == -(-stream.rows // length)
     for i, block in enumerate(blocks):
         assert_same(block, stream, i * length, min((i + 1) * length, stream.rows), 2.5)
-    assert_same(together(blocks), stream, 0, stream.rows, 2.5)
+    assert_same(merge_reductions(blocks), stream, 0, stream.rows, 2.5)
     assert_same(Blocks("log", tuple(blocks), 1.0).total, stream, 0, stream.rows, 2.5)
 
 
 def test_nothing_gives_no_block() -> None:
-    assert not list(cut([], 10, 1.0))
-    assert not list(cut(Stream(0, 1).batches([]), 10, 1.0))
+    assert not list(cut_into_blocks([], 10, 1.0))
+    assert not list(cut_into_blocks(Stream(0, 1).batches([]), 10, 1.0))
 
 
 def test_blocks_come_before_the_log_is_at_its_end() -> None:
@@ -81,7 +81,7 @@ def test_blocks_come_before_the_log_is_at_its_end() -> None:
             read.append(i)
             yield batch
 
-    blocks = cut(batches(), 10, 1.0)
+    blocks = cut_into_blocks(batches(), 10, 1.0)
     next(blocks)
     next(blocks)
     assert read == [0]
@@ -98,7 +98,7 @@ def numbered(count: int) -> Blocks:
 @given(st.integers(1, 60), st.integers(1, 12))
 def test_joined_blocks_are_consecutive_and_about_as_long(count: int, each: int) -> None:
     """A rest of more than half of a block is one of its own, a shorter one lengthens the last."""
-    joined = numbered(count).joined(each)
+    joined = numbered(count).regrouped(each)
     sizes = [part[0].rows for part in joined.parts]
     assert sum(sizes) == count
     assert set(sizes[:-1]) <= {each}
@@ -137,6 +137,6 @@ def test_blocks_in_memory_are_bounded(sizes: list[int]) -> None:
 
 def test_a_block_takes_no_more_memory_than_it_is_counted_for() -> None:
     stream = Stream(4000, 5, kept=1.0)
-    blocks = list(cut(stream.batches([7, 1900]), 500, 1.0))
+    blocks = list(cut_into_blocks(stream.batches([7, 1900]), 500, 1.0))
     bytes_held = [sum(factor.R.nbytes for factor in block) for block in blocks]
     assert max(bytes_held) <= 8 * sum(width**2 for width in WIDTHS)

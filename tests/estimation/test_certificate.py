@@ -19,7 +19,7 @@ from units import in_units
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.certificate import GAP
 from idtool.estimation.problem.conic import Solution, solve_conic
-from idtool.estimation.problem.identify import identify, solve
+from idtool.estimation.problem.estimate import estimate, solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.refinement import Refined
 from idtool.robot.body import Body
@@ -194,7 +194,7 @@ def test_a_solve_cut_short_is_refused_and_names_a_body(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """Where refining does not help either."""
-    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: None)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: None)
     s, tau = random_data(tmp_path, 2)
     with pytest.raises(SolverError, match=r"link\d: .*: not solved well enough: relative duality gap \d"):
         solve(stated(s, tau, kind), max_iter=3)
@@ -210,8 +210,8 @@ def test_what_the_solver_says_is_not_believed(tmp_path: Path, monkeypatch: pytes
         solution = solve_conic(*arguments)
         return replace(solution, x=solution.x + 0.01)
 
-    monkeypatch.setattr("idtool.estimation.problem.identify.solve_conic", spoilt)
-    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: Refined(solution, 0.0))
+    monkeypatch.setattr("idtool.estimation.problem.estimate.solve_conic", spoilt)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: Refined(solution, 0.0))
     assert honest.status == "optimal"
     with pytest.raises(SolverError, match="not solved well enough"):
         solve(problem)
@@ -240,5 +240,5 @@ def test_the_estimate_is_the_same_body_in_other_units(robot_of: Callable[[str], 
             noise = 0.3 * s.tau.std(axis=1, keepdims=True) * rng.normal(size=s.tau.shape)
         tau = s.Y @ (truth * units) + noise * mass * length**2
         sets = [SETS[kind]] * 3
-        estimates.append(identify(s.linear, s.model.bodies, s.reduction(tau), sets, PRIOR).theta / units)
+        estimates.append(estimate(s.linear, s.model.bodies, s.reduction(tau), sets, PRIOR).theta / units)
     np.testing.assert_allclose(estimates[1], estimates[0], rtol=1e-4, atol=1e-6)

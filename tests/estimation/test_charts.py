@@ -22,6 +22,7 @@ from charts import (
 )
 from robots import rotation
 from scipy.spatial.transform import Rotation
+from triangles import triangle_margin
 
 from idtool.estimation.problem.local import Chart, LogCholesky, Manifold, Residuals, spectral
 from idtool.estimation.problem.prior import LogDet
@@ -31,7 +32,6 @@ from idtool.robot.inertia import (
     from_pseudo_inertia,
     pseudo_inertia,
     transformation,
-    triangle_margin,
 )
 from idtool.robot.urdf.reading import Robot
 
@@ -119,15 +119,15 @@ def test_derivatives_of_the_pseudo_inertia(kind: type[Chart], rng: np.random.Gen
 def test_residuals_are_the_cost_and_their_jacobian_its_derivative(state: State, name: str, prior: Any) -> None:
     problem, start = state(*prior, **FRICTION, **MIRROR)
     residuals = Residuals(problem)
-    chart = laid(CHARTS[name], pseudo_inertia(start[residuals.own]))
-    others = np.random.default_rng(0).uniform(0.1, 1, len(problem.others))
+    chart = laid(CHARTS[name], pseudo_inertia(start[residuals.bodies]))
+    others = np.random.default_rng(0).uniform(0.1, 1, len(problem.other_coefficients))
     v = np.concatenate([(chart.y + 0.1).ravel(), others])
     z = residuals.z(chart, v)
     assert np.square(residuals.value(v, chart)).sum() + problem.constant == pytest.approx(problem.cost(z), rel=1e-12)
     ours = residuals.jacobian(v, chart)
     numeric = difference(lambda v: residuals.value(v, chart), v)
     np.testing.assert_allclose(ours, numeric, atol=1e-7 * np.abs(ours).max())
-    for body, slope in zip(residuals.own, residuals.slope(z), strict=True):
+    for body, slope in zip(residuals.bodies, residuals.slope(z), strict=True):
 
         def cost(pi: Array, body: Array = body) -> Array:
             moved = z.copy()

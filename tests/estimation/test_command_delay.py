@@ -144,7 +144,7 @@ def test_the_friction_may_be_off_by_what_the_delay_may_be() -> None:
     found = fitted().delay
     assert found is not None
     change = found.slope * found.error
-    more, seen = given.with_error(change), given.identifiable
+    more, seen = given.with_common_error(change), given.identifiable
     assert more.standard_error[seen] == pytest.approx(np.hypot(given.standard_error, change)[seen], rel=1e-6)
     viscous = [i for i, c in enumerate(fitted().experiment.equation.coefficients) if c.effect == "viscous_friction"]
     assert own.standard_error[viscous] == pytest.approx(more.standard_error[viscous], rel=0.2)
@@ -153,7 +153,7 @@ def test_the_friction_may_be_off_by_what_the_delay_may_be() -> None:
 
 def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
     log = noisy(run(7.5 * MS), seed=1)
-    wrong = fit(experiment_of(log, controller={"delay": 3 * MS}), silent, questioned=True)
+    wrong = fit(experiment_of(log, controller={"delay": 3 * MS}), silent, analyze_uncertainty=True)
     (said,) = (note for note in wrong.warnings if note.startswith("controller.delay"))
     assert said.startswith("controller.delay: 3 ms is given, but the data say 7.")
     assert "off the torque error and mean viscous friction from 1." in said

@@ -18,8 +18,8 @@ from synthetic import Synthetic, bounds, synthetic
 
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.estimation.problem.certificate import GAP, lower_bound
-from idtool.estimation.problem.conic import APART, Solution, smat, solve_conic, svec
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, smat, solve_conic, svec
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.prior import moved_priors
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
@@ -85,7 +85,7 @@ def state(robot_of: Callable[[str], Robot]) -> State:
         prior = Regularization(kind=kind, weight=weight)
         assert not moved_priors(s.linear, s.model.bodies, prior)
         sets = [choose_set(body, name) for body in s.model.bodies]
-        problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, prior, sigma, s.known)
+        problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, prior, sigma, s.equalities)
         return Stated(s, tau, sigma, name, prior, problem)
 
     return make
@@ -159,7 +159,7 @@ def whole_of(name: str, body: Body, unit: float) -> tuple[Any, list[Any]]:
 
 
 def inside(matrix: Any) -> Any:
-    return 0.5 * (matrix + matrix.T) >> APART * np.eye(matrix.shape[0])
+    return 0.5 * (matrix + matrix.T) >> SOLVER_INTERIOR * np.eye(matrix.shape[0])
 
 
 def inertia_of(pi: Any) -> Any:
@@ -183,13 +183,13 @@ def members_of(name: str, pi: Any, ellipsoid: Ellipsoid, center: Array | None) -
     if name == "known_com":
         assert center is not None
         about = I - m * (center @ center * np.eye(3) - np.outer(center, center))
-        return [inside(0.5 * cp.trace(about) * np.eye(3) - about), m >= APART]
+        return [inside(0.5 * cp.trace(about) * np.eye(3) - about), m >= SOLVER_INTERIOR]
     demands = [inside(J_of(pi))]
     if name == "com_ellipsoid":
         d = h - m * np.array(ellipsoid.center)
         demands.append(inside(cp.bmat([[pi[:1][None, :], d[None, :]], [d[:, None], m * ellipsoid.Q_s]])))
     if name == "ellipsoid":
-        demands.append(cp.trace(J_of(pi) @ ellipsoid.Q) >= APART)
+        demands.append(cp.trace(J_of(pi) @ ellipsoid.Q) >= SOLVER_INTERIOR)
     return demands
 
 
@@ -222,7 +222,7 @@ def slope_of_cost(problem: Problem, x: Array) -> Array:
     z = problem.S @ x
     slope = 2 * problem.A.T @ (problem.A @ z - problem.b)
     for term in problem.log_dets:
-        slope[term.own] += term.gradient(z)
+        slope[term.z_slice] += term.gradient(z)
     return np.asarray(problem.S.T @ slope)
 
 
@@ -240,7 +240,7 @@ def test_the_dual_variables_are_those_of_the_optimum(state: State, case: str) ->
         for value in (Z, slack):
             assert (np.linalg.eigvalsh(value) if Z.ndim == 2 else value).min() > -1e-6 * scale
         assert abs(np.sum(Z * slack)) < 1e-6 * scale
-        balance[inequality.own] -= np.tensordot(inequality.G, Z, axes=Z.ndim)
+        balance[inequality.x_slice] -= np.tensordot(inequality.G, Z, axes=Z.ndim)
     balance[problem.bounded] -= solution.multipliers
     assert (solution.multipliers > -1e-9).all()
     ES = problem.E @ problem.S

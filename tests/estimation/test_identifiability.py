@@ -15,11 +15,11 @@ from robots import chain, joint, random_urdf
 from synthetic import Synthetic, bounds, random_states, synthetic
 
 from idtool.dynamics.effects.effect import Coefficient
-from idtool.estimation.dataset.knowledge import with_equal_bounds
-from idtool.estimation.problem.identify import Estimate, identify
-from idtool.estimation.uncertainty.base import BaseParameters
-from idtool.estimation.uncertainty.identifiability import Basis, Identifiability, combination, identifiability
-from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
+from idtool.estimation.dataset.equality_constraints import with_equal_bounds
+from idtool.estimation.problem.estimate import Estimate, estimate
+from idtool.estimation.uncertainty.base_parameters import BaseParameters
+from idtool.estimation.uncertainty.identifiability import Identifiability, ParameterSource, combination, identifiability
+from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.reporting.trust_report import basis_text, combination_name
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import NAMES, SIZE
@@ -70,8 +70,8 @@ class Asked:
     found: Uncertainty
     answer: Identifiability
 
-    def of(self, owner: str, name: str) -> Basis:
-        return self.answer.bases[self.place(owner, name)]
+    def of(self, owner: str, name: str) -> ParameterSource:
+        return self.answer.sources[self.place(owner, name)]
 
     def place(self, owner: str, name: str) -> int:
         (k,) = [i for i, c in enumerate(self.s.linear.coefficients) if (c.owner, c.name) == (owner, name)]
@@ -98,16 +98,16 @@ def ask(
 
     ``sigma`` is what is thought of the noise, ``inflated`` how far the residual's scatter is above that.
     """
-    bodies = with_equal_bounds(s.model, s.known).bodies
+    bodies = with_equal_bounds(s.model, s.equalities).bodies
     sets = [choose_set(body, kind) for body in bodies]
     data = s.reduction(s.noisy(noise))
-    estimate = identify(s.linear, bodies, data, sets, prior, s.known, noise=sigma)
-    estimate = replace(estimate, noise=estimate.noise if sigma is None else sigma)
-    found = uncertainty(s.linear, data, estimate.noise, s.known)
+    solution = estimate(s.linear, bodies, data, sets, prior, s.equalities, noise=sigma)
+    solution = replace(solution, noise=solution.noise if sigma is None else sigma)
+    found = least_squares_uncertainty(s.linear, data, solution.noise, s.equalities)
     told = found.directions.soft  # not what was measured otherwise
-    found = replace(found, spread=inflated * (found.spread - told) + told)
-    answer = identifiability(s.model, s.linear, s.known, data, estimate, found, lambda share: None)
-    return Asked(s, estimate, found, answer)
+    found = replace(found, covariance_y=inflated * (found.covariance_y - told) + told)
+    answer = identifiability(s.model, s.linear, s.equalities, data, solution, found, lambda share: None)
+    return Asked(s, solution, found, answer)
 
 
 def planar(robot_of: Robots, count: int = 100, text: str = PLANAR, **config: Any) -> Synthetic:
@@ -129,26 +129,26 @@ def test_a_planar_arm_by_hand(robot_of: Robots) -> None:
     units = {asked.name(k): float(c.scale or 1) for k, c in enumerate(asked.s.linear.coefficients)}
     moved = {name: share / units[name] for name, share in HIDDEN.items()}
     whole = np.linalg.norm(list(moved.values()))
-    for k, basis in enumerate(asked.answer.bases):
+    for k, basis in enumerate(asked.answer.sources):
         name = asked.name(k)
         if name in moved:
             assert basis.data == pytest.approx(1 - abs(moved[name]) / whole, abs=0.01)
-            assert basis.on == ("combination" if basis.data > 0.5 else "prior")
+            assert basis.information_source == ("combination" if basis.data > 0.5 else "prior")
         elif name in ("l1.mc_y", "l2.mc_x", "l2.mc_y", "l2.I_zz"):
-            assert basis.on == "data"
+            assert basis.information_source == "data"
             assert basis.data > 0.98
         else:
-            assert basis.on == "prior"
+            assert basis.information_source == "prior"
             assert basis.prior == pytest.approx(1, abs=1e-6)
             assert basis.data == pytest.approx(0, abs=1e-6)
-    assert {asked.of(*name.split(".")).on for name in moved} == {"combination", "prior"}
+    assert {asked.of(*name.split(".")).information_source for name in moved} == {"combination", "prior"}
 
 
 def test_what_moves_together_by_hand(robot_of: Robots) -> None:
     """m_2 up, I_1 and mc_x_1 down; what is felt by no joint moves with nothing, what is determined not with these."""
     asked = ask(planar(robot_of))
     determined = {"l1.mc_y", "l2.mc_x", "l2.mc_y", "l2.I_zz"}
-    for k, basis in enumerate(asked.answer.bases):
+    for k, basis in enumerate(asked.answer.sources):
         name = asked.name(k)
         partners = {asked.name(i): tied for i, tied in basis.moves_with}
         if name in HIDDEN:
@@ -167,9 +167,9 @@ def test_combinations_are_those_of_the_base(robot_of: Robots) -> None:
     weight = {name: abs(HIDDEN[name]) * units["l2.m"] / units[name] for name in ("l1.mc_x", "l1.I_zz")}
     assert named == sorted(weight, key=lambda name: -weight[name])  # those first of which it is the most
     assert asked.of("l1", "m").combinations == ()
-    assert asked.answer.seen.all()
+    assert asked.answer.determined.all()
     truth = base.B @ asked.s.theta
-    half = asked.answer.standard_error * asked.answer.reach
+    half = asked.answer.standard_error * asked.answer.coverage_factor
     assert (np.abs(asked.answer.value - truth) < 2 * half).all()
     np.testing.assert_allclose(asked.answer.value, base.B @ asked.estimate.theta)
 
@@ -185,9 +185,9 @@ def test_the_words(robot_of: Robots) -> None:
     assert set(partners.split(" and ")) == {"l1 m·c_x", "l1 I_zz"}
     assert asked.of("l1", "I_zz").prior > 0.9
     assert asked.text("l1", "I_zz").startswith("l1 I_zz: prior only; moves with ")
-    less = Basis("prior", 0.1, 0.2, 0.7, (None, 3.0), (), ())
-    open_ended = Basis("constraints", 0.1, 0.6, 0.3, (None, 3.0), ((10, 0.5), (0, -0.4), (1, 0.3)), ())
-    asked = replace(asked, answer=replace(asked.answer, bases=(less, open_ended, *asked.answer.bases[2:])))
+    less = ParameterSource("prior", 0.1, 0.2, 0.7, (None, 3.0), (), ())
+    open_ended = ParameterSource("constraints", 0.1, 0.6, 0.3, (None, 3.0), ((10, 0.5), (0, -0.4), (1, 0.3)), ())
+    asked = replace(asked, answer=replace(asked.answer, sources=(less, open_ended, *asked.answer.sources[2:])))
     assert asked.text("l1", "m") == "l1 mass: mostly prior (70%)"
     assert asked.text("l1", "mc_x") == "l1 m·c_x: held by the constraints (60%); moves with l2 mass and l1 mass"
 
@@ -212,12 +212,12 @@ def test_a_body_that_rests_is_the_priors(robot_of: Robots) -> None:
     asked = ask_forked(robot_of)
     for name in NAMES:
         basis = asked.of("l2", name)
-        assert (basis.on, basis.moves_with, basis.range) == ("prior", (), (None, None))
+        assert (basis.information_source, basis.moves_with, basis.range) == ("prior", (), (None, None))
         assert (basis.data, basis.constraints, basis.prior) == pytest.approx((0, 0, 1), abs=1e-6)
         assert asked.text("l2", name).endswith(": prior only")
-    seen = {asked.name(k): sees for k, sees in zip(asked.answer.base.own, asked.answer.seen, strict=True)}
+    seen = {asked.name(k): sees for k, sees in zip(asked.answer.base.own, asked.answer.determined, strict=True)}
     assert seen == {"l1.I_zz": True, "l2.I_zz": False}
-    assert np.isinf(asked.answer.standard_error[~asked.answer.seen]).all()
+    assert np.isinf(asked.answer.standard_error[~asked.answer.determined]).all()
 
 
 CENTER, AXES = (0.1, -0.05, 0.02), (0.5, 0.02, 0.1)
@@ -235,9 +235,9 @@ def test_an_ellipsoid_pins_the_static_moment_of_a_known_mass(robot_of: Robots) -
         size = float(asked.s.linear.coefficients[asked.place("l2", name)].scale or 0)
         pinned = 1 - min(mass * AXES[k] / size, 1)
         assert (basis.data, basis.constraints) == pytest.approx((0, pinned), abs=0.01)
-        assert basis.on == ("constraints" if pinned > 0.5 else "prior")
-    assert asked.of("l2", "mc_x").on == "prior"
-    assert asked.of("l2", "mc_y").on == "constraints"
+        assert basis.information_source == ("constraints" if pinned > 0.5 else "prior")
+    assert asked.of("l2", "mc_x").information_source == "prior"
+    assert asked.of("l2", "mc_y").information_source == "constraints"
     words = asked.text("l2", "mc_y")
     low, high = asked.of("l2", "mc_y").range
     assert (
@@ -250,7 +250,7 @@ def test_a_mass_known_exactly_can_be_no_other(robot_of: Robots) -> None:
     asked = ask_forked(robot_of, kind="full", known={"mass": {"l2": 0.6}})
     basis = asked.of("l2", "m")
     assert basis.range == pytest.approx((0.6, 0.6), rel=1e-4)
-    assert basis.on in ("constraints", "data")
+    assert basis.information_source in ("constraints", "data")
     assert basis.prior < 0.01
 
 
@@ -274,7 +274,7 @@ def test_more_data_never_lower_their_share(robot_of: Robots) -> None:
     shares = []
     for count in (1, 2, 3, 5, 10, 30, 240):
         part = replace(s, Y=s.Y[:, :count])
-        shares.append([basis.data for basis in ask(part, noise=0.01, sigma=sigma).answer.bases])
+        shares.append([basis.data for basis in ask(part, noise=0.01, sigma=sigma).answer.sources])
     steps = np.diff(shares, axis=0)
     assert (steps > -1e-6).all()
     assert (steps.sum(axis=0) > 0.1).sum() >= 6
@@ -285,7 +285,7 @@ def test_noisier_data_have_a_smaller_share(robot_of: Robots) -> None:
     s = planar(robot_of, 40)
     sigma = 0.3 * s.tau.std(axis=1)
     plain, noisier, scattered = (
-        np.array([basis.data for basis in ask(s, sigma=times * sigma, inflated=inflated).answer.bases])
+        np.array([basis.data for basis in ask(s, sigma=times * sigma, inflated=inflated).answer.sources])
         for times, inflated in ((1.0, 1.0), (4.0, 1.0), (1.0, 16.0))
     )
     assert (noisier <= plain + 1e-9).all()
@@ -301,29 +301,29 @@ def test_shares_make_one_and_ranges_hold_the_value(robot_of: Robots, kind: str, 
     asked = ask(synthetic(rng, robot, 60, bounds(rng, robot)), kind, noise=0.3)
     theta = asked.estimate.theta
     grounds = set()
-    for k, basis in enumerate(asked.answer.bases):
+    for k, basis in enumerate(asked.answer.sources):
         shares = {"data": basis.data, "constraints": basis.constraints, "prior": basis.prior}
         assert sum(shares.values()) == pytest.approx(1, abs=1e-9)
         assert min(shares.values()) >= 0
         low, high = basis.range
         assert low is None or low <= theta[k] + 1e-6
         assert high is None or high >= theta[k] - 1e-6
-        if basis.on in ("constraints", "prior"):
-            assert shares[basis.on] == max(basis.constraints, basis.prior)
+        if basis.information_source in ("constraints", "prior"):
+            assert shares[basis.information_source] == max(basis.constraints, basis.prior)
         else:
-            assert basis.on == "combination" or asked.found.identifiable[k]
+            assert basis.information_source == "combination" or asked.found.identifiable[k]
             assert basis.data >= 0.5 or basis.data == max(shares.values())
-        assert (basis.on == "data") <= (basis.data >= 0.5)
+        assert (basis.information_source == "data") <= (basis.data >= 0.5)
         assert all(i != k and 0.3 <= abs(tied) <= 1 + 1e-9 for i, tied in basis.moves_with)
         assert len(basis.moves_with) <= 3
         ties = [abs(tied) for _, tied in basis.moves_with]
         assert ties == sorted(ties, reverse=True)
         assert kind != "none" or basis.constraints < 1e-6
         assert asked.text(*asked.name(k).split(".")).startswith(basis_head(asked, k))
-        grounds.add(basis.on)
+        grounds.add(basis.information_source)
     assert len(grounds) >= 2
     if kind == "ellipsoid":
-        assert any(basis.constraints > 0.05 for basis in asked.answer.bases)
+        assert any(basis.constraints > 0.05 for basis in asked.answer.sources)
 
 
 def basis_head(asked: Asked, k: int) -> str:
@@ -337,7 +337,7 @@ def test_a_set_takes_its_share_off_the_priors(robot_of: Robots) -> None:
     robot = robot_of(random_urdf(rng, size=2, kinds=("revolute",), mimic=0, massless=0))
     s = synthetic(rng, robot, 60, bounds(rng, robot))
     sigma = 0.3 * s.tau.std(axis=1)
-    none, ellipsoid = (ask(s, kind, 0.3, sigma=sigma).answer.bases for kind in ("none", "ellipsoid"))
+    none, ellipsoid = (ask(s, kind, 0.3, sigma=sigma).answer.sources for kind in ("none", "ellipsoid"))
     np.testing.assert_allclose([b.data for b in none], [b.data for b in ellipsoid], atol=1e-9)
     assert all(b.prior <= a.prior + 1e-6 for a, b in zip(none, ellipsoid, strict=True))
     assert sum(b.prior for b in ellipsoid) < sum(a.prior for a in none) - 1
@@ -352,8 +352,12 @@ def test_a_copy_rests_on_what_its_original_does(robot_of: Robots) -> None:
     for i in range(1, LENGTH + 1):
         own, copy = of_body(s, f"FL_link{i}"), of_body(s, f"FR_link{i}")
         for k, sign in enumerate(signs):
-            left, right = asked.answer.bases[own.start + k], asked.answer.bases[copy.start + k]
-            assert (left.on, left.data, left.constraints) == (right.on, right.data, right.constraints)
+            left, right = asked.answer.sources[own.start + k], asked.answer.sources[copy.start + k]
+            assert (left.information_source, left.data, left.constraints) == (
+                right.information_source,
+                right.data,
+                right.constraints,
+            )
             ends = [None if end is None else sign * end for end in left.range][:: int(sign)]
             assert list(right.range) == pytest.approx(ends)
             assert right.moves_with == tuple((j, sign * tied) for j, tied in left.moves_with)
@@ -361,8 +365,8 @@ def test_a_copy_rests_on_what_its_original_does(robot_of: Robots) -> None:
             theta = asked.estimate.theta[copy.start + k]
             assert low is None or low <= theta + 1e-6
             assert high is None or theta <= high + 1e-6
-    assert any(basis.range[0] is not None for basis in asked.answer.bases)
-    assert any(basis.moves_with for basis in asked.answer.bases[SIZE * LENGTH :])
+    assert any(basis.range[0] is not None for basis in asked.answer.sources)
+    assert any(basis.moves_with for basis in asked.answer.sources[SIZE * LENGTH :])
 
 
 def test_both_legs_data_count_for_a_copy(robot_of: Robots) -> None:
@@ -373,9 +377,9 @@ def test_both_legs_data_count_for_a_copy(robot_of: Robots) -> None:
     Y[LENGTH:] = 0.0
     sigma = np.repeat([0.01, 1.0], LENGTH)
     moved = ask(replace(s, Y=Y), "full", sigma=sigma)
-    assert moved.answer.seen.all()
-    copied = moved.answer.bases[SIZE * LENGTH :]
-    assert any(basis.on == "data" for basis in copied)
+    assert moved.answer.determined.all()
+    copied = moved.answer.sources[SIZE * LENGTH :]
+    assert any(basis.information_source == "data" for basis in copied)
 
 
 def coefficient(owner: str, name: str, scale: float | None) -> Coefficient:

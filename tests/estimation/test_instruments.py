@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from idtool.common.exceptions import ModelError
 from idtool.data.logs import Log, make_log
 from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.identified import choose_sets
+from idtool.estimation.identification import choose_sets
 from idtool.estimation.instruments import Instruments, instruments, smoothing
-from idtool.estimation.problem.identify import identify
-from idtool.estimation.two_stage import TwoStage, project, stack, two_stage, unprojected
-from idtool.estimation.uncertainty.base import structural_base
+from idtool.estimation.problem.estimate import estimate
+from idtool.estimation.two_stage import TwoStage, project, stack, two_stage_estimate, unprojected
+from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -43,7 +43,7 @@ def of(log: Log, controller: Controller | None, holdout: float = 0.0) -> Experim
         kp, kd = (dict(zip(runs.JOINTS, gains, strict=True)) for gains in (controller.kp, controller.kd))
         config["controller"] = {"kp": kp, "kd": kd, "delay": DELAY}
     file = runs.SAMPLES / "leg_train.mcap"
-    return prepare(read_robot(runs.URDF), parse_config(config, ""), [file], holdout=holdout, seen_as=lambda _: log)
+    return prepare(read_robot(runs.URDF), parse_config(config, ""), [file], holdout=holdout, transform=lambda _: log)
 
 
 def run(motion: Motion, seed: int, **options: Any) -> Log:
@@ -65,19 +65,19 @@ def least_squares(experiment: Experiment) -> Array:
     bodies, regularization = experiment.model.bodies, experiment.config.regularization
     sets, _ = choose_sets(bodies, None)
     reduction = experiment.reduce(silent)
-    return identify(experiment.equation, bodies, reduction, sets, regularization, experiment.known).theta
+    return estimate(experiment.equation, bodies, reduction, sets, regularization, experiment.equalities).theta
 
 
 def both(log: Log, controller: Controller | None) -> tuple[Array, TwoStage]:
     """Least squares' coefficients, and what instruments make of them."""
     experiment = of(log, controller)
     theta = least_squares(experiment)
-    return theta, two_stage(experiment, choose_sets(experiment.model.bodies, None)[0], theta, silent)
+    return theta, two_stage_estimate(experiment, choose_sets(experiment.model.bodies, None)[0], theta, silent)
 
 
 def in_units(experiment: Experiment, error: Array) -> Array:
     """Errors of the base parameters, shape (..., r), in units of their sizes."""
-    base = structural_base(experiment.model, experiment.equation, experiment.known)
+    base = structural_base_parameters(experiment.model, experiment.equation, experiment.equalities)
     sizes = np.array([c.scale or 1.0 for c in experiment.equation.coefficients])
     return np.asarray(error @ base.B.T / np.linalg.norm(base.B * sizes, axis=1))
 
@@ -158,7 +158,9 @@ def test_rows_without_noise_are_their_own_instruments(motion: Motion) -> None:
     for projected, full in zip(project(stacked), unprojected(stacked), strict=True):
         best = np.linalg.lstsq(full.R[:, :-1], full.R[:, -1], rcond=1e-12)[0]
         for step in rng.normal(size=(3, len(best))):
-            assert projected.squares(step) == pytest.approx(full.squares(step) - full.squares(best), rel=1e-6)
+            assert projected.squared_error(step) == pytest.approx(
+                full.squared_error(step) - full.squared_error(best), rel=1e-6
+            )
 
 
 def test_a_loop_that_runs_away_is_refused(coarse: Log) -> None:

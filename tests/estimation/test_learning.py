@@ -18,7 +18,7 @@ from idtool.common.exceptions import LogError, SolverError
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.dataset.weights import free_noise
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study import learning
 from idtool.estimation.study.learning import Pool, counts, gather, held_out, learn, rms, violation
@@ -206,12 +206,14 @@ State = dict[str, Any]
 
 
 def stating(leg: Experiment, total: Reduction, names: tuple[str, ...]) -> State:
-    noise = free_noise(leg.equation, total, leg.known)
+    noise = free_noise(leg.equation, total, leg.equalities)
 
     def of(name: str) -> Any:
         sets = [choose_set(body, name) for body in leg.model.bodies]
         regularization = leg.config.regularization.or_weak()
-        return lambda data: build_problem(leg.equation, leg.model.bodies, data, sets, regularization, noise, leg.known)
+        return lambda data: build_problem(
+            leg.equation, leg.model.bodies, data, sets, regularization, noise, leg.equalities
+        )
 
     return {name: of(name) for name in names}
 
@@ -226,7 +228,7 @@ def test_the_violation_is_the_worst_bodys_least_eigenvalue(leg: Experiment, gath
     problem = problem_of(leg, gathered[0])
     bodies = len(leg.model.bodies)
     ball = np.tile(from_mass_com_inertia(1.0, np.zeros(3), np.eye(3)), bodies)  # Sigma = ½
-    z = np.concatenate([ball, -np.ones(len(problem.others))])
+    z = np.concatenate([ball, -np.ones(len(problem.other_coefficients))])
     assert violation(problem, z) == 0
     for least, body in ((-0.2, 3), (-0.7, 1)):
         sigma = np.diag([0.5, 0.5, least])
@@ -336,5 +338,5 @@ def test_the_held_out_data_are_all_of_the_validation_log(leg: Experiment) -> Non
     for run in leg.runs:
         for batch in run.signals.batches(run.held_out):
             blocks, _ = leg.equation.filtered_rows(batch)
-            total = merge(total, tuple(Factor.of(block) for block in blocks))
+            total = merge(total, tuple(Factor.from_columns(block) for block in blocks))
     assert_same(held_out(leg, silent), total)

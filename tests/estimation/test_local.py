@@ -27,11 +27,11 @@ from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.certificate import GAP, violation
-from idtool.estimation.problem.identify import solve, solve_locally, stuck_note
+from idtool.estimation.problem.estimate import solve, solve_locally, stuck_note
 from idtool.estimation.problem.local import LOCAL, LogCholesky, Manifold, Residuals, manifold
-from idtool.estimation.problem.parts import INTERIOR
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import build_problem
+from idtool.estimation.problem.variables import INTERIOR
 from idtool.robot.config import WEAK, Regularization, read_config
 from idtool.robot.inertia import (
     POWERS,
@@ -163,7 +163,7 @@ def test_a_body_without_mass_can_be_described() -> None:
 def test_another_frame_leads_to_the_same_body(state: State, name: str, rng: np.random.Generator) -> None:
     problem, start = state("pullback", 1.0)
     T = np.eye(problem.variables)
-    for part in problem.parts:
+    for part in problem.pieces:
         own = slice(part.first, part.first + SIZE)
         T[own, own] = transformation(rotation(rng), 0.5 * rng.normal(size=3))
     elsewhere = replace(problem, A=problem.A @ np.linalg.inv(T))
@@ -176,7 +176,7 @@ def test_a_start_that_no_body_can_have(state: State, name: str, start: str) -> N
     problem, prior = state("pullback", 1.0, **FRICTION)
     x = LOCAL[name](problem, prior).x
     z = prior.copy()
-    bodies = Residuals(problem).own
+    bodies = Residuals(problem).bodies
     if start == "nothing":
         z[:] = 0
     elif start == "negative mass":
@@ -184,7 +184,7 @@ def test_a_start_that_no_body_can_have(state: State, name: str, start: str) -> N
     elif start == "point masses":
         z[bodies] = POWERS == 0
     else:
-        z[problem.others] = -1
+        z[problem.other_coefficients] = -1
     np.testing.assert_allclose(LOCAL[name](problem, z).x, x, atol=1e-5)
 
 

@@ -15,7 +15,7 @@ from synthetic import Synthetic, bounds, synthetic
 
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.certificate import GAP, lower_bound
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.inequality import least
@@ -75,8 +75,8 @@ def stated(s: Synthetic, name: str, regularization: Regularization) -> Problem:
     bodies, reduction = s.model.bodies, s.reduction(s.noisy(3.0))
     sets = [choose_set(body, name) for body in bodies]
     assert name in {chosen.name for chosen in sets}
-    noise = free_noise(s.linear, reduction, s.known)
-    return build_problem(s.linear, bodies, reduction, sets, regularization, noise, s.known)
+    noise = free_noise(s.linear, reduction, s.equalities)
+    return build_problem(s.linear, bodies, reduction, sets, regularization, noise, s.equalities)
 
 
 def check_feasible(problem: Problem, x: Array) -> None:

@@ -12,7 +12,7 @@ from reference import Reference
 from robots import body
 from synthetic import points_in
 
-from idtool.estimation.dataset.knowledge import with_equal_bounds
+from idtool.estimation.dataset.equality_constraints import with_equal_bounds
 from idtool.robot.inertia import SIZE
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ def test_mirrored_legs_are_recovered_from_torque_without_noise(robot_of: Robots,
     s = legs(robot_of, names, mirror=copies(names))
     ours = fit(s, s.tau)
     np.testing.assert_allclose(s.Y @ ours.theta, s.tau, rtol=0, atol=1e-6 * np.abs(s.tau).max())
-    seen = told(s, s.known).identifiable
+    seen = told(s, s.equalities).identifiable
     assert 0.3 < seen.mean() < 1
     np.testing.assert_allclose(ours.theta[seen], s.theta[seen], rtol=1e-3, atol=1e-5)
 
@@ -37,7 +37,7 @@ def test_a_copy_is_its_originals_image_whatever_the_data(robot_of: Robots) -> No
         for name, signs in LEGS.items():
             own = of_body(s, f"{name}_link{i}")
             np.testing.assert_allclose(ours.theta[own], image(original, signs), rtol=1e-12, atol=1e-15)
-            np.testing.assert_allclose(ours.parts[own.start // SIZE].sum(axis=0), ours.theta[own], atol=1e-12)
+            np.testing.assert_allclose(ours.pieces[own.start // SIZE].sum(axis=0), ours.theta[own], atol=1e-12)
 
 
 def test_in_pinocchio_a_mirrored_leg_takes_the_same_torque(robot_of: Robots) -> None:
@@ -58,7 +58,7 @@ def test_in_pinocchio_a_mirrored_leg_takes_the_same_torque(robot_of: Robots) -> 
 def test_n_legs_are_n_times_the_data(robot_of: Robots, names: tuple[str, ...], ratio: float) -> None:
     """Where all legs move alike, standard errors shrink by the root of their number."""
     s = legs(robot_of, names, alike=True, mirror=copies(names))
-    alone, together = told(s, free(s)), told(s, s.known)
+    alone, together = told(s, free(s)), told(s, s.equalities)
     np.testing.assert_array_equal(alone.identifiable, together.identifiable)
     shared = together.identifiable & np.array([c.name != "offset" for c in s.linear.coefficients])
     np.testing.assert_allclose(alone.standard_error[shared] / together.standard_error[shared], ratio, rtol=1e-6)
@@ -71,7 +71,7 @@ def test_what_one_leg_shows_is_known_of_its_copy(robot_of: Robots) -> None:
     still = s.Y.copy()
     still[LENGTH:] = 0
     s = replace(s, Y=still)
-    alone, together = told(s, free(s)), told(s, s.known)
+    alone, together = told(s, free(s)), told(s, s.equalities)
     left, right = of_body(s, "FL_link2"), of_body(s, "FR_link2")
     assert not alone.identifiable[right].any()
     assert together.identifiable[left].any()
@@ -85,7 +85,7 @@ def test_mirrored_legs_are_found_more_exactly(robot_of: Robots) -> None:
     s = legs(robot_of, names, count=60, mirror=copies(names))
     for seed in range(4):
         tau = s.noisy(0.5, seed)
-        errors = [np.square(s.Y @ (fit(s, tau, known).theta - s.theta)).sum() for known in (s.known, free(s))]
+        errors = [np.square(s.Y @ (fit(s, tau, known).theta - s.theta)).sum() for known in (s.equalities, free(s))]
         assert errors[0] < 0.6 * errors[1]
 
 
@@ -125,7 +125,7 @@ def test_a_copy_is_bounded_as_its_original_is(robot_of: Robots) -> None:
     """Whatever its own bounds were."""
     rng = np.random.default_rng(0)
     s = legs(robot_of, ("FL", "HR"), mirror=[{"body": "HR_link1", "of": "FL_link1", "plane": "xz"}])
-    first, copy = (body(with_equal_bounds(s.model, s.known), f"{leg}_link1") for leg in ("FL", "HR"))
+    first, copy = (body(with_equal_bounds(s.model, s.equalities), f"{leg}_link1") for leg in ("FL", "HR"))
     assert not body(s.model, "HR_link1").ellipsoids
     points = points_in(rng, first.ellipsoids[0], 200) * 1.5
     inside = first.ellipsoids[0].contains(points)
@@ -141,7 +141,7 @@ def test_bounds_that_a_copy_loses_are_said(robot_of: Robots, turned: bool) -> No
     bodies = list(s.model.bodies)
     own = bodies[of].ellipsoids[0].mirrored(np.array([1.0, 1.0 if turned else -1.0, 1.0]))
     bodies[copy] = replace(bodies[copy], ellipsoids=(own,))
-    said = with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.known).warnings
+    said = with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.equalities).warnings
     assert [warning for warning in said if "HR_link1" in warning] == (
         ["copies, bounded as what they are copies of and not as configured: HR_link1"] if turned else []
     )

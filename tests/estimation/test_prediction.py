@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from robots import chain, inertial, joint
 
 from idtool.data.logs import make_log, write_log
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.dataset.knowledge import Knowledge
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.uncertainty.prediction import Prediction, prediction
-from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
+from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
 
@@ -57,8 +57,10 @@ class Rows:
     def found(self, redundancy: float = 1.0) -> Uncertainty:
         """What the rows to fit say."""
         pairs = zip(self._of["train"], ACTIVE, strict=True)
-        data = tuple(Factor.of(np.vstack([Y[:, active].T, np.zeros(len(Y))]), redundancy) for Y, active in pairs)
-        return uncertainty(self.equation, data, SIGMA)  # type: ignore[arg-type]
+        data = tuple(
+            Factor.from_columns(np.vstack([Y[:, active].T, np.zeros(len(Y))]), redundancy) for Y, active in pairs
+        )
+        return least_squares_uncertainty(self.equation, data, SIGMA)  # type: ignore[arg-type]
 
     def asked(self, found: Uncertainty, held_out: bool) -> Prediction:
         return prediction(self, found, held_out, lambda stage, share: None)  # type: ignore[arg-type]
@@ -115,8 +117,8 @@ def test_any_spread_of_the_estimate_is_taken_as_it_is() -> None:
     rows = Rows(random_rows(100, 1), random_rows(90, 2))
     found = rows.found()
     A = np.random.default_rng(3).normal(size=(P, 2))
-    found = replace(found, spread=A @ A.T)
-    V = found.directions.visible
+    found = replace(found, covariance_y=A @ A.T)
+    V = found.directions.observable
     C = V @ A @ A.T @ V.T
     expected = [np.sqrt(np.mean(np.diag(Y @ C @ Y.T))) for Y in rows._of["held out"]]
     np.testing.assert_allclose(rows.asked(found, True).rms, expected, rtol=1e-7)
@@ -198,7 +200,7 @@ def test_a_joint_that_only_now_accelerates(robot_of: Callable[[str], Robot], tmp
     """Of a table that turned evenly nobody knows the inertia: the torque that speeds it up cannot be told."""
     experiment = table_and_arm(robot_of, tmp_path)
     data = experiment.reduce(lambda stage, share: None)
-    found = uncertainty(experiment.equation, data, np.ones(2), Knowledge.none(20))
+    found = least_squares_uncertainty(experiment.equation, data, np.ones(2), EqualityConstraints.none(20))
     even, uneven = (prediction(experiment, found, held_out, lambda stage, share: None) for held_out in (False, True))
     assert even.rms.max() < 0.5
     assert uneven.unknown[0] > 0.9 or uneven.rms[0] > 1e3 * even.rms[0]

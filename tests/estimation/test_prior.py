@@ -14,10 +14,10 @@ from robots import random_urdf
 from scipy.optimize import minimize
 from synthetic import Synthetic, bounds, point_parameters, synthetic
 
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.weights import free_noise
-from idtool.estimation.problem.identify import identify
-from idtool.estimation.problem.prior import LogDet, log_dets, moved_priors, prior_rows, reference
+from idtool.estimation.problem.estimate import estimate
+from idtool.estimation.problem.prior import LogDet, log_dets, moved_priors, prior_rows, realizable_prior
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import BASIS, SIZE, pseudo_inertia
 from idtool.robot.sets import constraint_sets
@@ -63,7 +63,9 @@ def scales(s: Synthetic) -> Array:
 
 def priors(s: Synthetic) -> list[Array]:
     """What the geometric distances are from, body by body."""
-    return [reference(body.pi, own) for body, own in zip(s.model.bodies, scales(s).reshape(-1, SIZE), strict=True)]
+    return [
+        realizable_prior(body.pi, own) for body, own in zip(s.model.bodies, scales(s).reshape(-1, SIZE), strict=True)
+    ]
 
 
 def near(s: Synthetic, rng: np.random.Generator, spread: float) -> Array:
@@ -77,10 +79,12 @@ def near(s: Synthetic, rng: np.random.Generator, spread: float) -> Array:
     return np.concatenate(found)
 
 
-def distance(s: Synthetic, kind: str, theta: Array, weight: float = 0.3, known: Knowledge | None = None) -> float:
+def distance(
+    s: Synthetic, kind: str, theta: Array, weight: float = 0.3, known: EqualityConstraints | None = None
+) -> float:
     """What is added to the cost."""
     regularization = Regularization.model_validate({"kind": kind, "weight": weight})
-    known = known or Knowledge.none(len(theta))
+    known = known or EqualityConstraints.none(len(theta))
     unit = scales(s)
     rows = prior_rows(s.linear, s.model.bodies, regularization, unit)
     terms = log_dets(s.linear, s.model.bodies, regularization, known, unit[known.free])
@@ -107,9 +111,9 @@ def test_each_distance_is_what_it_is_called(robot: Callable[..., Synthetic], rng
 
 def test_copies_are_held_to_their_own_priors(robot: Callable[..., Synthetic], rng: np.random.Generator) -> None:
     s = robot(mirror=[{"body": "link3", "of": "link1", "plane": "yz"}])
-    theta = s.known.K @ near(s, rng, 0.02)[s.known.free]
+    theta = s.equalities.K @ near(s, rng, 0.02)[s.equalities.free]
     pairs = list(zip(theta.reshape(-1, SIZE), priors(s), strict=True))
-    value = distance(s, "entropic", theta, known=s.known)
+    value = distance(s, "entropic", theta, known=s.equalities)
     assert value == pytest.approx(0.3 * sum(bregman(pi, prior) for pi, prior in pairs), rel=1e-9)
 
 
@@ -132,7 +136,7 @@ def test_the_divergences_gradient_is_that_of_finite_differences(rng: np.random.G
     spread = rng.normal(size=(4, 4))
     term = LogDet(2, (np.eye(4) + 0.2 * spread) @ BASIS @ (np.eye(4) + 0.2 * spread).T, rng.uniform(0.1, 10))
     z = rng.normal(size=15)
-    z[term.own] = point_parameters(rng.uniform(0.5, 1, 6), rng.normal(size=(6, 3)))
+    z[term.z_slice] = point_parameters(rng.uniform(0.5, 1, 6), rng.normal(size=(6, 3)))
     step = 1e-5
     numeric = [(term.value(z + step * e) - term.value(z - step * e)) / (2 * step) for e in np.eye(15)[2 : 2 + SIZE]]
     exact = term.gradient(z)
@@ -144,7 +148,7 @@ def fitted(
 ) -> Array:
     regularization = Regularization.model_validate({"kind": kind, "weight": weight, "units": units})
     sets = [SETS[set_name]] * len(s.model.bodies)
-    return identify(s.linear, s.model.bodies, s.reduction(tau), sets, regularization).theta
+    return estimate(s.linear, s.model.bodies, s.reduction(tau), sets, regularization).theta
 
 
 def misfit(s: Synthetic, tau: Array) -> tuple[Array, Array]:
@@ -247,7 +251,7 @@ def test_the_heavier_a_prior_the_nearer_the_estimate(robot: Callable[..., Synthe
 def test_a_prior_well_inside_is_taken_as_it_is(rng: np.random.Generator) -> None:
     unit = np.repeat([0.7, 0.7 * 0.2, 0.7 * 0.04], [1, 3, 6])
     inside = point_parameters(rng.uniform(0.1, 0.2, 12), 0.2 * rng.normal(size=(12, 3)))
-    np.testing.assert_array_equal(reference(inside, unit), inside)
+    np.testing.assert_array_equal(realizable_prior(inside, unit), inside)
 
 
 @given(seeds)
@@ -260,12 +264,12 @@ def test_a_prior_that_no_body_can_have_gives_way_to_one_well_inside(rng: np.rand
     indefinite = rod + mass * length**2 * np.array([0, 0, 0, 0, *rng.normal(size=6)])
     rows = np.array([length, length, length, 1.0])
     for pi in (point, rod, indefinite, np.zeros(SIZE)):
-        moved = reference(pi, unit)
+        moved = realizable_prior(pi, unit)
         least = np.linalg.eigvalsh(pseudo_inertia(moved) / (mass * np.outer(rows, rows)))[0]
         assert least > 1e-4
         assert not np.array_equal(moved, pi)
-    sure = reference(rod, unit)
-    np.testing.assert_allclose(reference(sure, unit), sure, rtol=1e-9, atol=1e-12)
+    sure = realizable_prior(rod, unit)
+    np.testing.assert_allclose(realizable_prior(sure, unit), sure, rtol=1e-9, atol=1e-12)
 
 
 def test_which_priors_were_moved_is_told(robot_of: Callable[[str], Robot], rng: np.random.Generator) -> None:

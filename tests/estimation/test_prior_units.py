@@ -12,7 +12,7 @@ from robots import axis, joint, origin, rotation
 from synthetic import Synthetic, random_states, synthetic
 from units import Frame, bounds_in_frames, bounds_in_units, in_frames, in_units
 
-from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import POWERS, SIZE, transformation
@@ -58,11 +58,11 @@ def stout_bounds(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def estimate(s: Synthetic, tau: Array, kind: str, set_name: str, units: str = "relative") -> Array:
+def estimate_of(s: Synthetic, tau: Array, kind: str, set_name: str, units: str = "relative") -> Array:
     assert moved_priors(s.linear, s.model.bodies, Regularization(kind="pullback")) == ()
     regularization = Regularization.model_validate({"kind": kind, "weight": WEIGHT, "units": units})
     sets = [choose_set(body, set_name) for body in s.model.bodies]
-    return identify(s.linear, s.model.bodies, s.reduction(tau), sets, regularization).theta
+    return estimate(s.linear, s.model.bodies, s.reduction(tau), sets, regularization).theta
 
 
 def difference(a: Array, b: Array, s: Synthetic) -> float:
@@ -94,8 +94,8 @@ def both_units(robot_of: Robots) -> Callable[..., float]:
         tau = noisy(si)
         small = data(robot_of(in_units(text, mm, g)), bounds_in_units(config, mm))
         np.testing.assert_allclose(small.linear.prior, si.linear.prior * np.tile(g * mm**POWERS, 3), rtol=1e-9)
-        there = estimate(small, tau * g * mm**2, *options) / np.tile(g * mm**POWERS, 3)
-        here = estimate(si, tau, *options)
+        there = estimate_of(small, tau * g * mm**2, *options) / np.tile(g * mm**POWERS, 3)
+        here = estimate_of(si, tau, *options)
         assert difference(here, si.linear.prior, si) > 0.1
         return difference(here, there, si)
 
@@ -132,7 +132,7 @@ def both_frames(robot_of: Robots) -> Callable[..., float]:
         second = data(robot_of(in_frames(text, frames)), bounds_in_frames(config, frames))
         tau = noisy(first)
         moved = [transformation(*frames[body.name]) for body in first.model.bodies]
-        here, there = estimate(first, tau, *options), estimate(second, tau, *options)
+        here, there = estimate_of(first, tau, *options), estimate_of(second, tau, *options)
         back = np.concatenate([T @ pi for T, pi in zip(moved, there.reshape(-1, SIZE), strict=True)])
         prior = np.concatenate([T @ pi for T, pi in zip(moved, second.linear.prior.reshape(-1, SIZE), strict=True)])
         np.testing.assert_allclose(prior, first.linear.prior, atol=1e-12)

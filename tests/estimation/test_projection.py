@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
 from idtool.dynamics.effects.rigid_body import parameter_scales, typical_length
-from idtool.estimation.problem.prior import reference
+from idtool.estimation.problem.prior import realizable_prior
 from idtool.estimation.problem.projection import Metric, Projection, project
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
@@ -73,7 +73,7 @@ def disturbed(rng: np.random.Generator, body: Body, share: float = 0.5) -> Array
 def metric_at(body: Body, pi: Array, metric: Metric) -> Array:
     """Shape (10, 10), in units of the body."""
     unit = parameter_scales(body, float(pi[0]))
-    return np.eye(10) if metric == "euclidean" else unit[:, None] * pullback(reference(pi, unit)) * unit
+    return np.eye(10) if metric == "euclidean" else unit[:, None] * pullback(realizable_prior(pi, unit)) * unit
 
 
 def members(rng: np.random.Generator, body: Body, kind: str) -> Array:
@@ -184,7 +184,9 @@ def test_the_solver_and_the_closed_form_agree(rng: np.random.Generator, kind: st
         twice = replace(body, ellipsoids=body.ellipsoids * 2)
         pi = disturbed(rng, body, 0.1)
         unit = parameter_scales(body, float(pi[0]))
-        closed = nearest_realizable(pi, reference(pi, unit), body.ellipsoids[0].Q if kind == "ellipsoid" else None)
+        closed = nearest_realizable(
+            pi, realizable_prior(pi, unit), body.ellipsoids[0].Q if kind == "ellipsoid" else None
+        )
         ours = project(pi, SETS[kind], body, "pullback")
         np.testing.assert_array_equal(ours.pi, closed)
         solved = project(pi, SETS[kind], twice, "pullback")

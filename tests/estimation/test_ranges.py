@@ -16,8 +16,8 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 from idtool.common.exceptions import SolverError
-from idtool.estimation.dataset.knowledge import Knowledge, with_equal_bounds
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints, with_equal_bounds
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.uncertainty.ranges import free_spread, ranges
 from idtool.robot.config import Regularization
@@ -67,7 +67,7 @@ def stated(robot_of: Robots, case: Case, seed: int = 1, noise: float = 1.0) -> t
     s = synthetic(rng, robot, 60, {**bounds(rng, robot, case.each), **(case.config or {})})
     tau, sigma = s.noisy(noise, seed), noise * s.tau.std(axis=1)
     sets = [choose_set(body, case.set) for body in s.model.bodies]
-    problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, case.prior, sigma, s.known)
+    problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, case.prior, sigma, s.equalities)
     return s, problem, solve(problem)[0]
 
 
@@ -125,12 +125,12 @@ def assert_as_by_cvxpy(problem: Problem, x: Array, wanted: list[int]) -> Array:
 def test_ranges_are_what_cvxpy_finds(robot_of: Robots, case: str) -> None:
     """Of some parameters of each body and of every friction coefficient."""
     s, problem, x = stated(robot_of, CASES[case])
-    wanted = [0, 3, 6, SIZE, SIZE + 5, *problem.others.tolist()]
+    wanted = [0, 3, 6, SIZE, SIZE + 5, *problem.other_coefficients.tolist()]
     found = assert_as_by_cvxpy(problem, x, wanted)
     inner = free_spread(problem, x)[wanted] / problem.scale[wanted]
     widths = np.diff(found, axis=1)[:, 0] / 2 / problem.scale[wanted]
     assert (widths < 0.9 * inner).any() or problem.log_dets  # constraints bite
-    theta = problem.theta(problem.S @ x)[s.known.free][wanted]
+    theta = problem.theta(problem.S @ x)[s.equalities.free][wanted]
     near = NEAR * problem.scale[wanted]  # an exact mass is both ends of its range
     assert (found[:, 0] <= theta + near).all()
     assert (theta <= found[:, 1] + near).all()
@@ -146,9 +146,9 @@ def test_friction_that_is_held_at_zero_goes_up_alone(robot_of: Robots) -> None:
     s = replace(s, theta=theta)
     sets = [choose_set(body, "ellipsoid") for body in s.model.bodies]
     tau, sigma = s.noisy(1.0, 1), s.tau.std(axis=1)
-    problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, EUCLIDEAN, sigma, s.known)
+    problem = build_problem(s.linear, s.model.bodies, s.reduction(tau), sets, EUCLIDEAN, sigma, s.equalities)
     x = solve(problem)[0]
-    others = problem.others.tolist()
+    others = problem.other_coefficients.tolist()
     found = assert_as_by_cvxpy(problem, x, [1, 4, *others])
     at_zero = np.isclose(found[2:, 0] / problem.scale[others], 0, atol=1e-4)
     assert at_zero.any()
@@ -202,13 +202,13 @@ def test_a_robots_legs_are_ranged_as_if_together(robot_of: Robots, monkeypatch: 
     """cvxpy takes both legs at once; `ranges` does not, and the level is that of both."""
     s = legs(robot_of, ("FL", "FR"), count=40, friction={"offset": False})
     sizes = spied_sizes(monkeypatch)
-    problem, x = of_legs(s, s.known)
-    wanted = [0, 7, SIZE + 1, 2 * SIZE, 3 * SIZE + 4, problem.others[0]]
+    problem, x = of_legs(s, s.equalities)
+    wanted = [0, 7, SIZE + 1, 2 * SIZE, 3 * SIZE + 4, problem.other_coefficients[0]]
     assert_as_by_cvxpy(problem, x, wanted)
     assert set(sizes) == {problem.variables // 2}
 
 
-def of_legs(s: Synthetic, known: Knowledge, kind: str = "ellipsoid") -> tuple[Problem, Array]:
+def of_legs(s: Synthetic, known: EqualityConstraints, kind: str = "ellipsoid") -> tuple[Problem, Array]:
     bodies = with_equal_bounds(s.model, known).bodies
     sets = [choose_set(body, kind) for body in bodies]
     tau, sigma = s.noisy(1.0), s.tau.std(axis=1)
@@ -237,7 +237,7 @@ def test_what_ties_legs_together_is_minded(robot_of: Robots, monkeypatch: pytest
     config: dict[str, Any] = {"mirror": copies(names)} if tie == "copies" else {"known": {"total_mass": 3.0}}
     s = legs(robot_of, names, count=40, friction={"offset": False}, **config)
     sizes = spied_sizes(monkeypatch)
-    problem, x = of_legs(s, s.known)
+    problem, x = of_legs(s, s.equalities)
     wanted = [0, 7, SIZE, SIZE + 2, len(problem.scale) - 1]
     assert_as_by_cvxpy(problem, x, wanted)
     assert set(sizes) == {problem.variables}
@@ -302,7 +302,7 @@ def test_a_static_moment_ends_where_the_ellipsoid_does(robot_of: Robots) -> None
     sets = [choose_set(body, "ellipsoid") for body in s.model.bodies]
     tau = nothing.noisy(1.0)
     data = nothing.reduction(tau)
-    problem = build_problem(s.linear, s.model.bodies, data, sets, case.prior, tau.std(axis=1), s.known)
+    problem = build_problem(s.linear, s.model.bodies, data, sets, case.prior, tau.std(axis=1), s.equalities)
     x = solve(problem)[0]
     ellipsoid = s.model.bodies[0].ellipsoids[0]
     reach = np.sqrt(np.diag(ellipsoid.Q_s))
@@ -315,7 +315,7 @@ def test_a_copys_range_is_its_originals(robot_of: Robots) -> None:
     """The original's programme holds both legs' rows: its range in the image is that of the other leg as original."""
     names = ("FL", "FR")
     s = legs(robot_of, names, count=40, friction={"offset": False}, mirror=copies(names))
-    problem, x = of_legs(s, s.known)
+    problem, x = of_legs(s, s.equalities)
     theta = problem.theta(problem.S @ x)
     found = asked(problem, x, np.arange(LENGTH * SIZE))
     for i in range(1, LENGTH + 1):

@@ -13,7 +13,7 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, point_parameters, synthetic
 
 from idtool.estimation.online.recursive import RecursiveFit, units
-from idtool.estimation.problem.identify import identify, solve
+from idtool.estimation.problem.estimate import estimate, solve
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import POWERS
 from idtool.robot.sets import choose_set
@@ -38,7 +38,7 @@ def made(rng: np.random.Generator, robot_of: Callable[[str], Robot]) -> Made:
 
 def started(made: Synthetic, name: str, kind: str = "euclidean") -> RecursiveFit:
     sets = [choose_set(body, name) for body in made.model.bodies]
-    return RecursiveFit(made.linear, made.model, sets, kind, made.known)
+    return RecursiveFit(made.linear, made.model, sets, kind, made.equalities)
 
 
 def run(fit: RecursiveFit, made: Synthetic, tau: Array, gamma: float = 1.0) -> Array:
@@ -154,8 +154,8 @@ def test_it_comes_to_the_fit_of_the_whole_log(made: Made) -> None:
     fit = started(data, "ellipsoid")
     theta = run(fit, data, tau)
     sets = [choose_set(body, "ellipsoid") for body in data.model.bodies]
-    whole = identify(
-        data.linear, data.model.bodies, data.reduction(tau), sets, data.config.regularization.or_weak(), data.known
+    whole = estimate(
+        data.linear, data.model.bodies, data.reduction(tau), sets, data.config.regularization.or_weak(), data.equalities
     )
     B = determined(data, fit.units)
     start, offline, online = (np.linalg.norm(B @ (t - data.theta)) for t in (theta[0], whole.theta, theta[-1]))
@@ -183,7 +183,7 @@ def test_a_prior_that_only_holds_a_place_does_not_hold_it_back(made: Made) -> No
     model = replace(data.model, bodies=bodies)
     rigid = replace_coefficients(data, 1e-3)
     sets = [choose_set(body, "ellipsoid") for body in bodies]
-    fit = RecursiveFit(rigid.linear, model, sets, "euclidean", data.known)
+    fit = RecursiveFit(rigid.linear, model, sets, "euclidean", data.equalities)
     theta = run(fit, rigid, data.tau)
     B = determined(data, units(data.linear, data.model))
     assert np.linalg.norm(B @ (theta[-1] - data.theta)) < 0.02 * np.linalg.norm(B @ data.theta)

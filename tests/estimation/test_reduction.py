@@ -27,7 +27,7 @@ def random_block(rng: np.random.Generator, rows: int) -> list[Array]:
 
 
 def reduced(block: list[Array], redundancy: float = 1.0) -> Reduction:
-    return tuple(Factor.of(rows, redundancy) for rows in block)
+    return tuple(Factor.from_columns(rows, redundancy) for rows in block)
 
 
 def residual(rows: Array, theta: Array) -> float:
@@ -48,7 +48,7 @@ def test_the_residual_is_that_of_the_rows(rng: np.random.Generator, rows: int) -
     block = random_block(rng, rows)
     for m, columns, factor in zip(COLUMNS, block, reduced(block), strict=True):
         theta = rng.normal(size=m)
-        assert factor.squares(theta) == pytest.approx(residual(columns, theta), rel=1e-9, abs=1e-12)
+        assert factor.squared_error(theta) == pytest.approx(residual(columns, theta), rel=1e-9, abs=1e-12)
         assert factor.R.shape == (min(rows, m + 1), m + 1)
         assert factor.rows == rows
 
@@ -65,7 +65,7 @@ def test_no_rows_are_neutral(rng: np.random.Generator, rows: int) -> None:
     assert_same(merge(a, empty(ACTIVE)), a)
     assert_same(merge(empty(ACTIVE), a), a)
     for factor, columns in zip(empty(ACTIVE), ACTIVE, strict=True):
-        assert factor.squares(rng.normal(size=len(columns))) == 0
+        assert factor.squared_error(rng.normal(size=len(columns))) == 0
         assert (factor.rows, factor.independent) == (0, 0)
 
 
@@ -77,7 +77,7 @@ def test_the_order_of_merging_does_not_matter(rng: np.random.Generator, rows: li
     assert_same(a, b)
     for m, x, y in zip(COLUMNS, a, b, strict=True):
         theta = rng.normal(size=m)
-        assert x.squares(theta) == pytest.approx(y.squares(theta), rel=1e-9, abs=1e-12)
+        assert x.squared_error(theta) == pytest.approx(y.squared_error(theta), rel=1e-9, abs=1e-12)
 
 
 @given(seeds, lengths)
@@ -89,7 +89,7 @@ def test_many_small_blocks_are_one_big_one(rng: np.random.Generator, rows: list[
     assert all(factor.independent == pytest.approx(sum(rows) / 2.5) for factor in merged)
     for m, columns, factor in zip(COLUMNS, whole, merged, strict=True):
         theta = rng.normal(size=m)
-        assert factor.squares(theta) == pytest.approx(residual(columns, theta), rel=1e-9, abs=1e-12)
+        assert factor.squared_error(theta) == pytest.approx(residual(columns, theta), rel=1e-9, abs=1e-12)
         assert len(factor.R) <= m + 1
 
 

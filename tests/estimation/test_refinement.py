@@ -18,7 +18,7 @@ from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.conic import Solution, solve_conic
-from idtool.estimation.problem.identify import ENOUGH, solve, solve_with_backend, unfinished_note
+from idtool.estimation.problem.estimate import PARAMETER_TOLERANCE, solve, solve_with_backend, unfinished_note
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.refinement import refine
 from idtool.robot.config import Regularization, read_config
@@ -76,7 +76,7 @@ def leg(sample: tuple[Experiment, Reduction]) -> Leg:
 
     def make(name: str, prior: Prior) -> Problem:
         (experiment, reduction), (kind, weight) = sample, prior
-        bodies, known = experiment.model.bodies, experiment.known
+        bodies, known = experiment.model.bodies, experiment.equalities
         sets = [choose_set(body, name) for body in bodies]
         noise = free_noise(experiment.equation, reduction, known)
         regularization = Regularization(kind=kind, weight=weight)
@@ -98,7 +98,7 @@ def random(robot_of: Callable[[str], Robot]) -> Random:
         s = synthetic(rng, robot, 60, {**limits, **options})
         sets = [choose_set(body, name) for body in s.model.bodies]
         sigma, prior = 3 * s.tau.std(axis=1), Regularization(kind=kind, weight=weight)
-        return build_problem(s.linear, s.model.bodies, s.reduction(s.noisy(3.0)), sets, prior, sigma, s.known)
+        return build_problem(s.linear, s.model.bodies, s.reduction(s.noisy(3.0)), sets, prior, sigma, s.equalities)
 
     return make
 
@@ -113,18 +113,18 @@ def distance(problem: Problem, x: Array, z: Array) -> float:
 def test_the_sample_legs_parameters_are_at_the_optimum(leg: Leg, name: str, prior: Prior) -> None:
     problem = leg(name, prior)
     x, certificate = solve(problem)
-    assert distance(problem, x, agreed_optimum(problem)) < ENOUGH
+    assert distance(problem, x, agreed_optimum(problem)) < PARAMETER_TOLERANCE
     assert certificate.parameter_error is not None
-    assert certificate.parameter_error < 0.1 * ENOUGH
+    assert certificate.parameter_error < 0.1 * PARAMETER_TOLERANCE
 
 
 @pytest.mark.parametrize("case", RANDOM)
 def test_a_random_robots_parameters_are_at_the_optimum(random: Random, case: str) -> None:
     problem = random(case)
     x, certificate = solve(problem)
-    assert distance(problem, x, agreed_optimum(problem)) < ENOUGH
+    assert distance(problem, x, agreed_optimum(problem)) < PARAMETER_TOLERANCE
     assert certificate.parameter_error is not None
-    assert certificate.parameter_error < 0.1 * ENOUGH
+    assert certificate.parameter_error < 0.1 * PARAMETER_TOLERANCE
 
 
 def test_the_solver_alone_leaves_what_the_prior_holds_unfinished(leg: Leg) -> None:
@@ -152,10 +152,10 @@ def test_a_rough_start_leads_to_the_same_optimum(leg: Leg, name: str, prior: Pri
     for solution in (of_the_solver(problem), of_the_solver(problem, tol_gap_rel=1e-3, tol_gap_abs=1e-3)):
         refined = refine(problem, solution)
         assert refined is not None
-        assert distance(problem, refined.solution.x, z) < ENOUGH
+        assert distance(problem, refined.solution.x, z) < PARAMETER_TOLERANCE
     x, certificate = solve_with_backend(problem, "SCS")
     assert certificate.certified
-    assert distance(problem, x, z) < ENOUGH
+    assert distance(problem, x, z) < PARAMETER_TOLERANCE
 
 
 @pytest.mark.parametrize("name", ["semi", "ellipsoid"])
@@ -181,7 +181,7 @@ def test_where_refining_fails_the_solvers_own_optimum_stays_and_it_is_said(
     problem = leg("ellipsoid", ("euclidean", 1e-6))
     _, refined = solve(problem)
     assert not unfinished_note(refined)
-    monkeypatch.setattr("idtool.estimation.problem.identify.refine", lambda problem, solution: None)
+    monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: None)
     _, certificate = solve(problem)
     assert certificate.certified
     assert certificate.parameter_error is None

@@ -20,9 +20,9 @@ from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.weights import free_noise
-from idtool.estimation.identified import choose_sets
-from idtool.estimation.problem.identify import identify
-from idtool.estimation.problem.prior_bodies import placeholder_reasons, polyhedron_moments
+from idtool.estimation.identification import choose_sets
+from idtool.estimation.problem.estimate import estimate
+from idtool.estimation.problem.prior_bodies import hull_centre_and_covariance, placeholder_reasons
 from idtool.estimation.problem.regularization_path import (
     WEIGHTS,
     RegularizationPath,
@@ -60,9 +60,9 @@ def blocks_of(s: Synthetic, tau: Array, count: int) -> Blocks:
 def path_of(s: Synthetic, tau: Array, count: int = 20, **prior: Any) -> RegularizationPath:
     blocks = blocks_of(s, tau, count)
     sets, _ = choose_sets(s.model.bodies, None)
-    noise = free_noise(s.linear, blocks.total, s.known)
+    noise = free_noise(s.linear, blocks.total, s.equalities)
     regularization = Regularization.model_validate(prior)
-    return regularization_path(s.linear, s.model.bodies, [blocks], sets, regularization, s.known, noise)
+    return regularization_path(s.linear, s.model.bodies, [blocks], sets, regularization, s.equalities, noise)
 
 
 @pytest.mark.parametrize("kind", ["entropic", "euclidean", "pullback"])
@@ -71,15 +71,15 @@ def test_every_point_of_the_path_is_the_solvers_optimum(arm: Synthetic, kind: st
     path = path_of(arm, tau, kind=kind)
     total = blocks_of(arm, tau, 20).total
     sets, _ = choose_sets(arm.model.bodies, None)
-    noise = free_noise(arm.linear, total, arm.known)
+    noise = free_noise(arm.linear, total, arm.equalities)
     unweighted = Regularization.model_validate({"kind": kind})
     for point in path.points[2::3]:
-        own = identify(
-            arm.linear, arm.model.bodies, total, sets, unweighted.weighing(point.weight), arm.known, noise=noise
+        own = estimate(
+            arm.linear, arm.model.bodies, total, sets, unweighted.with_weight(point.weight), arm.equalities, noise=noise
         )
         rows = sum(factor.rows for factor in total)
         factors = zip(total, arm.linear.active(), noise, strict=True)
-        error = sum(factor.squares(own.theta[columns]) / sigma**2 for factor, columns, sigma in factors) / rows
+        error = sum(factor.squared_error(own.theta[columns]) / sigma**2 for factor, columns, sigma in factors) / rows
         assert point.train_error == pytest.approx(np.sqrt(error), rel=1e-3)
 
 
@@ -254,7 +254,7 @@ def test_links_of_one_kind_that_are_alike_are_no_placeholders() -> None:
     ids=["box", "cylinder"],
 )
 def test_a_shape_is_filled_evenly(points: Array, covariance: Array) -> None:
-    center, found = polyhedron_moments(points + np.array([1.0, 2.0, 3.0]))
+    center, found = hull_centre_and_covariance(points + np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(center, [1, 2, 3], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found, covariance, rtol=0.05, atol=1e-9)
 

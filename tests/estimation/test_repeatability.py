@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, point_parameters, synthetic
 
-from idtool.estimation.dataset.blocks import Blocks, together
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.reduction import Factor, Reduction
-from idtool.estimation.uncertainty.base import BaseParameters, structural_base
+from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
 from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
 from idtool.robot.inertia import SIZE
 from idtool.robot.urdf.reading import Robot
@@ -33,7 +33,7 @@ class Arm:
 
     @cached_property
     def base(self) -> BaseParameters:
-        return structural_base(self.s.model, self.s.linear)
+        return structural_base_parameters(self.s.model, self.s.linear)
 
     def of(self, name: str, owner: str | None = None) -> int:
         """A coefficient's index."""
@@ -59,7 +59,7 @@ class Arm:
     def compared(self, data: Sequence[Blocks], theta: Array | None = None) -> Repeatability:
         start = self.s.theta if theta is None else theta
         rng = np.random.default_rng(0)
-        return repeatability(self.s.linear, data, SIGMA, start, self.s.known, self.base, self.alone, rng)
+        return repeatability(self.s.linear, data, SIGMA, start, self.s.equalities, self.base, self.alone, rng)
 
     def rows(self, data: Reduction) -> tuple[Array, Array]:
         """In units of the noise."""
@@ -113,7 +113,7 @@ def test_logs_of_one_truth_agree_nineteen_times_in_twenty(arm: Arm) -> None:
     for seed in range(draws):
         found = arm.compared(arm.logs(3, seed))
         alarms += not found.agrees.all()
-        odd += found.odd is not None
+        odd += found.outlier is not None
         ratios.append(np.square(found.ratio))
     assert alarms <= 0.05 * draws + 2 * np.sqrt(0.05 * draws)
     assert odd <= alarms
@@ -130,7 +130,7 @@ def test_a_log_with_other_friction_is_the_odd_one(arm: Arm, which: int) -> None:
     other[place] += 1.0
     found = arm.compared(arm.logs(3, 5, **{f"log{which}": other}))
     np.testing.assert_array_equal(~found.agrees, arm.base.own == place)
-    assert found.odd == which
+    assert found.outlier == which
     assert found.ratio[arm.base.own == place] > 5
     assert (found.ratio[arm.base.own != place] < 3).all()
 
@@ -153,7 +153,7 @@ def test_a_log_with_a_payload_is_the_odd_one(arm: Arm) -> None:
     payload = np.zeros(len(arm.s.theta))
     payload[SIZE : 2 * SIZE] = point_parameters(np.array([0.8]), np.array([[0.3, 0.2, -0.25]]))
     found = arm.compared(arm.logs(4, 6, log2=arm.s.theta + payload))
-    assert found.odd == 2
+    assert found.outlier == 2
     change = np.abs(arm.base.B @ payload)
     error = found.standard_error.max(axis=1)
     assert not found.agrees[change > 12 * error].any()
@@ -168,7 +168,7 @@ def test_of_two_logs_none_is_the_odd_one(arm: Arm) -> None:
     other[place] += 3.0
     found = arm.compared(arm.logs(2, 7, log1=other))
     np.testing.assert_array_equal(~found.agrees, arm.base.own == place)
-    assert found.odd is None
+    assert found.outlier is None
 
 
 def test_where_every_log_says_another_none_is_the_odd_one(arm: Arm) -> None:
@@ -176,7 +176,7 @@ def test_where_every_log_says_another_none_is_the_odd_one(arm: Arm) -> None:
     truths = [arm.s.theta + step * np.eye(len(arm.s.theta))[place] for step in (-3.0, 0.0, 3.0)]
     found = arm.compared(arm.logs(3, 8, **{f"log{i}": truth for i, truth in enumerate(truths)}))
     assert not found.agrees[arm.base.own == place]
-    assert found.odd is None
+    assert found.outlier is None
 
 
 def test_the_start_does_not_matter(arm: Arm) -> None:
@@ -213,7 +213,7 @@ def test_disagreement_shows_among_those_that_determine_it(arm: Arm) -> None:
     data = [arm.log(i, noise[i], other if i == 3 else None, [place] if i == 0 else []) for i in range(4)]
     found = arm.compared(data)
     np.testing.assert_array_equal(~found.agrees, arm.base.own == place)
-    assert found.odd == 3
+    assert found.outlier == 3
 
 
 def test_ratio_is_birges(arm: Arm) -> None:
@@ -231,18 +231,18 @@ def test_the_cross_error_is_least_on_ones_own_log(arm: Arm) -> None:
     for i, fitted in enumerate(data):
         theta = arm.alone(fitted.total)
         for j, log in enumerate(data):
-            W, b = arm.rows(together(log.parts))
-            assert found.cross[i, j] == pytest.approx(np.linalg.norm(W @ theta - b) / np.sqrt(2 * ROWS), rel=1e-9)
+            W, b = arm.rows(merge_reductions(log.parts))
+            assert found.cross_error[i, j] == pytest.approx(np.linalg.norm(W @ theta - b) / np.sqrt(2 * ROWS), rel=1e-9)
     off = ~np.eye(3, dtype=bool)
     for k in range(3):
-        assert (found.cross[k, k] < found.cross[off[:, k], k]).all()
-    np.testing.assert_allclose(found.cross, 1, atol=0.1)
+        assert (found.cross_error[k, k] < found.cross_error[off[:, k], k]).all()
+    np.testing.assert_allclose(found.cross_error, 1, atol=0.1)
 
 
 def test_a_log_that_differs_is_predicted_badly_and_predicts_badly(arm: Arm) -> None:
     other = arm.s.theta.copy()
     other[arm.of("coulomb")] += 3.0
-    cross = arm.compared(arm.logs(3, 14, log1=other)).cross
+    cross = arm.compared(arm.logs(3, 14, log1=other)).cross_error
     alike, differ = [cross[0, 2], cross[2, 0], *np.diag(cross)], [cross[0, 1], cross[1, 0], cross[1, 2], cross[2, 1]]
     assert min(differ) > 2 * max(alike)
 

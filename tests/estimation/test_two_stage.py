@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import subspace_angles
 
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
-from idtool.estimation.two_stage import correlations, first_stage, project, unprojected
+from idtool.estimation.two_stage import correlations, first_stage_f_statistic, project, unprojected
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ SCALES = np.array([1e-3, 1.0, 30.0, 0.1])  # of the columns, as those of masses 
 
 def stacked(Z: Array, Y: Array, tau: Array, redundancy: float = 1.0) -> Factor:
     """The factor of [Z, Y, tau]."""
-    return Factor.of(np.column_stack([Z, Y, tau]).T, redundancy)
+    return Factor.from_columns(np.column_stack([Z, Y, tau]).T, redundancy)
 
 
 def minimum(factor: Factor) -> Array:
@@ -49,7 +49,7 @@ def test_as_many_instruments_as_coefficients_solve_their_equations(rows: tuple[A
     Z, Y, tau = rows
     (found,) = project((stacked(*rows),))
     np.testing.assert_allclose(minimum(found), np.linalg.solve(Z.T @ Y, Z.T @ tau), rtol=1e-9)
-    assert found.squares(minimum(found)) < 1e-18 * np.square(tau).sum()
+    assert found.squared_error(minimum(found)) < 1e-18 * np.square(tau).sum()
 
 
 def test_the_cost_is_that_of_projected_residuals(rows: tuple[Array, Array, Array], rng: np.random.Generator) -> None:
@@ -59,7 +59,7 @@ def test_the_cost_is_that_of_projected_residuals(rows: tuple[Array, Array, Array
     assert len(found.R) == 2
     for theta in rng.normal(size=(5, 4)):
         projected = Z @ np.linalg.lstsq(Z, Y @ theta - tau, rcond=1e-10)[0]
-        assert found.squares(theta) == pytest.approx(np.square(projected).sum(), rel=1e-9)
+        assert found.squared_error(theta) == pytest.approx(np.square(projected).sum(), rel=1e-9)
 
 
 def test_rows_as_their_own_instruments_give_least_squares(rng: np.random.Generator) -> None:
@@ -69,9 +69,9 @@ def test_rows_as_their_own_instruments_give_least_squares(rng: np.random.Generat
     (found,) = project((stacked(Y, Y, tau),))
     best = np.linalg.lstsq(Y, tau, rcond=1e-10)[0]
     least = np.square(Y @ best - tau).sum()
-    assert found.squares(best) == pytest.approx(0, abs=1e-12)
+    assert found.squared_error(best) == pytest.approx(0, abs=1e-12)
     for theta in (np.zeros(5), rng.normal(size=5)):
-        assert found.squares(theta) + least == pytest.approx(np.square(Y @ theta - tau).sum(), rel=1e-9)
+        assert found.squared_error(theta) + least == pytest.approx(np.square(Y @ theta - tau).sum(), rel=1e-9)
 
 
 def test_without_noise_any_instruments_give_the_truth(rng: np.random.Generator) -> None:
@@ -94,7 +94,7 @@ def test_pieces_merge_into_the_whole(rows: tuple[Array, Array, Array], rng: np.r
         (one,), (other,) = reduced(whole), reduced(merged)
         assert (one.rows, one.independent) == (other.rows, other.independent) == (300, 300.0)
         for theta in rng.normal(size=(5, 4)):
-            assert other.squares(theta) == pytest.approx(one.squares(theta), rel=1e-9)
+            assert other.squared_error(theta) == pytest.approx(one.squared_error(theta), rel=1e-9)
 
 
 def test_what_is_not_projected_is_all_there_was(rows: tuple[Array, Array, Array], rng: np.random.Generator) -> None:
@@ -103,7 +103,7 @@ def test_what_is_not_projected_is_all_there_was(rows: tuple[Array, Array, Array]
     assert found.R.shape == (5, 5)
     assert (found.rows, found.independent) == (300, 100.0)
     theta = rng.normal(size=4)
-    assert found.squares(theta) == pytest.approx(np.square(Y @ theta - tau).sum(), rel=1e-9)
+    assert found.squared_error(theta) == pytest.approx(np.square(Y @ theta - tau).sum(), rel=1e-9)
 
 
 def test_noise_in_the_rows_biases_least_squares_and_not_this(rng: np.random.Generator) -> None:
@@ -135,7 +135,7 @@ def test_what_no_column_tells_has_no_correlation(rows: tuple[Array, Array, Array
 def test_instruments_of_another_motion_are_weak(rows: tuple[Array, Array, Array], rng: np.random.Generator) -> None:
     Z, Y, tau = rows
     strength = [
-        first_stage(correlations(stacked(instruments, Y, tau), np.full(4, 1e9)), 300.0)
+        first_stage_f_statistic(correlations(stacked(instruments, Y, tau), np.full(4, 1e9)), 300.0)
         for instruments in (Z, rng.normal(size=Z.shape), Y)
     ]
     assert strength[0] > 100

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from idtool.estimation.uncertainty.base import BaseParameters
+from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.criteria import CRITERIA, Aim, Criterion, expected_errors
 
 Array = NDArray[np.float64]

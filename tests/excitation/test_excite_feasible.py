@@ -10,7 +10,7 @@ from exciting import Array, arm
 
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.excitation.feasible import feasible
 from idtool.excitation.patterns import Fourier, Part, Setting
 from idtool.excitation.task import Task, make_task
@@ -26,7 +26,7 @@ def task_of(folder: Path, text: str) -> Task:
     path.write_text(text)
     model = build_model(read_robot(path), Config(), ["a", "b"])
     equation = LinearModel(model.names, build_effects(model, Config()))
-    known = Knowledge.none(len(equation.prior))
+    known = EqualityConstraints.none(len(equation.prior))
     asked = {"criterion": "d", "favour": (), "noise": {}, "rate": RATE, "margin": 0.0, "clearance": 0.01}
     return make_task(model, equation, known, Config(), **asked)  # type: ignore[arg-type]
 

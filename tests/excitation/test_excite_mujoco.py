@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from idtool.data.logs import Log, read_log, write_log
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.weights import free_noise
-from idtool.estimation.uncertainty.base import structural_base
-from idtool.estimation.uncertainty.uncertainty import uncertainty
+from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
+from idtool.estimation.uncertainty.standard_errors import least_squares_uncertainty
 from idtool.excitation.criteria import BaseColumns
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
@@ -53,10 +53,10 @@ def realised(folder: Path, log: Log) -> tuple[Array, Array]:
     """Standard errors of the base parameters by what `fit` believes, and how far they are from the truth, (r,) each."""
     run = experiment(folder, log)
     reduction = run.reduce(lambda stage, share: None)
-    noise = free_noise(run.equation, reduction, run.known)
-    base = structural_base(run.model, run.equation, run.known)
-    believed = uncertainty(run.equation, reduction, noise, run.known).of(base.B)
-    W = BaseColumns(run.equation, base, run.known).rows(reduction, noise)
+    noise = free_noise(run.equation, reduction, run.equalities)
+    base = structural_base_parameters(run.model, run.equation, run.equalities)
+    believed = least_squares_uncertainty(run.equation, reduction, noise, run.equalities).of(base.B)
+    W = BaseColumns(run.equation, base, run.equalities).rows(reduction, noise)
     tau = np.concatenate(
         [f.R[:, -1] * np.sqrt(f.independent / f.rows) / s for f, s in zip(reduction, noise, strict=True)]
     )

@@ -12,8 +12,8 @@ from synthetic import Synthetic, synthetic
 
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.local import Chart, LogCholesky, Manifold
-from idtool.estimation.problem.parts import Part
 from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.problem.variables import PieceVariables
 from idtool.robot.config import Regularization
 from idtool.robot.inequality import DENSITY, Piece
 from idtool.robot.inertia import (
@@ -59,14 +59,14 @@ def random_problem(
 def stated(s: Synthetic, name: str, regularization: Regularization, share: float) -> tuple[Problem, Array]:
     reduction = s.reduction(s.noisy(share))
     sets = [choose_set(body, name) for body in s.model.bodies]
-    noise = free_noise(s.linear, reduction, s.known)
-    problem = build_problem(s.linear, s.model.bodies, reduction, sets, regularization, noise, s.known)
-    return problem, s.linear.prior[s.known.free] / problem.scale
+    noise = free_noise(s.linear, reduction, s.equalities)
+    problem = build_problem(s.linear, s.model.bodies, reduction, sets, regularization, noise, s.equalities)
+    return problem, s.linear.prior[s.equalities.free] / problem.scale
 
 
 def one_body(A: Array, b: Array) -> Problem:
     """‖A z − b‖² over one body."""
-    part = Part(0, 0, 0, Piece((DENSITY,)), 1.0)
+    part = PieceVariables(0, 0, 0, Piece((DENSITY,)), 1.0)
     none = np.zeros(0)
     nothing = np.zeros((0, SIZE)), none
     return Problem(A, b, 0.0, np.ones(SIZE), np.eye(SIZE), (part,), ("body",), none.astype(np.intp), none, *nothing)

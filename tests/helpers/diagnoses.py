@@ -31,7 +31,7 @@ def fits(folder: Path) -> tuple[Fit, Fit]:
 
 def _fit(folder: Path, config: Config) -> Fit:
     experiment = prepare(read_robot(LEG), config, [folder / "log.csv"])
-    return fit(experiment, lambda stage, share: None, simulated=True)
+    return fit(experiment, lambda stage, share: None, simulate=True)
 
 
 def level(*values: float, simulated: float | None = 0.03) -> Level:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from robots import body, inertial, joint
 from synthetic import Synthetic, point_parameters, points_in, random_bound, random_states, synthetic
 
-from idtool.estimation.dataset.knowledge import Knowledge, with_equal_bounds
-from idtool.estimation.problem.identify import Estimate, identify
-from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints, with_equal_bounds
+from idtool.estimation.problem.estimate import Estimate, estimate
+from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import choose_set
@@ -112,19 +112,23 @@ def of_joint(s: Synthetic, name: str, term: str) -> int:
 
 
 def fit(
-    s: Synthetic, tau: Array, known: Knowledge | None = None, kind: str = "ellipsoid", prior: Regularization = PRIOR
+    s: Synthetic,
+    tau: Array,
+    equalities: EqualityConstraints | None = None,
+    kind: str = "ellipsoid",
+    prior: Regularization = PRIOR,
 ) -> Estimate:
     """The identification with what is known, by default what the configuration says."""
-    known = known or s.known
-    bodies = with_equal_bounds(s.model, known).bodies
-    return identify(s.linear, bodies, s.reduction(tau), [choose_set(b, kind) for b in bodies], prior, known)
+    equalities = equalities or s.equalities
+    bodies = with_equal_bounds(s.model, equalities).bodies
+    return estimate(s.linear, bodies, s.reduction(tau), [choose_set(b, kind) for b in bodies], prior, equalities)
 
 
-def free(s: Synthetic) -> Knowledge:
+def free(s: Synthetic) -> EqualityConstraints:
     """Nothing known."""
-    return Knowledge.none(len(s.theta))
+    return EqualityConstraints.none(len(s.theta))
 
 
-def told(s: Synthetic, known: Knowledge, sigma: float = 1.0) -> Uncertainty:
+def told(s: Synthetic, equalities: EqualityConstraints, sigma: float = 1.0) -> Uncertainty:
     """What the data say of the coefficients with what is known."""
-    return uncertainty(s.linear, s.reduction(s.tau), np.full(len(s.Y), sigma), known)
+    return least_squares_uncertainty(s.linear, s.reduction(s.tau), np.full(len(s.Y), sigma), equalities)

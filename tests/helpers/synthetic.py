@@ -16,7 +16,7 @@ from robots import actuated, rotation
 
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge, knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.robot.body import Body, Frame
 from idtool.robot.config import Config, parse_config
@@ -47,9 +47,9 @@ class Synthetic:
         return np.asarray(self.Y @ self.theta)
 
     @property
-    def known(self) -> Knowledge:
+    def equalities(self) -> EqualityConstraints:
         """What the configuration knows beside the data."""
-        return knowledge(self.config, self.model, self.linear)
+        return equality_constraints(self.config, self.model, self.linear)
 
     def noisy(self, share: float, seed: int = 0) -> Array:
         """The torque with white noise of a share of its own spread, joint by joint."""
@@ -59,7 +59,7 @@ class Synthetic:
     def reduction(self, tau: Array) -> Reduction:
         """The rows and a torque as R-factors."""
         return tuple(
-            Factor.of(np.vstack([Y.T[columns], row]))
+            Factor.from_columns(np.vstack([Y.T[columns], row]))
             for Y, row, columns in zip(self.Y, tau, self.linear.active(), strict=True)
         )
 

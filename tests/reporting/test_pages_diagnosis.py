@@ -12,7 +12,7 @@ from commands import JOINTS
 from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
 from pages import SCRIPT, Page, complete, evaluation_of
 from records import partial
-from replays import experiment_of, replay_of
+from rollouts import experiment_of, rollouts_of
 
 from idtool.diagnosis.records import Diagnosis, Level, Where
 from idtool.estimation.fit import Fit
@@ -179,7 +179,7 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     (hip,) = [row for row in page.rows if row[0] == "hip" and len(row) == 7]
     for column, fitted in ((1, found.last), (2, found.first)):
         assert fitted.simulation is not None
-        assert hip[column] == number(fitted.simulation.departures["identified"].rmse(JOINTS, "position")["hip"])
+        assert hip[column] == number(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
     assert hip[1] != hip[2]
 
 
@@ -205,7 +205,7 @@ def test_a_model_of_which_one_runs_away_still_has_its_page(found: Diagnosis) -> 
     assert found.last.simulation is not None
     for fit, shown in ((found.first, True), (found.last, False)):
         assert fit.simulation is not None
-        failed = replace(fit, simulation=replace(fit.simulation, failed={"identified": "no"}, departures={}))
+        failed = replace(fit, simulation=replace(fit.simulation, failed={"identified": "no"}, errors={}))
         changed = replace(found, first=failed) if fit is found.first else replace(found, last=failed)
         page = page_of(changed)
         complete(page)
@@ -265,7 +265,7 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     report |= {"joints": joints, "units": units, "steps": [step] * 8, "bodies": {f"body {i}": body for i in range(30)}}
     curves = {name: rng.normal(size=(12, 4000)) for name in ("measured", "identified")}
     fit = SimpleNamespace(
-        validation=evaluation_of(curves, logs=6), simulation=replay_of(curves), experiment=experiment_of(units)
+        validation=evaluation_of(curves, logs=6), simulation=rollouts_of(curves), experiment=experiment_of(units)
     )
     many = residual(1 / 3, points=500, lines=50_000)
     maps = dict.fromkeys(joints, replace(many, mean={name: rng.normal(size=500) for name in many.mean}))

@@ -45,7 +45,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Fit:
         parse_config({"friction": {SLIDE: {"coulomb": False}}}, "c.yaml"),
         [path.with_suffix(".csv")],
     )
-    return fit(experiment, lambda stage, share: None, simulated=True, questioned=True)
+    return fit(experiment, lambda stage, share: None, simulate=True, analyze_uncertainty=True)
 
 
 @pytest.fixture
@@ -161,7 +161,7 @@ def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any])
     text = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text
     assert f"determine {known.sum()} of {len(known)} parameters" in text
     uncertainty = replace(fitted.uncertainty, identifiable=np.ones_like(known))
-    certain = replace(fitted, trust=replace(fitted.trust, uncertainty=uncertainty))
+    certain = replace(fitted, uncertainty_analysis=replace(fitted.uncertainty_analysis, uncertainty=uncertainty))
     assert (
         f"determine all {len(known)} parameters"
         in Page(fit_page(certain, partial(FitReport, report), "idtool fit")).text

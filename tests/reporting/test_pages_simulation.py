@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pages import Page, complete, evaluation_of
-from replays import experiment_of, replay_of
+from rollouts import experiment_of, rollouts_of
 
-from idtool.estimation.evaluation.replay import Departure, Replay
+from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation
 from idtool.reporting.pages import validation_page
 from idtool.reporting.report import validation_report
 from idtool.reporting.simulation_report import simulation_report
@@ -31,23 +31,23 @@ def motion(rng: np.random.Generator) -> dict[str, Array]:
     return {"measured": measured, "model": model, "prior": prior}
 
 
-def page_of(replay: Replay | None, **changes: Any) -> Page:
+def page_of(rollouts: RolloutEvaluation | None, **changes: Any) -> Page:
     """validation.html of a simulation, and made-up torques."""
     evaluation = evaluation_of({name: np.ones((2, 4)) for name in ("measured", "model", "prior")})
-    simulation = simulation_report(replay, "model", experiment_of(UNITS))
+    simulation = simulation_report(rollouts, "model", experiment_of(UNITS))
     if simulation:
         simulation = simulation.model_copy(update=changes)
     report = validation_report(evaluation, UNITS, 40.0, {}, simulation)
-    return Page(validation_page(evaluation, report, "idtool validate x", replay))
+    return Page(validation_page(evaluation, report, "idtool validate x", rollouts))
 
 
 def test_the_page_is_complete_in_itself(motion: dict[str, Array]) -> None:
-    complete(page_of(replay_of(motion)))
-    complete(page_of(replay_of(motion, closed=True)))
+    complete(page_of(rollouts_of(motion)))
+    complete(page_of(rollouts_of(motion, closed=True)))
 
 
 def test_the_curves_are_those_of_the_simulation(motion: dict[str, Array]) -> None:
-    simulation = page_of(replay_of(motion)).data["simulation"]
+    simulation = page_of(rollouts_of(motion)).data["simulation"]
     (log,) = simulation["logs"]
     assert simulation["omitted"] == 0
     assert log["name"] == "log 0"
@@ -61,7 +61,7 @@ def test_the_curves_are_those_of_the_simulation(motion: dict[str, Array]) -> Non
 
 def test_what_runs_away_does_not_flatten_what_was_measured(motion: dict[str, Array]) -> None:
     """A curve that leaves the measured range is shown for half of it beyond."""
-    (log,) = page_of(replay_of(motion)).data["simulation"]["logs"]
+    (log,) = page_of(rollouts_of(motion)).data["simulation"]["logs"]
     for joint, measured in zip(log["joints"], motion["measured"], strict=True):
         low, high = joint["range"]
         least, greatest = np.nanmin(measured), np.nanmax(measured)
@@ -72,12 +72,12 @@ def test_what_runs_away_does_not_flatten_what_was_measured(motion: dict[str, Arr
 
 def test_a_joint_at_rest_has_a_range() -> None:
     still = np.zeros((2, 40))
-    (log,) = page_of(replay_of({"measured": still, "model": still})).data["simulation"]["logs"]
+    (log,) = page_of(rollouts_of({"measured": still, "model": still})).data["simulation"]["logs"]
     assert log["joints"][0]["range"] == [-0.01, 0.01]
 
 
 def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
-    page = page_of(replay_of(motion))
+    page = page_of(rollouts_of(motion))
     rows = [row for row in page.rows if row[0].strip() in UNITS and len(row) == 7]
     assert [[cell.strip() for cell in row[1:]] for row in rows] == [
         ["0.100", "0.200", "0.900", "0.200", "0.400", "1.80"]
@@ -87,7 +87,7 @@ def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
 
 
 def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: dict[str, Array]) -> None:
-    page = page_of(replay_of(motion))
+    page = page_of(rollouts_of(motion))
     assert "10 times of 12, spread over the logs, each for 0.5 s from the measured state" in page.plain
     assert "stays where it was" in page.plain
     chart = page.data["charts"]["horizon"]
@@ -103,7 +103,7 @@ def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: 
 
 
 def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
-    page = page_of(replay_of(motion, closed=True))
+    page = page_of(rollouts_of(motion, closed=True))
     assert (
         "under the joint controller, on the logged command and with its delay, over 5.00 s; never restarted"
         in page.plain
@@ -123,27 +123,27 @@ def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
     ],
 )
 def test_the_finding(motion: dict[str, Array], own: float, level: str, said: str) -> None:
-    replay = replay_of(motion)
+    rollouts = rollouts_of(motion)
     squares = np.full(2, 1000 * own**2)
     after = {0.01: (np.full(2, 10 * (0.01 * own) ** 2), 10)}
     page = page_of(
-        replace(replay, departures={**replay.departures, "model": Departure(squares, squares, 1000, 1000, after)})
+        replace(rollouts, errors={**rollouts.errors, "model": RolloutError(squares, squares, 1000, 1000, after)})
     )
     assert page.levels[1] == level
     assert said in page.plain
 
 
 def test_a_rollout_that_ran_away_is_said(motion: dict[str, Array]) -> None:
-    page = page_of(replay_of(motion, lost={"model": 3, "prior": 0}))
+    page = page_of(rollouts_of(motion, diverged={"model": 3, "prior": 0}))
     assert "3 of 10 ran away and were stopped." in page.plain
     assert page.levels[1] == "note"
 
 
 def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> None:
     """Not even where it was simulated on the first log before it failed on the next."""
-    replay = replay_of(motion, failed={"prior": "no inertia"})
-    del replay.departures["prior"]  # type: ignore[attr-defined]
-    page = page_of(replay)
+    rollouts = rollouts_of(motion, failed={"prior": "no inertia"})
+    del rollouts.errors["prior"]  # type: ignore[attr-defined]
+    page = page_of(rollouts)
     assert [row for row in page.rows if len(row) == 5 and row[0] in UNITS]
     assert "simulated-prior" not in {attrs.get("id") for _, attrs in page.tags}
     assert "prior" not in page.data["simulation"]["logs"][0]["joints"][0]
@@ -155,7 +155,7 @@ def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> Non
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_without_a_simulation_there_is_no_section(motion: dict[str, Array], asked: bool) -> None:
-    page = page_of(replay_of(motion, failed={"model": "no inertia"}) if asked else None)
+    page = page_of(rollouts_of(motion, failed={"model": "no inertia"}) if asked else None)
     assert "simulation" not in page.data
     assert "Simulation" not in page.text
     complete(page)
@@ -163,7 +163,7 @@ def test_without_a_simulation_there_is_no_section(motion: dict[str, Array], aske
 
 def test_many_joints_and_logs_stay_small(rng: np.random.Generator) -> None:
     curves = {name: rng.normal(size=(2, 4000)) for name in ("measured", "model", "prior")}
-    page = page_of(replay_of(curves, logs=20))
+    page = page_of(rollouts_of(curves, logs=20))
     assert len(page.html.encode()) < 6e6
     simulation = page.data["simulation"]
     assert len(simulation["logs"]) + simulation["omitted"] == 20

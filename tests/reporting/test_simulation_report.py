@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import LEG, column_set, config_with, csv_text, fitted, idtool, sample_table, validated
-from replays import experiment_of, replay_of
+from rollouts import experiment_of, rollouts_of
 
-from idtool.estimation.evaluation.replay import Departure, Replay, simulation_notes
+from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation, simulation_notes
 from idtool.reporting.figures import number
 from idtool.reporting.simulation_report import simulation_report
 
@@ -18,9 +18,9 @@ UNITS = {"j0": "N·m", "j1": "N"}
 FLAT = {name: np.zeros((2, 40)) for name in ("measured", "model", "prior")}
 
 
-def reported(replay: Replay | None, model: str = "model") -> dict[str, Any] | None:
+def reported(rollouts: RolloutEvaluation | None, model: str = "model") -> dict[str, Any] | None:
     """As JSON has it."""
-    report = simulation_report(replay, model, experiment_of(UNITS))
+    report = simulation_report(rollouts, model, experiment_of(UNITS))
     return None if report is None else report.model_dump(mode="json")
 
 
@@ -29,7 +29,7 @@ def of_all(value: float) -> Any:
 
 
 def test_open_loop() -> None:
-    assert reported(replay_of(FLAT, lost={"model": 1, "prior": 4})) == {
+    assert reported(rollouts_of(FLAT, diverged={"model": 1, "prior": 4})) == {
         "kind": "open_loop",
         "window": 0.5,
         "windows": {"simulated": 10, "of": 12},
@@ -49,24 +49,24 @@ def test_open_loop() -> None:
 
 
 def test_closed_loop_has_no_horizon_even_where_the_replay_has() -> None:
-    horizons = replay_of(FLAT).departures
-    report = reported(replay_of(FLAT, closed=True, departures=horizons))
+    horizons = rollouts_of(FLAT).errors
+    report = reported(rollouts_of(FLAT, closed=True, errors=horizons))
     assert report is not None
     assert (report["kind"], report["window"], report["horizon"]) == ("closed_loop", None, [])
 
 
 def test_a_horizon_that_no_window_reaches_is_left_out() -> None:
-    departures = dict(replay_of(FLAT).departures)
+    departures = dict(rollouts_of(FLAT).errors)
     for departure in departures.values():
         del departure.after[0.5]
-    report = reported(replay_of(FLAT, departures=departures))
+    report = reported(rollouts_of(FLAT, errors=departures))
     assert report is not None
     assert [at["seconds"] for at in report["horizon"]] == [0.01, 0.05, 0.1]
 
 
 def test_what_is_not_finite_is_null() -> None:
-    lost = Departure(np.array([1.0, np.inf]), np.array([np.nan, 1.0]), 10, 10, {0.01: (np.array([np.nan, 1.0]), 10)})
-    report = reported(replay_of(FLAT, departures={**replay_of(FLAT).departures, "model": lost}))
+    lost = RolloutError(np.array([1.0, np.inf]), np.array([np.nan, 1.0]), 10, 10, {0.01: (np.array([np.nan, 1.0]), 10)})
+    report = reported(rollouts_of(FLAT, errors={**rollouts_of(FLAT).errors, "model": lost}))
     assert report is not None
     assert report["position"] == {"j0": pytest.approx(0.1**0.5), "j1": None, "overall": None}
     assert report["velocity"]["j0"] is None
@@ -74,18 +74,18 @@ def test_what_is_not_finite_is_null() -> None:
 
 
 def test_a_model_that_cannot_be_simulated_has_no_report_but_a_note() -> None:
-    replay = replay_of(FLAT, failed={"model": "leg.urdf: cannot be simulated"})
-    assert reported(replay) is None
-    assert simulation_notes(replay, "model") == ["no simulation of the model: leg.urdf: cannot be simulated"]
+    rollouts = rollouts_of(FLAT, failed={"model": "leg.urdf: cannot be simulated"})
+    assert reported(rollouts) is None
+    assert simulation_notes(rollouts, "model") == ["no simulation of the model: leg.urdf: cannot be simulated"]
 
 
 def test_a_prior_that_cannot_be_simulated_is_null_and_a_note() -> None:
-    departures = {name: d for name, d in replay_of(FLAT).departures.items() if name != "prior"}
-    replay = replay_of(FLAT, departures=departures, failed={"prior": "why"}, lost={"model": 2, "prior": 0})
-    report = reported(replay)
+    departures = {name: d for name, d in rollouts_of(FLAT).errors.items() if name != "prior"}
+    rollouts = rollouts_of(FLAT, errors=departures, failed={"prior": "why"}, diverged={"model": 2, "prior": 0})
+    report = reported(rollouts)
     assert report is not None
     assert report["prior"] is report["prior_lost"] is report["horizon"][0]["prior"] is None
-    assert simulation_notes(replay, "model") == [
+    assert simulation_notes(rollouts, "model") == [
         "2 of 10 simulations of the model ran away and were stopped",
         "no simulation of the prior: why",
     ]
@@ -94,7 +94,7 @@ def test_a_prior_that_cannot_be_simulated_is_null_and_a_note() -> None:
 def test_nothing_asked_for_nothing_said() -> None:
     assert reported(None) is None
     assert simulation_notes(None, "model") == []
-    assert simulation_notes(replay_of(FLAT), "model") == []
+    assert simulation_notes(rollouts_of(FLAT), "model") == []
 
 
 def row(text: str, name: str, after: str) -> list[str]:

@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 from solids import inside, kinds, random_shape, seeds
 from synthetic import bounded_body, point_parameters, random_ellipsoid
 
-from idtool.estimation.dataset.knowledge import with_equal_bounds
-from idtool.estimation.problem.verdict import judge
+from idtool.estimation.dataset.equality_constraints import with_equal_bounds
+from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import mirrored
 from idtool.robot.model import Model
@@ -187,7 +187,7 @@ def test_a_fit_in_a_hull_fulfils_its_conditions(tmp_path: Path) -> None:
     (hull,) = (known_shapes()["hull"].from_dict(shape) for shape in thigh["shapes"])
     assert np.ptp(hull.grid(8), axis=0) == pytest.approx([0.06, 0.06, 0.342])
     assert hull.contains(thigh["com"])
-    assert judge(bounded_body(hull), np.array(thigh["pi"])).violations == ()
+    assert check_realizability(bounded_body(hull), np.array(thigh["pi"])).violations == ()
     assert thigh["witness"] is None
 
 
@@ -274,7 +274,7 @@ def test_what_a_body_may_be_its_image_may(rng: np.random.Generator, kind: str) -
         if kind == "hull" and reach > 1:
             places = places + 3 * np.ptp(places, axis=0)
         pi = point_parameters(rng.uniform(0.1, 1, 30), places)
-        verdicts = judge(first, pi), judge(second, mirrored(signs) @ pi)
+        verdicts = check_realizability(first, pi), check_realizability(second, mirrored(signs) @ pi)
         assert [bool(v.violations) for v in verdicts] == [reach > 1] * 2
 
 
@@ -288,7 +288,7 @@ def test_a_mirrored_leg_is_bounded_by_mirrored_shapes(robot_of: Robots, rng: np.
     mirror = [{"body": f"FR_link{i}", "of": f"FL_link{i}", "plane": COPIES["FR"][1]} for i in (1, 2)]
     own = {"FL_link1": shapes, "FR_link1": [{"kind": "cylinder", "radius": 1, "length": 1}]}
     s = legs(robot_of, ("FL", "FR"), mirror=mirror, bounding_shapes=own)
-    model = with_equal_bounds(s.model, s.known)
+    model = with_equal_bounds(s.model, s.equalities)
     first, second = body(model, "FL_link1"), body(model, "FR_link1")
     assert [shape.kind for shape in second.shapes] == ["box", "capsule"]
     points = np.array(place["center"]) + rng.uniform(-0.4, 0.4, (2000, 3))
@@ -300,9 +300,9 @@ def test_a_mirrored_leg_is_bounded_by_mirrored_shapes(robot_of: Robots, rng: np.
     ours = fit_legs(replace(s, model=model), s.noisy(1.0), kind="shape")
     left, right = (ours.theta[of_body(s, f"{leg}_link1")] for leg in ("FL", "FR"))
     np.testing.assert_allclose(right, image(left, LEGS["FR"]), rtol=1e-12, atol=1e-15)
-    parts = ours.parts[[b.name for b in model.bodies].index("FR_link1")]
-    assert judge(second, right, parts).violations == ()
-    assert judge(first, left).violations == ()
+    parts = ours.pieces[[b.name for b in model.bodies].index("FR_link1")]
+    assert check_realizability(second, right, parts).violations == ()
+    assert check_realizability(first, left).violations == ()
 
 
 def test_a_shape_in_a_turned_frame_is_the_same_solid(rng: np.random.Generator) -> None:

@@ -10,7 +10,7 @@ from robots import rotation
 from solids import Array, Largest, Problem, body, inside, largest_on_grid, margin, on_ball, random_shape, seeds
 from synthetic import bounded_body
 
-from idtool.estimation.problem.verdict import judge
+from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.ellipsoid import smallest_around
 from idtool.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from idtool.robot.sets import constraint_sets
@@ -49,7 +49,7 @@ def test_mass_anywhere_in_a_hull_is_admitted(rng: np.random.Generator, count: in
     ):
         pi = body(rng.uniform(0.1, 1, count), places)
         assert margin(hull, pi) > -1e-9
-        assert judge(bounded_body(hull), pi).violations == ()
+        assert check_realizability(bounded_body(hull), pi).violations == ()
 
 
 @settings(max_examples=20)
@@ -67,7 +67,7 @@ def test_a_compact_body_anywhere_in_a_hull_is_admitted(rng: np.random.Generator)
         J = np.block([[sigma + np.outer(place, place), place[:, None]], [place, np.ones(1)]])
         pi = 0.7 * from_pseudo_inertia(J)
         assert margin(hull, pi) > 0
-        assert judge(bounded_body(hull), pi).violations == ()
+        assert check_realizability(bounded_body(hull), pi).violations == ()
 
 
 @settings(max_examples=20)
@@ -95,7 +95,7 @@ def test_a_centre_of_mass_outside_a_hull_is_refused(rng: np.random.Generator) ->
     surface = corners[rng.integers(len(corners))]
     com = middle + 1.02 * (surface - middle)
     assert margin(hull, body(np.ones(1), com[None])) < -1e-3
-    assert judge(bounded_body(hull), body(np.ones(1), com[None])).violations
+    assert check_realizability(bounded_body(hull), body(np.ones(1), com[None])).violations
 
 
 @given(seeds)
@@ -113,7 +113,7 @@ def test_a_body_in_the_least_ellipsoid_but_not_in_the_hull_is_refused() -> None:
     pi = body(np.ones(2), S.center + 0.8 * np.array([[1, 0, 0], [-1, 0, 0]]))
     assert np.trace(pseudo_inertia(pi) @ S.Q) > 0
     assert margin(TETRAHEDRON, pi) < -0.01
-    assert judge(bounded_body(TETRAHEDRON), pi).violations
+    assert check_realizability(bounded_body(TETRAHEDRON), pi).violations
 
 
 def test_a_tetrahedron_s_conditions_suffice(rng: np.random.Generator) -> None:

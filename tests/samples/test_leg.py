@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.evaluation.replay import HORIZONS, replay
+from idtool.estimation.evaluation.rollouts import HORIZONS, evaluate_rollouts
 from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import read_config
 from idtool.robot.inertia import NAMES, from_mass_com_inertia, symmetric
@@ -165,13 +165,13 @@ def test_a_simulation_departs_as_one_with_the_true_parameters_does(case: tuple[s
         "true": true_coefficients(robot, experiment),
         "prior": experiment.equation.prior,
     }
-    outcome = replay(experiment, models, held_out=True, progress=lambda stage, share: None)
+    outcome = evaluate_rollouts(experiment, models, held_out=True, progress=lambda stage, share: None)
     errors = {
         name: [departure.rmse(experiment.equation.joints, "position")["overall"]]
         + [(departure.horizon(experiment.equation.joints, seconds) or {})["overall"] for seconds in HORIZONS]
-        for name, departure in outcome.departures.items()
+        for name, departure in outcome.errors.items()
     }
-    assert (outcome.kind, outcome.windows >= 8, outcome.lost["identified"]) == ("open_loop", True, 0)
+    assert (outcome.kind, outcome.windows >= 8, outcome.diverged["identified"]) == ("open_loop", True, 0)
     for found, true, prior, still in zip(
         *(errors[n] for n in ("identified", "true", "prior", "baseline")), strict=True
     ):

@@ -24,7 +24,7 @@ from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.reduction import Factor
-from idtool.estimation.problem.identify import identify
+from idtool.estimation.problem.estimate import estimate
 from idtool.robot.config import WEAK, Config, EffectEntry
 from idtool.robot.sets import choose_set
 
@@ -82,7 +82,7 @@ class ChannelFit:
         """The sample with position, velocity and acceleration changed, reduced to factors."""
         total: tuple[Factor, ...] | None = None
         for motion, batch in zip(self.motions, self.batches, strict=True):
-            factors = tuple(Factor.of(rows, batch.low_pass.redundancy) for rows in self._rows(change(motion)))
+            factors = tuple(Factor.from_columns(rows, batch.low_pass.redundancy) for rows in self._rows(change(motion)))
             total = factors if total is None else tuple(a + b for a, b in zip(total, factors, strict=True))
         return ReducedSample(self, total or ())
 
@@ -152,10 +152,10 @@ class ReducedSample:
         noise = np.sqrt(self.free(T) * power)
         noise[noise == 0] = 1.0
         try:
-            theta = identify(fit.equation, fit.bodies, data, fit.sets, WEAK, noise=noise).theta
+            theta = estimate(fit.equation, fit.bodies, data, fit.sets, WEAK, noise=noise).theta
         except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
             return None
-        left = [f.squares(theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)]
+        left = [f.squared_error(theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)]
         u = np.array([_quotient(x, float(np.square(f.R[:, -1]).sum())) for x, f in zip(left, data, strict=True)])
         return np.where(self.mute, EXPLAINED, np.maximum(u, EXPLAINED))
 

@@ -108,7 +108,9 @@ def cut_off(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Fault]:
         logged = batch.motion.logged[j]
         extreme = (logged > tau.maximum - near).astype(float) - (logged < tau.minimum + near)
         block = fit.equation.columns(batch.motion)[j]
-        factor = Factor.of(batch.filter(np.vstack([block[:-1], extreme, block[-1]])), batch.low_pass.redundancy)
+        factor = Factor.from_columns(
+            batch.filter(np.vstack([block[:-1], extreme, block[-1]])), batch.low_pass.redundancy
+        )
         total = factor if total is None else total + factor
     if total is None:
         return

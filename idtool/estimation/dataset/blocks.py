@@ -1,4 +1,4 @@
-"""A log's rows in consecutive blocks of time, each as R-factors: resampled and compared without reading again."""
+"""Consecutive blocks of a log as R-factors, which can be resampled and compared without reading the log again."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
 
-_MOST = 256  # blocks of all logs together
-_LEAST = 24  # of them, however much memory they take
+_MOST_BLOCKS = 256  # of all logs together
+_FEWEST_BLOCKS = 24  # of them, however much memory they take
 _MEMORY = 256 << 20  # bytes that they may take
 _PERIODS = 4.0  # of the band's highest frequency that a block lasts at least
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """One log.
+    """One log in blocks.
 
     Attributes
     ----------
     name
-        The log's.
+        The log's name.
     parts
         The reductions of its consecutive blocks, of about equal length; one that lies across a gap counts as one.
     seconds
-        How long a block is [s].
+        Length of a block [s].
     """
 
     name: str
@@ -39,72 +39,77 @@ class Blocks:
 
     @property
     def total(self) -> Reduction:
-        """All of the log."""
-        return together(self.parts)
+        """The reduction of the whole log."""
+        return merge_reductions(self.parts)
 
-    def of(self, change: Callable[[Reduction], Reduction]) -> Blocks:
-        """The same with every block's reduction changed."""
-        return replace(self, parts=tuple(map(change, self.parts)))
+    def map(self, change: Callable[[Reduction], Reduction]) -> Blocks:
+        """Blocks with every reduction changed."""
+        return replace(self, parts=tuple(change(part) for part in self.parts))
 
-    def joined(self, count: int) -> Blocks:
-        """The same with so many blocks in one; a rest of up to half of that joins the last."""
+    def regrouped(self, count: int) -> Blocks:
+        """Blocks that are ``count`` times as long; a rest of up to half of that joins the last."""
         starts = list(range(0, max(len(self) - count // 2, 1), count))
-        parts = [self.parts[i:j] for i, j in zip(starts, [*starts[1:], len(self)], strict=True)]
-        return replace(self, parts=tuple(map(together, parts)), seconds=self.seconds * count)
+        stops = [*starts[1:], len(self)]
+        parts = tuple(merge_reductions(self.parts[i:j]) for i, j in zip(starts, stops, strict=True))
+        return replace(self, parts=parts, seconds=self.seconds * count)
 
 
-def together(reductions: Sequence[Reduction]) -> Reduction:
-    """All rows of several reductions as one, joint by joint."""
-    return tuple(Factor.joined(factors) for factors in zip(*reductions, strict=True))
+def merge_reductions(reductions: Sequence[Reduction]) -> Reduction:
+    """The reduction of all rows of several reductions, joint by joint."""
+    return tuple(Factor.merged(factors) for factors in zip(*reductions, strict=True))
 
 
 def most_blocks(active: Iterable[Indices]) -> int:
-    """How many blocks of a model whose joints have so many coefficients are held in memory."""
+    """Number of blocks that fit in memory, by the coefficients of each joint."""
     size = 8 * sum((len(columns) + 1) ** 2 for columns in active)
-    return int(np.clip(_MEMORY // size, _LEAST, _MOST))
+    return int(np.clip(_MEMORY // size, _FEWEST_BLOCKS, _MOST_BLOCKS))
 
 
 def block_rows(rows: int, seconds: float, band_hz: float, most: int) -> int:
-    """How many rows a block has.
+    """Number of rows in a block.
 
     Parameters
     ----------
     rows
-        Of all logs.
+        Number of rows of all logs.
     seconds
         From one row to the next [s].
     band_hz
         The low-pass's cut-off [Hz].
     most
-        Blocks of all logs together.
+        Largest number of blocks of all logs together.
     """
     return max(int(np.ceil(_PERIODS / band_hz / seconds)), -(-rows // most))
 
 
-def cut(rows: Iterable[tuple[list[Array], list[Mask]]], length: int, redundancy: float) -> Iterator[Reduction]:
-    """Blocks of so many rows from a stream of them.
+def cut_into_blocks(
+    rows: Iterable[tuple[list[Array], list[Mask]]], length: int, redundancy: float
+) -> Iterator[Reduction]:
+    """Reductions of blocks of ``length`` rows each from a stream of rows.
 
     Parameters
     ----------
     rows
         Per joint the columns, shape (m_j + 1, n), and which of the n count.
     length
-        Rows in a block, whether they count or not.
+        Rows in a block, including those that don't count.
     redundancy
-        See `Factor.of`.
+        See `Factor.from_columns`.
     """
-    begun: Reduction | None = None
+    block: Reduction | None = None
     filled = 0
     for columns, kept in rows:
         first, count = 0, columns[0].shape[1]
         while first < count:
             part = slice(first, min(first + length - filled, count))
             pairs = zip(columns, kept, strict=True)
-            own = tuple(Factor.of(x[:, part][:, keep[part]], redundancy) for x, keep in pairs)
-            begun = own if begun is None else merge(begun, own)
-            filled, first = filled + part.stop - first, part.stop
+            new = tuple(Factor.from_columns(x[:, part][:, keep[part]], redundancy) for x, keep in pairs)
+            block = new if block is None else merge(block, new)
+            filled += part.stop - first
+            first = part.stop
             if filled == length:
-                yield begun
-                begun, filled = None, 0
-    if begun is not None:
-        yield begun
+                yield block
+                block = None
+                filled = 0
+    if block is not None:
+        yield block

@@ -17,8 +17,8 @@ from idtool.data.logs import Log, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.blocks import Blocks, block_rows, cut, most_blocks, together
-from idtool.estimation.dataset.knowledge import Knowledge, knowledge, with_equal_bounds
+from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.robot.config import Config
 from idtool.robot.model import Model, build_model
@@ -27,22 +27,22 @@ from idtool.robot.urdf.reading import Robot
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Iterable[tuple[list[Array], list[Mask]]]
 
-_MOST = 1e12  # of a signal in SI: powers of what is larger are not finite
-_TRAVEL = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
-_TURN = 0.02  # rad, of any other joint
-_OF_SAMPLES = (0.5, 99.5)  # percentiles between which it moves: a spike is no motion
+_LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
+_STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
+_STANDING_ANGLE = 0.02  # rad, of any other joint
+_TRAVEL_PERCENTILES = (0.5, 99.5)  # between which a joint moves: a spike is no motion
 
 
 @dataclass(frozen=True)
 class Run:
-    """One log: its signals, and which parts are for fitting and which for validation.
+    """One log: its signals, and its parts for fitting and for validation.
 
     Attributes
     ----------
     signals
-        The log as the model's joints' motion.
+        The motion of the model's joints.
     train, held_out
-        Parts of it, without a gap each.
+        Ranges of samples, without a gap each.
     """
 
     signals: Signals
@@ -52,7 +52,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is to be fitted or validated.
+    """Model and data to fit or to validate.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ class Experiment:
         The tree of bodies.
     equation
         The torque equation.
-    known
-        What is known beside the logs.
+    equalities
+        Equality constraints on the coefficients.
     runs
         The logs.
     """
@@ -71,41 +71,43 @@ class Experiment:
     config: Config
     model: Model
     equation: LinearModel
-    known: Knowledge
+    equalities: EqualityConstraints
     runs: tuple[Run, ...]
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know, a plain sentence each."""
-        several = len(self.runs) > 1
-        said = [*self.model.warnings, *self._left_out()]
-        fits = [source for run in self.runs if run.train for source in run.signals.log.sources]
-        twice = sorted({Path(one.path).name for one in fits if [s.sha256 for s in fits].count(one.sha256) > 1})
-        said += [f"{', '.join(twice)}: the same log more than once; standard errors are too small"] if twice else []
-        fitted, kept = (
-            {run.signals.log.path.resolve() for run in self.runs if bool(run.train) is trained}
-            for trained in (True, False)
-        )
-        said += [f"{path.name} is fitted to and validated on: its error says little" for path in sorted(fitted & kept)]
+        """Warnings about model and logs, a plain sentence each."""
+        warnings = [*self.model.warnings, *self._moving_joints_warning()]
+        sources = [source for run in self.runs if run.train for source in run.signals.log.sources]
+        hashes = [source.sha256 for source in sources]
+        duplicates = {Path(source.path).name for source in sources if hashes.count(source.sha256) > 1}
+        if duplicates:
+            names = ", ".join(sorted(duplicates))
+            warnings.append(f"{names}: the same log more than once; standard errors are too small")
+        fitted = {run.signals.log.path.resolve() for run in self.runs if run.train}
+        validated = {run.signals.log.path.resolve() for run in self.runs if not run.train}
+        for path in sorted(fitted & validated):
+            warnings.append(f"{path.name} is fitted to and validated on: its error says little")
         controller = self.config.controller
         by_command = any(run.signals.command.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            said.append("controller.delay is auto, and no command is fitted to here: 0 is taken; fit finds it")
+            warnings.append("controller.delay is auto, and no command is fitted to here: 0 is taken; fit finds it")
         for run in self.runs:
-            prefix = f"{run.signals.log.path.name}: " if several else ""
-            said += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
-        return tuple(said)
+            prefix = f"{run.signals.log.path.name}: " if len(self.runs) > 1 else ""
+            warnings += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
+        return tuple(warnings)
 
-    def _left_out(self) -> Iterator[str]:
-        """Joints that the model takes as standing still though they move, on one branch with joints that it has."""
-        moved, robot = [], self.model.robot
+    def _moving_joints_warning(self) -> Iterator[str]:
+        """Warning about joints that move though they are not in the model, on one branch with joints that are."""
+        moved = []
+        robot = self.model.robot
         for joint in robot.joints.values():
             if joint.kind == "fixed" or joint.mimic or joint.name in self.model.names:
                 continue
             if not any(robot.on_one_branch(joint.name, name) for name in self.model.names):
                 continue  # the root stands still, so that nothing is felt of it
             travel = max((_travel(run.signals.log, joint.name) for run in self.runs), default=0.0)
-            if travel > _TRAVEL.get(joint.kind, _TURN):
+            if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
                 unit = "m" if joint.kind == "prismatic" else "rad"
                 place = self.config.locked_joints.get(joint.name, 0.0)
                 moved.append(f"{shown(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
@@ -118,7 +120,7 @@ class Experiment:
 
     @property
     def sources(self) -> tuple[Source, ...]:
-        """What was read: the URDF, the configuration and the logs, each once."""
+        """Files of the experiment: the URDF, the configuration and the logs, each once."""
         return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
 
     @property
@@ -127,7 +129,7 @@ class Experiment:
         return min(run.signals.band_hz for run in self.runs)
 
     def samples(self, held_out: bool) -> int:
-        """Samples at the logged rate that are used for fitting or validation."""
+        """Number of samples at the logged rate that are used for fitting or validation."""
         return sum(
             max(part.stop - part.start - 2 * run.signals.every_sample.edge, 0)
             for run in self.runs
@@ -152,19 +154,23 @@ class Experiment:
         LogError
             If a joint has no sample that counts.
         """
-        found, length = [], self._block_rows()
-        for run in (run for run in self.runs if run.train):
+        blocks = []
+        length = self._block_rows()
+        for run in self.runs:
+            if not run.train:
+                continue
             low_pass = run.signals.low_pass
-            parts = tuple(cut(rows(run), length, low_pass.redundancy))
+            parts = tuple(cut_into_blocks(rows(run), length, low_pass.redundancy))
             if parts:
-                found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
-        if not found:
+                seconds = length * low_pass.stride * run.signals.log.dt
+                blocks.append(Blocks(run.signals.log.path.name, parts, seconds))
+        if not blocks:
             self.checked(empty(self.equation.active()))
-        self.checked(together([block.total for block in found]))
-        return tuple(found)
+        self.checked(merge_reductions([log.total for log in blocks]))
+        return tuple(blocks)
 
     def _block_rows(self) -> int:
-        """How many rows a block has, the same for all logs."""
+        """Number of rows in a block, the same for all logs."""
         rows = [(part.stop - part.start) // run.signals.low_pass.stride for run in self.runs for part in run.train]
         signals = self.runs[0].signals
         seconds = signals.low_pass.stride * signals.log.dt
@@ -172,10 +178,10 @@ class Experiment:
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
-        return together([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
+        return merge_reductions([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
 
     def checked(self, data: Reduction) -> Reduction:
-        """The training data, with something to fit every joint to.
+        """The training data, checked to have samples for every joint.
 
         Raises
         ------
@@ -198,16 +204,16 @@ class Experiment:
 
 
 def _travel(log: Log, joint: str) -> float:
-    """How far a joint of a log moves [rad or m]; 0 where the log does not have it."""
+    """Travel of a joint in a log [rad or m]; 0 if the log does not have it."""
     if not log.has("q", joint):
         return 0.0
     q = log.signals["q"][:, log.joints.index(joint)]
-    low, high = np.nanpercentile(q, _OF_SAMPLES)
+    low, high = np.nanpercentile(q, _TRAVEL_PERCENTILES)
     return float(high - low)
 
 
 def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:
-    """What a robot, a configuration and logs were read from, each once; a log of arrays has no hash."""
+    """Files of a robot, a configuration and logs, each once; a log of arrays has no hash."""
     read = [robot.source, *([config.source] if config.source else [])]
     for log in logs:
         read += log.sources or [Source("log", str(log.path), None)]
@@ -215,7 +221,7 @@ def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[
 
 
 def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress, stage: str) -> Iterable[Batch]:
-    """The same batches; tells how far they have come."""
+    """The batches, telling progress how far they have come."""
     whole = sum(part.stop - part.start for part in parts) or 1
     done = 0
     for batch in batches:
@@ -230,7 +236,7 @@ def prepare(
     logs: Sequence[Path | Log],
     validate: Sequence[Path | Log] = (),
     holdout: float = 0.3,
-    seen_as: Callable[[Log], Log] = lambda log: log,
+    transform: Callable[[Log], Log] = lambda log: log,
 ) -> Experiment:
     """Read the logs and put model and data together.
 
@@ -241,13 +247,13 @@ def prepare(
     config
         The configuration.
     logs
-        Logs to fit to: files, which are read as the configuration says, or what was read.
+        Logs to fit to: files, which are read as the configuration says, or logs that were read.
     validate
         Whole logs for validation; where given, nothing is held out of the others.
     holdout
         Share at the end of every log that is kept for validation.
-    seen_as
-        A log as read → what it is taken for.
+    transform
+        Applied to every log that is read.
 
     Raises
     ------
@@ -258,22 +264,21 @@ def prepare(
         raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
     if not logs and not validate:
         raise LogError("logs", "none given; name at least one MCAP or CSV file")
-    fitted, kept = (
-        [seen_as(commanded(_read(log, config), config.controller)) for log in given] for given in (logs, validate)
-    )
-    every = (*fitted, *kept)
+    fitted = [transform(_read(log, config)) for log in logs]
+    validated = [transform(_read(log, config)) for log in validate]
+    every = (*fitted, *validated)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
     for log in every:
         _check_signals(log, model.names)
     equation = LinearModel(model.names, build_effects(model, config))
-    known = knowledge(config, model, equation)
+    equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         band = min(default_cutoff(log.dt) for log in every)
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
-    runs += [_split(Signals(log, model.names, config), 1.0) for log in kept]
-    return Experiment(config, with_equal_bounds(model, known), equation, known, tuple(runs))
+    runs += [_split(Signals(log, model.names, config), 1.0) for log in validated]
+    return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
 
 
 def _read(log: Path | Log, config: Config) -> Log:
@@ -292,22 +297,22 @@ def _check_signals(log: Log, joints: Sequence[str]) -> None:
             column = values[:, log.joints.index(name)]
             finite = np.isfinite(column)
             largest = max(np.max(column, where=finite, initial=0.0), -np.min(column, where=finite, initial=0.0))
-            if largest > _MOST:
+            if largest > _LARGEST:
                 raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; take out what is no reading")
 
 
 def _split(signals: Signals, share: float) -> Run:
-    """The first part of a log's samples to fit, the last to validate."""
+    """A log whose last ``share`` of samples is for validation, the first for fitting."""
     samples = sum(part.stop - part.start for part in signals.ranges)
-    left = round((1 - share) * samples)
+    remaining = round((1 - share) * samples)  # samples to fit
     train, held_out = [], []
     for part in signals.ranges:
-        cut = min(part.start + max(left, 0), part.stop)
-        left -= part.stop - part.start
-        if cut > part.start:
-            train.append(slice(part.start, cut))
-        if part.stop > cut:
-            held_out.append(slice(cut, part.stop))
+        split = min(part.start + max(remaining, 0), part.stop)
+        remaining -= part.stop - part.start
+        if split > part.start:
+            train.append(slice(part.start, split))
+        if part.stop > split:
+            held_out.append(slice(split, part.stop))
     return Run(signals, tuple(train), tuple(held_out))
 
 

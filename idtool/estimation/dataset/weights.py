@@ -1,4 +1,4 @@
-"""How much every joint's torque counts: by the noise that a fit without constraints leaves in it.
+"""Weights of the joints: their noise, which is what a fit without constraints leaves of the torque.
 
 Letters: p coefficients theta; sigma_j noise of joint j's torque [N·m or N].
 """
@@ -9,16 +9,16 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
 
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
-_LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can bear
+_LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can handle
 
 
 def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
-    """All joints' factors over all coefficients, in units of their noise and per sample; shape (rows, p + 1)."""
+    """Rows [Y, tau] of all joints over all coefficients, in units of the noise and per sample; shape (rows, p + 1)."""
     samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
     p = len(model.coefficients)
     rows = np.zeros((sum(len(factor.R) for factor in reduction), p + 1))
@@ -30,31 +30,32 @@ def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Arr
     return rows
 
 
-def _floor(factor: Factor) -> float:
-    """The least noise that a joint's torque is believed to have."""
+def _noise_floor(factor: Factor) -> float:
+    """Smallest noise that a joint's torque is taken to have [N·m or N]."""
     tau = float(np.linalg.norm(factor.R[:, -1]) / np.sqrt(max(factor.rows, 1)))
     return _LEAST_NOISE * tau or 1.0
 
 
 def residual_noise(factor: Factor, theta: Array, share: float = 1.0) -> float:
-    """Residual noise of a joint; ``share`` of the samples' freedom is left after the fit."""
-    return max(float(np.sqrt(factor.squares(theta) / max(factor.rows, 1) / share)), _floor(factor))
+    """Residual noise of a joint [N·m or N]; ``share`` of the samples' degrees of freedom is left after the fit."""
+    noise = float(np.sqrt(factor.squared_error(theta) / max(factor.rows, 1) / share))
+    return max(noise, _noise_floor(factor))
 
 
-def freedom(reduction: Reduction, rank: int) -> float:
+def freedom_left(reduction: Reduction, rank: int) -> float:
     """Share of the independent samples that are left when a fit has taken ``rank`` of them, at least a half."""
     independent = sum(factor.independent for factor in reduction)
     return max(1 - rank / max(independent, 1.0), 0.5)
 
 
-def free_noise(model: LinearModel, reduction: Reduction, known: Knowledge | None = None) -> Array:
-    """What least squares leaves of each joint's torque, nothing constrained but copies equal; shape (nv,).
+def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityConstraints | None = None) -> Array:
+    """Residual noise of each joint under least squares, without constraints except that copies are equal; shape (nv,).
 
     All joints weigh the same at first, then as much as the fit before says, so that a joint of much noise does not pass
     for noise of the others: iterated weighted least squares (Gautier 1997 takes one step). With fewer than two
     independent samples for each parameter that they determine, the torques themselves are the weights.
     """
-    K = (known or Knowledge.none(len(model.coefficients))).K
+    K = (equalities or EqualityConstraints.none(len(model.coefficients))).K
     sigma = np.ones(len(reduction))
     for _ in range(_WEIGHINGS):
         rows = weighted_rows(model, reduction, sigma)
@@ -62,8 +63,9 @@ def free_noise(model: LinearModel, reduction: Reduction, known: Knowledge | None
         size = np.linalg.norm(Y, axis=0)
         size[size == 0] = 1.0
         z, _, rank, _ = np.linalg.lstsq(Y / size, rows[:, -1], rcond=_RANK)
-        theta = K @ (z / size) if sum(factor.independent for factor in reduction) >= 2 * rank else np.zeros(len(K))
-        share = freedom(reduction, int(rank))
-        residuals = zip(reduction, model.active(), strict=True)
-        sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in residuals])
+        independent = sum(factor.independent for factor in reduction)
+        theta = K @ (z / size) if independent >= 2 * rank else np.zeros(len(K))
+        share = freedom_left(reduction, int(rank))
+        joints = zip(reduction, model.active(), strict=True)
+        sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
     return sigma

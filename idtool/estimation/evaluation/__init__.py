@@ -1,1 +1,1 @@
-"""How well a model predicts: torque errors and rollouts."""
+"""Evaluation of a model: torque errors and rollouts."""

@@ -42,7 +42,7 @@ class Envelope:
         self.high: dict[str, Array] = {}
 
     def add(self, t: Array, curves: Mapping[str, Array]) -> None:
-        """Take values at times [s], shape (N,), of curves, shape (nv, N) each."""
+        """Add values of curves, shape (nv, N) each, at times [s], shape (N,)."""
         if not len(t):
             return
         share = (t - self.start) / max(self.stop - self.start, np.finfo(float).tiny)
@@ -51,12 +51,12 @@ class Envelope:
         for name, x in curves.items():
             low = self.low.setdefault(name, np.full((len(x), self.bins), np.inf))
             high = self.high.setdefault(name, np.full((len(x), self.bins), -np.inf))
-            at = index[first]
-            low[:, at] = np.minimum(low[:, at], np.minimum.reduceat(x, first, axis=1))
-            high[:, at] = np.maximum(high[:, at], np.maximum.reduceat(x, first, axis=1))
+            bins = index[first]
+            low[:, bins] = np.minimum(low[:, bins], np.minimum.reduceat(x, first, axis=1))
+            high[:, bins] = np.maximum(high[:, bins], np.maximum.reduceat(x, first, axis=1))
 
     def trace(self, name: str) -> Trace:
-        """Two points a stretch; NaN, a break in the line, where nothing was measured."""
+        """The curves, two points per stretch; NaN, a break in the line, where nothing was measured."""
         centres = self.start + (self.stop - self.start) * (np.arange(self.bins) + 0.5) / self.bins
         curves = {}
         for curve, low in self.low.items():

@@ -1,4 +1,4 @@
-"""A model along a log → a log: under the logged torque, under the joint controller, or tracking a trajectory.
+"""Simulation along a log: under the logged torque, under the joint controller, or tracking a trajectory.
 
 Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 """
@@ -23,7 +23,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 
 @dataclass(frozen=True)
 class SimulatedLog:
-    """What `idtool simulate` finds.
+    """Result of `idtool simulate`.
 
     Attributes
     ----------
@@ -32,16 +32,16 @@ class SimulatedLog:
     measured
         The positions that were measured at the same times, shape (N, nv).
     kind
-        Whether the torque was the logged one or the controller's.
+        Open loop: the torque was the logged one; closed loop: the controller's.
     window
-        How often it was started again from the measured state [s]; None: never.
+        Time after which it was started again from the measured state [s]; None: never.
     seconds
-        How much was simulated [s].
+        Simulated time [s].
     position, velocity
         RMS difference from what was measured, by joint and ``overall``, without the samples at which it was started;
         empty where nothing was measured.
-    rollouts, lost
-        How often it was started, and how many of these ran away; they end where they did.
+    rollouts, diverged
+        Number of rollouts, and of those that ran away, which end where they did.
     """
 
     log: Log
@@ -52,7 +52,7 @@ class SimulatedLog:
     position: dict[str, float]
     velocity: dict[str, float]
     rollouts: int
-    lost: int
+    diverged: int
 
 
 def as_logged(log: Log) -> Log:
@@ -119,31 +119,33 @@ def simulated_log(
     windows = split_into_windows(signals, run.held_out, window)
     stage = f"simulating {signals.log.path.name}"
     mechanism = experiment.equation.mechanism(experiment.model, theta)
-    pieces, lost = [], 0
-    for some in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
-        for w, part in enumerate(some.windows):
-            q, v, tau = (x[:, w, : part.stop - part.start] for x in (some.q, some.v, some.tau))
-            lost += bool(some.diverged[w])
-            kept = _followed(v) if some.diverged[w] else v.shape[1]
-            if kept > 1 or not some.diverged[w]:
+    rollouts = []
+    diverged = 0
+    for batch in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
+        for w, part in enumerate(batch.windows):
+            q, v, tau = (x[:, w, : part.stop - part.start] for x in (batch.q, batch.v, batch.tau))
+            has_diverged = bool(batch.diverged[w])
+            diverged += has_diverged
+            kept = _samples_before_divergence(v) if has_diverged else v.shape[1]
+            if kept > 1 or not has_diverged:
                 part = slice(part.start, part.start + kept)
-                pieces.append(_Piece(signals, part, q[:, :kept], v[:, :kept], tau[:, :kept]))
-    if not pieces:
+                rollouts.append(_Rollout(signals, part, q[:, :kept], v[:, :kept], tau[:, :kept]))
+    if not rollouts:
         raise ModelError(experiment.model.robot.path, "runs away as soon as it is started; its inertias are too small")
     return SimulatedLog(
-        log=_joined(path, joints, pieces),
-        measured=np.concatenate([piece.measured_q.T for piece in pieces]),
+        log=_log_of(path, joints, rollouts),
+        measured=np.concatenate([rollout.measured_q.T for rollout in rollouts]),
         kind="closed_loop" if signals.command.joints.any() else "open_loop",
         window=window,
-        seconds=sum(piece.q.shape[1] for piece in pieces) * signals.log.dt,
-        position=_rmse(joints, [piece.q - piece.measured_q for piece in pieces]),
-        velocity=_rmse(joints, [piece.v - piece.measured_v for piece in pieces]),
+        seconds=sum(rollout.q.shape[1] for rollout in rollouts) * signals.log.dt,
+        position=_rmse(joints, [rollout.q - rollout.measured_q for rollout in rollouts]),
+        velocity=_rmse(joints, [rollout.v - rollout.measured_v for rollout in rollouts]),
         rollouts=len(windows),
-        lost=lost,
+        diverged=diverged,
     )
 
 
-class _Piece:
+class _Rollout:
     """One rollout, shape (nv, N) each, beside what was measured."""
 
     def __init__(self, signals: Signals, part: slice, q: Array, v: Array, tau: Array) -> None:
@@ -157,24 +159,26 @@ class _Piece:
                 self.signals[name] = np.where(driven, signals.channels.signal(name, part), np.nan)
 
 
-def _followed(v: Array) -> int:
-    """How many samples a rollout that ran away was followed for; from then on it stands still where it last was."""
+def _samples_before_divergence(v: Array) -> int:
+    """Number of samples before a rollout diverged; from then on it stands still where it last was."""
     moving = np.flatnonzero(v.any(axis=0))
     return int(moving[-1]) + 1 if moving.size else 0
 
 
-def _joined(path: Path, joints: tuple[str, ...], pieces: Sequence[_Piece]) -> Log:
-    t = np.concatenate([piece.t for piece in pieces])
-    names = pieces[0].signals
-    return make_log(path, t, joints, {n: np.concatenate([piece.signals[n].T for piece in pieces]) for n in names})
+def _log_of(path: Path, joints: tuple[str, ...], rollouts: Sequence[_Rollout]) -> Log:
+    t = np.concatenate([rollout.t for rollout in rollouts])
+    signals = {}
+    for name in rollouts[0].signals:
+        signals[name] = np.concatenate([rollout.signals[name].T for rollout in rollouts])
+    return make_log(path, t, joints, signals)
 
 
 def _rmse(joints: Sequence[str], differences: Sequence[Array]) -> dict[str, float]:
-    """Root mean square by joint, and ``overall`` joints and samples, of what was measured."""
-    every = np.concatenate([x[:, 1:] for x in differences], axis=1)
-    every = every[:, np.isfinite(every).all(axis=0)]
-    if not every.shape[1]:
+    """Root mean square by joint, and ``overall`` joints and samples, of samples that were measured."""
+    samples = np.concatenate([x[:, 1:] for x in differences], axis=1)
+    samples = samples[:, np.isfinite(samples).all(axis=0)]
+    if not samples.shape[1]:
         return {}
-    means = np.square(every).mean(axis=1)
+    means = np.square(samples).mean(axis=1)
     by_joint: dict[str, Any] = dict(zip(joints, np.sqrt(means).tolist(), strict=True))
     return {**by_joint, "overall": float(np.sqrt(means.mean()))}

@@ -1,4 +1,4 @@
-"""How many independent samples a residual holds, by its spectrum where the motion has its own.
+"""Number of independent samples in a residual, by its spectrum where the motion has its own.
 
 Of two autocorrelated series, the scatter of their product's mean is that of n / (1 + 2 Σ_k rho_1(k) rho_2(k))
 independent samples (Bayley & Hammersley 1946): the residual's spectrum weighted by that of the torque, which is the
@@ -14,7 +14,7 @@ from scipy import fft
 
 from idtool.common.arrays import Array
 
-_LONGEST = 2.0  # s, of correlation that is looked for
+_LONGEST_LAG = 2.0  # s
 
 
 @dataclass
@@ -24,7 +24,7 @@ class Correlations:
     Attributes
     ----------
     samples
-        At the logged rate.
+        Number of samples at the logged rate.
     residual, torque
         Sums of products, by lag in rows, shape (nv, lags).
     """
@@ -34,8 +34,8 @@ class Correlations:
     torque: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def add(self, residual: Array, torque: Array, stride: int, dt: float) -> None:
-        """Count a batch, shape (nv, N) each, of whose samples every ``stride``-th is worth a look; ``dt`` [s] apart."""
-        lags = min(int(_LONGEST / (stride * dt)), -(-residual.shape[1] // stride))
+        """Add a batch, shape (nv, N) each, of samples ``dt`` [s] apart, of which every ``stride``-th is used."""
+        lags = min(int(_LONGEST_LAG / (stride * dt)), -(-residual.shape[1] // stride))
         if lags < 1:
             return
         self.samples += residual.shape[1]
@@ -43,7 +43,7 @@ class Correlations:
         self.torque = _added(self.torque, _products(torque[:, ::stride], lags))
 
     def independent(self, stride: int) -> Array:
-        """How many independent samples there are of each joint, shape (nv,)."""
+        """Number of independent samples of each joint, shape (nv,)."""
         lags = self.residual.shape[1]
         if not lags:
             return np.zeros(len(self.residual))
@@ -61,7 +61,7 @@ def _products(x: Array, lags: int) -> Array:
 
 
 def _added(total: Array, new: Array) -> Array:
-    """The sum of two, the shorter one's missing lags zero."""
+    """Sum of two, the shorter one padded with zeros."""
     if total.shape[1] < new.shape[1]:
         total, new = new.copy(), total
     if new.size:

@@ -1,4 +1,4 @@
-"""How well a model predicts torque: RMS per joint, in the filter's band and against the torque as logged.
+"""Torque errors of a model: RMS per joint, in the filter's band and against the torque as logged.
 
 A figure without its band means nothing, so prediction and measurement go through the same zero-phase filter; the raw
 figure leaves the measurement as it was logged.
@@ -25,7 +25,7 @@ class Errors:
     Attributes
     ----------
     samples
-        How many.
+        Number of samples.
     band, raw
         Squared errors in the band, and against the torque as logged; shape (nv,) [(N·m)² or N²].
     """
@@ -54,9 +54,9 @@ class Evaluation:
     spread
         Standard deviation of the measured torque in the band, by joint; what the normalized rms is measured in.
     traces
-        One a log.
+        One per log.
     independent
-        How many independent samples the first model's residual holds, by joint.
+        Number of independent samples in the first model's residual, by joint.
     """
 
     errors: Mapping[str, Errors]
@@ -77,11 +77,11 @@ def evaluate(
     models
         Name to coefficients, shape (p,).
     held_out
-        Which parts.
+        If true the held-out parts, else the training parts.
     progress
         Told how far it has come.
     angles
-        Whether the traces hold the joints' positions too, as ``q``.
+        If true the traces hold the joints' positions too, as ``q``.
     """
     joints = experiment.equation.joints
     errors = {name: Errors(0, np.zeros(len(joints)), np.zeros(len(joints))) for name in models}

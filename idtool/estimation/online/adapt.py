@@ -28,7 +28,7 @@ from idtool.robot.sets import ConstraintSet
 
 FORGETTING = 20.0  # s
 _REPORTED = 2000  # rows
-_LATELY = 40.0  # periods of the band over which a joint's noise is judged: about eighty independent samples
+_NOISE_PERIODS = 40.0  # of the band, over which a joint's noise is averaged: about eighty independent samples
 _CHUNK = 1 << 21  # numbers in memory at a time
 _RANK = 1e-9  # of the largest singular value: what lies below is not determined
 
@@ -56,11 +56,11 @@ class Adaptation:
     sets
         The constraint set of each body.
     problem
-        What x is, and what it fulfils.
+        Variables x and their constraints.
     information, pull
         The last estimate minimises ½ xᵀ information x − pullᵀ x; shapes (m, m) and (m,).
     samples
-        How many rows were used.
+        Number of rows that were used.
     update_hz
         Rows, and so updates, per second of log; the lowest of the logs' [Hz].
     seconds
@@ -99,7 +99,7 @@ def adapt(
     experiment
         Model and data.
     sets
-        One set a body.
+        One set per body.
     forgetting
         Time constant with which samples lose their weight [s]; infinite: never.
     progress
@@ -112,18 +112,18 @@ def adapt(
     LogError
         If the logs hold no sample that the filters leave.
     SolverError
-        If nothing fulfils the sets and what is known exactly.
+        If nothing fulfils the sets and exact constraints.
     """
     if not forgetting > 0:
         raise ConfigError("--forgetting", f"{forgetting:g} s is no time constant; give a positive one, or inf for none")
     started = time.perf_counter()
     kind = experiment.config.regularization.kind
-    fit = RecursiveFit(experiment.equation, experiment.model, sets, kind, experiment.known)
+    fit = RecursiveFit(experiment.equation, experiment.model, sets, kind, experiment.equalities)
     rows = _Rows(experiment, fit.theta)
     for run in experiment.runs:
         low_pass = run.signals.low_pass
         step = run.signals.log.dt * low_pass.stride
-        gamma, lately = float(np.exp(-step / forgetting)), min(step * run.signals.band_hz / _LATELY, 1.0)
+        gamma, lately = float(np.exp(-step / forgetting)), min(step * run.signals.band_hz / _NOISE_PERIODS, 1.0)
         for t, W, tau, defined in _samples(experiment, run, fit.T, progress):
             for k in range(len(t)):
                 fit.update(W[k], tau[k], defined[k], gamma, lately, 1 / low_pass.redundancy)
@@ -133,9 +133,22 @@ def adapt(
         raise LogError(experiment.runs[0].signals.log.path, "is too short for the filters; log for longer")
     t, theta = rows.all(fit.theta)
     update_hz = min(1 / (run.signals.log.dt * run.signals.low_pass.stride) for run in experiment.runs)
+    information, pull = fit.normal()
     return Adaptation(
-        *(t, theta, theta[-1], fit.units, fit.squares, fit.predicted, forgetting, tuple(sets), fit.problem),
-        *(*fit.normal(), fit.samples, update_hz, time.perf_counter() - started),
+        t=t,
+        theta=theta,
+        estimate=theta[-1],
+        units=fit.units,
+        squares=fit.squares,
+        predicted=fit.predicted,
+        forgetting=forgetting,
+        sets=tuple(sets),
+        problem=fit.problem,
+        information=information,
+        pull=pull,
+        samples=fit.samples,
+        update_hz=update_hz,
+        seconds=time.perf_counter() - started,
     )
 
 

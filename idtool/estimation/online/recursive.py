@@ -26,7 +26,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import empty
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
@@ -47,7 +47,7 @@ class RecursiveFit:
     Attributes
     ----------
     problem
-        What x is, and what it fulfils.
+        Variables x and their constraints.
     T
         theta = T x, shape (p, m).
     units
@@ -56,7 +56,7 @@ class RecursiveFit:
         Sum of the squared errors of the predictions, each made before the sample was used [(N·m)² or N²], and their
         number; shape (nv,).
     samples
-        How many were used.
+        Number of samples that were used.
 
     Parameters
     ----------
@@ -65,33 +65,39 @@ class RecursiveFit:
     model
         Its bodies.
     sets
-        One set a body.
+        One set per body.
     kind
-        Of prior. A divergence's second-order form takes its place; without one, the Euclidean: the gain is bounded.
-    known
-        What is known otherwise.
+        Kind of prior. A divergence's second-order form takes its place; without one, the Euclidean, to bound the gain.
+    equalities
+        The equality constraints.
 
     Raises
     ------
     SolverError
-        If nothing fulfils the sets and what is known exactly.
+        If nothing fulfils the sets and exact constraints.
     """
 
     def __init__(
-        self, equation: LinearModel, model: Model, sets: Sequence[ConstraintSet], kind: str, known: Knowledge
+        self,
+        equation: LinearModel,
+        model: Model,
+        sets: Sequence[ConstraintSet],
+        kind: str,
+        equalities: EqualityConstraints,
     ) -> None:
         data, noise = empty(equation.active()), np.ones(len(equation.joints))
         chosen = Regularization(kind="pullback" if kind in ("pullback", "entropic") else "euclidean", weight=1.0)
-        self.problem, facts = (
-            build_problem(equation, model.bodies, data, sets, prior, noise, known)
-            for prior in (chosen, Regularization(kind="none"))
-        )
+        without_prior = Regularization(kind="none")
+        self.problem = build_problem(equation, model.bodies, data, sets, chosen, noise, equalities)
+        constraints = build_problem(equation, model.bodies, data, sets, without_prior, noise, equalities)
         self.T: Array = (self.problem.K * self.problem.scale) @ self.problem.S
         self.units = units(equation, model)
-        self._facts, whole = _normal(facts), _normal(self.problem)
+        P_constraints, q_constraints = _normal(constraints)
+        P_all, q_all = _normal(self.problem)
         free = np.array([c.scale is None for c in equation.coefficients]) / self.units
         rows, pull = free[:, None] * self.T, free * equation.prior
-        self._prior = (whole[0] - self._facts[0] + rows.T @ rows, whole[1] - self._facts[1] + rows.T @ pull)
+        self._of_constraints = (P_constraints, q_constraints)
+        self._of_prior = (P_all - P_constraints + rows.T @ rows, q_all - q_constraints + rows.T @ pull)
         self._explaining = np.linalg.lstsq(self.T, np.where(free > 0, 0.0, equation.prior), rcond=None)[0]
         nv = len(equation.joints)
         self._joints = [_Information.of(self.T[active]) for active in equation.active()]
@@ -107,7 +113,7 @@ class RecursiveFit:
 
     @property
     def noise(self) -> Array:
-        """sigma, shape (nv,) [N·m or N]; 1 where nothing is known of it yet."""
+        """sigma, shape (nv,) [N·m or N]; 1 where it is not known yet."""
         sigma = np.sqrt(np.maximum(self._noise, _LEAST_NOISE**2 * self._power))
         return np.where(sigma > 0, sigma, 1.0)
 
@@ -117,10 +123,11 @@ class RecursiveFit:
         # A prior that only holds a place is weaker by as much as the bodies turn out to be heavier.
         explained = float(weight @ self._explained)
         grown = max(float(weight @ self._measured) / explained, 1.0) if explained > 0 else 1.0
-        P, q = (prior / grown + fact for prior, fact in zip(self._prior, self._facts, strict=True))
+        P = self._of_prior[0] / grown + self._of_constraints[0]
+        q = self._of_prior[1] / grown + self._of_constraints[1]
         for joint, w in zip(self._joints, weight, strict=True):
-            P[joint.own[:, None], joint.own] += w * joint.matrix
-            q[joint.own] += w * joint.vector
+            P[joint.variables[:, None], joint.variables] += w * joint.matrix
+            q[joint.variables] += w * joint.vector
         return P, q
 
     def update(self, W: Array, tau: Array, defined: Mask, gamma: float, lately: float, worth: float) -> None:
@@ -131,7 +138,7 @@ class RecursiveFit:
         W, tau
             Rows on x, shape (nv, m), and torque, shape (nv,) [N·m or N].
         defined
-            Which of them hold, shape (nv,).
+            True for joints whose row holds, shape (nv,).
         gamma
             Share of their weight that earlier samples keep.
         lately
@@ -156,25 +163,26 @@ class RecursiveFit:
 
 @dataclass(frozen=True)
 class _Information:
-    """What one joint's equation says: Lambda_j and eta_j on those variables that it depends on."""
+    """Information of one joint's equation: Lambda_j and eta_j on those variables that it depends on."""
 
-    own: Indices
+    variables: Indices
     matrix: Array
     vector: Array
 
     @classmethod
     def of(cls, rows: Array) -> _Information:
-        """Nothing yet, of an equation whose coefficients are ``rows`` · x."""
-        own = np.flatnonzero(rows.any(axis=0))
-        return cls(own, np.zeros((len(own), len(own))), np.zeros(len(own)))
+        """No information yet, of an equation whose coefficients are ``rows`` · x."""
+        variables = np.flatnonzero(rows.any(axis=0))
+        m = len(variables)
+        return cls(variables, np.zeros((m, m)), np.zeros(m))
 
     def update(self, row: Array, torque: float, gamma: float, worth: float) -> None:
         self.matrix[:] *= gamma
         self.vector[:] *= gamma
         if worth:
-            own = row[self.own]
-            self.matrix[:] += worth * own[:, None] * own
-            self.vector[:] += worth * torque * own
+            w = row[self.variables]
+            self.matrix[:] += worth * w[:, None] * w
+            self.vector[:] += worth * torque * w
 
 
 def units(equation: LinearModel, model: Model) -> Array:

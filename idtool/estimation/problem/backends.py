@@ -13,9 +13,9 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
-from idtool.estimation.problem.conic import APART, Solution, infeasible
-from idtool.estimation.problem.parts import Matrix
+from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, infeasible
 from idtool.estimation.problem.problem import Problem
+from idtool.estimation.problem.variables import ConicInequality
 
 MATRIX_SOLVERS = ("CLARABEL", "SCS", "MOSEK", "CVXOPT", "COPT", "SDPA")  # cvxpy's that take matrix inequalities
 # Of a first-order method: the optimum is refined from there. Of all others, cvxpy's own.
@@ -56,12 +56,12 @@ def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
     residual = problem.A @ problem.S @ step + (problem.A @ problem.S @ start - problem.b)
     cost = cp.sum_squares(residual)
     for term in problem.log_dets:
-        X = _matrix(cp, term.G, z[term.own])
+        X = _matrix(cp, term.G, z[term.z_slice])
         cost += term.weight * (cp.trace(X) - cp.log_det(X))
     inequalities = [_inequality(cp, inequality, x) for inequality in problem.inequalities]
     bounds = [x[problem.bounded] >= problem.bounds] if len(problem.bounded) else []
-    facts = [problem.E @ z == problem.e] if len(problem.e) else []
-    programme = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *facts])
+    equations = [problem.E @ z == problem.e] if len(problem.e) else []
+    programme = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *equations])
     _run(cp, programme, backend)
     if "infeasible" in programme.status:
         raise infeasible(problem)
@@ -74,7 +74,7 @@ def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
 
 
 def _run(cp: ModuleType, programme: Any, backend: str) -> None:
-    with warnings.catch_warnings(action="ignore"):  # of inaccurate solutions: what is found is refined and checked
+    with warnings.catch_warnings(action="ignore"):  # of inaccurate solutions: they are refined and checked
         try:
             programme.solve(solver=backend, **_SETTINGS.get(backend, {}))
         except cp.error.SolverError as error:
@@ -85,11 +85,11 @@ def _run(cp: ModuleType, programme: Any, backend: str) -> None:
             raise SolverError("solver.backend", what) from None
 
 
-def _inequality(cp: ModuleType, inequality: Matrix, x: Any) -> Any:
-    interior = max(inequality.interior, APART) if inequality.interior else 0.0
+def _inequality(cp: ModuleType, inequality: ConicInequality, x: Any) -> Any:
+    interior = max(inequality.interior, SOLVER_INTERIOR) if inequality.interior else 0.0
     if inequality.G.ndim == 2:
-        return inequality.G.T @ x[inequality.own] >= interior
-    return _matrix(cp, inequality.G, x[inequality.own]) >> interior * np.eye(inequality.G.shape[-1])
+        return inequality.G.T @ x[inequality.x_slice] >= interior
+    return _matrix(cp, inequality.G, x[inequality.x_slice]) >> interior * np.eye(inequality.G.shape[-1])
 
 
 def _matrix(cp: ModuleType, G: Array, x: Any) -> Any:

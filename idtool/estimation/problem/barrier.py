@@ -1,4 +1,4 @@
-"""The least of a quadratic function over a problem's inequalities, tracked from inside as the function changes.
+"""Minimum of a quadratic function over a problem's inequalities, tracked from inside as the function changes.
 
     min over x of ½ xᵀ P x − qᵀ x + Σ log-dets − mu Σ log det X_i(x)  subject to  E S x = e,
 
@@ -23,13 +23,14 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.problem import Problem
 
-_NEAR = 0.3  # a step that is shorter in the barrier's own length ends the search: what is left is a tenth of it squared
-_FAR = 0.9  # of the way to the boundary that a step goes at the most: nearer, and the next is lost to rounding
-_STEPS = 30  # with one weight of the barrier, or in a search along a step
-_UP, _DOWN, _WEIGHTS = 100.0, 10.0, 60  # factors by which the weight changes when the function has, and how often
-_PULL = 10.0 ** np.arange(7)  # into the inequalities, when a start is sought
-_SOFT = 1e-6  # of one: keeps a start where nothing else does
-_EXACT = 1e-6  # to which what is known exactly must be met
+_LAST_STEP = 0.3  # in the barrier's own length: a shorter step ends the search, what is left is a tenth of it squared
+_MOST_OF_WAY = 0.9  # to the boundary that a step goes at the most: nearer, and the next is lost to rounding
+_MOST_STEPS = 30  # with one weight of the barrier, or in a search along a step
+_WEIGHT_UP, _WEIGHT_DOWN = 100.0, 10.0  # factors by which the barrier's weight changes when the function has
+_MOST_WEIGHTS = 60  # tried for one function
+_PULLS = 10.0 ** np.arange(7)  # into the inequalities, when a start is searched for
+_START_CURVATURE = 1e-6  # relative: keeps a start where nothing else does
+_EQUATION_TOLERANCE = 1e-6  # of exact constraints
 
 
 @dataclass(frozen=True)
@@ -38,35 +39,35 @@ class _Group:
 
     Attributes
     ----------
-    own
+    variables
         Indices of their variables, shape (B, K); no two rows share one.
     G
         Shape (B, K, n, n), or (B, K, n) where they are on vectors.
     least
-        What is taken off, shape (B, n, n) or (B, n).
+        Constant that is subtracted, shape (B, n, n) or (B, n).
     weight
-        Of its −log det in the function, in units of mu.
+        Weight of −log det in the function, in units of mu.
     """
 
-    own: Indices
+    variables: Indices
     G: Array
     least: Array
     weight: float = 1.0
 
     def value(self, x: Array) -> Array:
         """All X_i, shape (B, n, n) or (B, n)."""
-        K = self.own.shape[1]
-        sums = x[self.own][:, None, :] @ self.G.reshape(len(self.G), K, -1)
+        K = self.variables.shape[1]
+        sums = x[self.variables][:, None, :] @ self.G.reshape(len(self.G), K, -1)
         return np.asarray(sums.reshape(self.least.shape) - self.least)
 
     def derivatives(self, x: Array) -> tuple[Array, Array]:
-        """Of weight · Σ −log det X_i: gradients, shape (B, K), and Hessians, shape (B, K, K)."""
+        """Gradients, shape (B, K), and Hessians, shape (B, K, K), of the barrier −weight · log det X_i of each."""
         X = self.value(x)
         if X.ndim == 2:
             Y = self.G / X[:, None, :]
             return -self.weight * Y.sum(axis=-1), self.weight * (Y @ Y.swapaxes(-1, -2))
         Y = np.linalg.inv(X)[:, None] @ self.G
-        shape = (*self.own.shape, -1)
+        shape = (*self.variables.shape, -1)
         rows, columns = Y.reshape(shape), Y.swapaxes(-1, -2).reshape(shape)
         gradient = -self.weight * np.einsum("bkii->bk", Y)
         return gradient, self.weight * (rows @ columns.swapaxes(-1, -2))
@@ -80,163 +81,185 @@ class _Group:
         return np.asarray(np.linalg.eigvalsh(inverse @ D @ inverse.swapaxes(-1, -2)).ravel())
 
     def smallest(self, x: Array) -> float:
-        """The least eigenvalue or entry of all X_i."""
+        """Smallest eigenvalue or entry of all X_i."""
         X = self.value(x)
         return float((X if X.ndim == 2 else np.linalg.eigvalsh(X)).min())
 
-    def relaxed(self, last: int) -> Iterator[_Group]:
-        """The same one by one, with a further variable, of index ``last``, that is added on the diagonal."""
+    def relaxed(self, slack: int) -> Iterator[_Group]:
+        """The inequalities one by one, X_i + s · 1 ⪰ 0, with a slack variable s of index ``slack``; of weight 1."""
         one = np.eye(self.G.shape[-1]) if self.G.ndim == 4 else np.ones(self.G.shape[-1])
-        for own, G, least in zip(self.own, self.G, self.least, strict=True):
-            yield _Group(np.append(own, last)[None], np.concatenate([G, one[None]])[None], least[None])
+        for variables, G, least in zip(self.variables, self.G, self.least, strict=True):
+            yield _Group(np.append(variables, slack)[None], np.concatenate([G, one[None]])[None], least[None])
 
 
 class Barrier:
-    """The tracker.
+    """Tracker of the minimiser.
 
     Attributes
     ----------
     x
-        Where it is, shape (m,): strictly inside, or anywhere where there is nothing to be inside of.
+        The minimiser, shape (m,): strictly inside of all inequalities.
     nu
-        Rows of all inequalities.
+        Number of rows of all inequalities.
 
     Parameters
     ----------
     problem
-        Whose inequalities, bounds and exact facts hold.
+        Its inequalities, bounds and exact constraints hold.
     P, q
-        The function to start at; P positive definite but for the variables that no z depends on.
+        The first function; P positive definite but for the variables that no z depends on.
     gap
-        What a minimiser may cost more than the least.
+        Difference from the least cost that a minimiser may have.
     start
-        Where to begin if that is strictly inside, shape (m,); default: at the least without inequalities.
+        First point if that is strictly inside, shape (m,); default: the minimiser without inequalities.
 
     Raises
     ------
     SolverError
-        If nothing fulfils the inequalities and what is known exactly.
+        If nothing fulfils the inequalities and exact constraints.
     """
 
     def __init__(self, problem: Problem, P: Array, q: Array, gap: float, start: Array | None = None) -> None:
         self._groups = _groups(problem)
         self._log_dets = _log_det_groups(problem)
-        self._slope = sum((problem.S[term.own].T @ term.slope for term in problem.log_dets), np.zeros(len(q)))
+        self._slope = np.zeros(len(q))  # of the log-dets' linear parts
+        for term in problem.log_dets:
+            self._slope = self._slope + problem.S[term.z_slice].T @ term.slope
         self.nu = sum(int(np.prod(group.least.shape[:2])) for group in self._groups)
         self._mu = gap / max(self.nu, 1)
-        self._exact, self._e = problem.E @ problem.S, problem.e
-        self.x = self._middle = self._start(P, q, start)
+        self._E, self._e = problem.E @ problem.S, problem.e
+        self._center = self._strictly_inside(P, q, start)
+        self.x = self._center
         self.move(P, q)
 
     def move(self, P: Array, q: Array, share: float = 1.0, start: Array | None = None) -> Array:
         """Follow the minimiser to another function, with the log-dets times ``share``; returns x.
 
-        From where it is, or from a start strictly inside, shape (m,).
+        Starts at x, or at ``start``, strictly inside, shape (m,).
         """
         q = q - share * self._slope
         self.x = self.x if start is None else start
         mu, lowest = self._mu, self._mu
-        for _ in range(_WEIGHTS):
-            groups = self._groups + [replace(group, weight=share * group.weight / mu) for group in self._log_dets]
-            self.x, there = _minimise(groups, P / mu, q / mu, self.x, self._exact, self._e)
-            if there and mu == lowest:
+        for _ in range(_MOST_WEIGHTS):
+            log_dets = [replace(group, weight=share * group.weight / mu) for group in self._log_dets]
+            self.x, is_minimum = _minimise(self._groups + log_dets, P / mu, q / mu, self.x, self._E, self._e)
+            if is_minimum and mu == lowest:
                 break
-            if not there:  # it has hugged the boundary in the wrong place: the way leads through the middle
-                self.x = 0.5 * (self.x + self._middle)
-            mu = max(mu / _DOWN, lowest) if there else _UP * mu
+            if is_minimum:
+                mu = max(mu / _WEIGHT_DOWN, lowest)
+            else:  # it has hugged the boundary in the wrong place: the way leads through the middle
+                self.x = 0.5 * (self.x + self._center)
+                mu = _WEIGHT_UP * mu
         return self.x
 
     def curvature(self, x: Array) -> Array:
         """Hessian of the barrier, its weight counted, and the log-dets at a point strictly inside; shape (m, m)."""
         H = np.zeros((len(x), len(x)))
         for group in self._groups:
-            H[group.own[:, :, None], group.own[:, None, :]] += self._mu * group.derivatives(x)[1]
+            H[group.variables[:, :, None], group.variables[:, None, :]] += self._mu * group.derivatives(x)[1]
         for group in self._log_dets:
-            H[group.own[:, :, None], group.own[:, None, :]] += group.derivatives(x)[1]
+            H[group.variables[:, :, None], group.variables[:, None, :]] += group.derivatives(x)[1]
         return H
 
-    def _start(self, P: Array, q: Array, start: Array | None) -> Array:
-        """A point strictly inside: the least s with X_i + s · 1 ⪰ 0, by the same method, until s is negative."""
+    def _strictly_inside(self, P: Array, q: Array, start: Array | None) -> Array:
+        """A point strictly inside: the least s with X_i + s · 1 ⪰ 0, by the same method, until s is negative.
+
+        The given start or the minimiser without inequalities where that is strictly inside already.
+        """
         m = len(q)
         size = float(P.diagonal().max())
-        P, q = P / size + _SOFT * np.eye(m), q / size
-        inside = self._groups + self._log_dets
-        if start is not None and self._is_inside(self._with_facts(start)):
-            return self._with_facts(start)
-        x = self._with_facts(np.asarray(np.linalg.solve(P, q)))
+        P, q = P / size + _START_CURVATURE * np.eye(m), q / size
+        if start is not None:
+            start = self._with_equations(start)
+            if self._is_inside(start):
+                return start
+        x = self._with_equations(np.asarray(np.linalg.solve(P, q)))
         if self._is_inside(x):
             return x
-        groups = [replace(relaxed, weight=1.0) for group in inside for relaxed in group.relaxed(m)]
-        wide = np.zeros((m + 1, m + 1))
-        wide[:m, :m] = P
-        exact = np.column_stack([self._exact, np.zeros(len(self._e))])
-        x = np.append(x, 1 - min(group.smallest(x) for group in inside))
-        for pull in _PULL:
-            x, _ = _minimise(groups, wide, np.append(q, -pull), x, exact, self._e)
+        inequalities = self._groups + self._log_dets
+        relaxed: list[_Group] = []
+        for group in inequalities:
+            relaxed += group.relaxed(slack=m)
+        P_relaxed = np.zeros((m + 1, m + 1))
+        P_relaxed[:m, :m] = P
+        E_relaxed = np.column_stack([self._E, np.zeros(len(self._e))])
+        x = np.append(x, 1 - min(group.smallest(x) for group in inequalities))
+        for pull in _PULLS:
+            x, _ = _minimise(relaxed, P_relaxed, np.append(q, -pull), x, E_relaxed, self._e)
             if x[-1] < 0:
                 return x[:m]
         raise SolverError("constraints", "no parameters fulfil them and what is known exactly; loosen one of them")
 
     def _is_inside(self, x: Array) -> bool:
-        """Whether x is strictly inside of everything."""
+        """True if all inequalities hold strictly at x, and the log-dets are finite."""
         return all(group.smallest(x) > 0 for group in self._groups + self._log_dets)
 
-    def _with_facts(self, x: Array) -> Array:
-        """The x nearest to another at which what is known exactly holds."""
+    def _with_equations(self, x: Array) -> Array:
+        """Nearest point to x at which exact constraints hold."""
         if not len(self._e):
             return x
-        x = x + np.linalg.lstsq(self._exact, self._e - self._exact @ x, rcond=None)[0]
-        if np.abs(self._exact @ x - self._e).max() > _EXACT:
+        x = x + np.linalg.lstsq(self._E, self._e - self._E @ x, rcond=None)[0]
+        if np.abs(self._E @ x - self._e).max() > _EQUATION_TOLERANCE:
             raise SolverError("known", "facts contradict each other; give one of them a standard_error")
         return x
 
 
 def _groups(problem: Problem) -> list[_Group]:
-    """The inequalities by form, those that share variables apart."""
-    found: dict[tuple[int, ...], list[_Group]] = defaultdict(list)
-    seen: dict[int, int] = defaultdict(int)
-    for matrix in problem.inequalities:
-        one = np.eye(matrix.G.shape[-1]) if matrix.G.ndim == 3 else np.ones(matrix.G.shape[-1])
-        own = np.arange(matrix.own.start, matrix.own.stop)
-        group = _Group(own[None], matrix.G[None], matrix.interior * one[None])
-        found[seen[matrix.first], *matrix.G.shape].append(group)
-        seen[matrix.first] += 1
-    groups = [_joined(alike) for alike in found.values()]
+    """The inequalities by form, those that share variables in different groups."""
+    by_form: dict[tuple[int, ...], list[_Group]] = defaultdict(list)
+    count: dict[int, int] = defaultdict(int)  # of inequalities on the same variables
+    for inequality in problem.inequalities:
+        G = inequality.G
+        one = np.eye(G.shape[-1]) if G.ndim == 3 else np.ones(G.shape[-1])
+        variables = np.arange(inequality.x_slice.start, inequality.x_slice.stop)
+        group = _Group(variables[None], G[None], inequality.interior * one[None])
+        by_form[count[inequality.first], *G.shape].append(group)
+        count[inequality.first] += 1
+    groups = [_concatenated(alike) for alike in by_form.values()]
     if len(problem.bounded):
         groups.append(_Group(problem.bounded[None], np.eye(len(problem.bounded))[None], problem.bounds[None]))
     return groups
 
 
 def _log_det_groups(problem: Problem) -> list[_Group]:
-    """The problem's log-dets by how many variables their body has, a body's apart from its copies'."""
-    found: dict[tuple[int, int], list[_Group]] = defaultdict(list)
-    seen: dict[int, int] = defaultdict(int)
+    """The problem's log-dets by the number of variables of their body, a body's and its copies' in different groups."""
+    by_form: dict[tuple[int, int], list[_Group]] = defaultdict(list)
+    count: dict[int, int] = defaultdict(int)  # of log-dets on the same variables
     for term in problem.log_dets:
-        own = np.flatnonzero(problem.S[term.own].any(axis=0))
-        G = np.tensordot(problem.S[term.own, own].T, term.G, axes=1)
-        copy = seen[term.first]
-        seen[term.first] += 1
-        found[copy, len(own)].append(_Group(own[None], G[None], np.zeros((1, *G.shape[1:])), term.weight))
-    return [replace(_joined(alike), weight=alike[0].weight) for alike in found.values()]
+        variables = np.flatnonzero(problem.S[term.z_slice].any(axis=0))
+        G = np.tensordot(problem.S[term.z_slice, variables].T, term.G, axes=1)
+        group = _Group(variables[None], G[None], np.zeros((1, *G.shape[1:])), term.weight)
+        by_form[count[term.first], len(variables)].append(group)
+        count[term.first] += 1
+    return [_concatenated(alike) for alike in by_form.values()]
 
 
-def _joined(groups: list[_Group]) -> _Group:
-    own, G, least = (np.concatenate([getattr(group, name) for group in groups]) for name in ("own", "G", "least"))
-    return _Group(own, G, least)
+def _concatenated(groups: list[_Group]) -> _Group:
+    """One group of several of the same form and weight."""
+    return _Group(
+        variables=np.concatenate([group.variables for group in groups]),
+        G=np.concatenate([group.G for group in groups]),
+        least=np.concatenate([group.least for group in groups]),
+        weight=groups[0].weight,
+    )
 
 
-def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, exact: Array, e: Array) -> tuple[Array, bool]:
-    """Newton steps from x, strictly inside, each as far as is best, until one is short; and whether one was."""
-    for _ in range(_STEPS):
-        gradient, H = P @ x - q, P.copy()
+def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, E: Array, e: Array) -> tuple[Array, bool]:
+    """Newton steps from x, strictly inside, each with a line search, until one is short; and if one was."""
+    for _ in range(_MOST_STEPS):
+        gradient = P @ x - q
+        H = P.copy()
         for group in groups:
             slope, curvature = group.derivatives(x)
-            gradient[group.own] += slope
-            H[group.own[:, :, None], group.own[:, None, :]] += curvature
-        step = _newton(H, gradient, exact, exact @ x - e)
+            gradient[group.variables] += slope
+            H[group.variables[:, :, None], group.variables[:, None, :]] += curvature
+        step = _newton(H, gradient, E, E @ x - e)
         if step is None:
             break
-        if not groups or (step @ H @ step < _NEAR**2 and min(group.smallest(x + step) for group in groups) > 0):
+        if not groups:
+            return x + step, True
+        is_short = step @ H @ step < _LAST_STEP**2
+        if is_short and min(group.smallest(x + step) for group in groups) > 0:
             return x + step, True
         rates = [group.rates(x, step) for group in groups]
         weights = np.concatenate([np.full(len(r), group.weight) for r, group in zip(rates, groups, strict=True)])
@@ -245,8 +268,8 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, exact: Array, 
     return x, False
 
 
-def _newton(H: Array, gradient: Array, exact: Array, off: Array) -> Array | None:
-    """The step to the least of the second-order model that takes ``off``, what is wrong with exact · x, away.
+def _newton(H: Array, gradient: Array, E: Array, residual: Array) -> Array | None:
+    """Step to the minimum of the second-order model, with E · step = −residual.
 
     None: rounding has left nothing of the model.
     """
@@ -256,22 +279,32 @@ def _newton(H: Array, gradient: Array, exact: Array, off: Array) -> Array | None
     except np.linalg.LinAlgError:
         return None
     step = -size * cho_solve(factor, size * gradient, check_finite=False)
-    if len(exact):
-        across = size[:, None] * cho_solve(factor, size[:, None] * exact.T, check_finite=False)
-        step -= across @ np.linalg.solve(exact @ across, exact @ step + off)
+    if len(E):
+        across = size[:, None] * cho_solve(factor, size[:, None] * E.T, check_finite=False)
+        step -= across @ np.linalg.solve(E @ across, E @ step + residual)
     return np.asarray(step)
 
 
 def _search(slope: float, curvature: float, rates: Array, weights: Array) -> float:
-    """The t that minimises slope t + ½ curvature t² − Σ w log(1 + t r): Newton's method within a bracket."""
-    low, high = 0.0, float(-1 / rates.min()) if rates.min() < 0 else np.inf
-    most, t = _FAR * high, min(1.0, 0.5 * high)
-    for _ in range(_STEPS):
+    """Line search: t that minimises slope t + ½ curvature t² − Σ w log(1 + t r), by Newton's method in a bracket."""
+    low = 0.0
+    high = float(-1 / rates.min()) if rates.min() < 0 else np.inf
+    longest = _MOST_OF_WAY * high
+    t = min(1.0, 0.5 * high)
+    for _ in range(_MOST_STEPS):
         part = rates / (1 + t * rates)
         first = slope + curvature * t - float(weights @ part)
-        low, high = (t, high) if first < 0 else (low, t)
+        if first < 0:
+            low = t
+        else:
+            high = t
         step = first / (curvature + float(weights @ part**2))
         if abs(step) <= 1e-3 * t:
             break
-        t = t - step if low < t - step < high else (0.5 * (low + high) if np.isfinite(high) else 2 * t)
-    return min(t, most)
+        if low < t - step < high:
+            t -= step
+        elif np.isfinite(high):
+            t = 0.5 * (low + high)
+        else:
+            t *= 2
+    return min(t, longest)

@@ -1,4 +1,4 @@
-"""How good a solution is, computed from it and its dual variables and not taken from the solver's word.
+"""Certificate of a solution, computed from it and its dual variables and not taken from the solver's word.
 
 Letters as in `problem`; Z the dual matrices of the inequalities.
 """
@@ -17,8 +17,8 @@ from idtool.robot.inequality import least
 from idtool.robot.inertia import BASIS, SIZE
 
 _TRACE = np.trace(BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, in units of the body
-_NEWTON = 50  # steps at the most
-_SETTLED = 1e-9  # Newton decrement, of a self-concordant function, at which the step was the last
+_MOST_STEPS = 50  # of Newton's method
+_LAST_DECREMENT = 1e-9  # Newton decrement, of a self-concordant function, at which the step was the last
 GAP = 1e-6  # relative duality gap above which a solution is refused
 ROUNDING = 1e-12  # of the cost: no gap is known more closely
 
@@ -30,20 +30,20 @@ class Certificate:
     Attributes
     ----------
     name, status, iterations, seconds
-        The solver, what it said, and what it took.
+        The solver, the status it returned, and its effort.
     objective
         f at the solution.
     duality_gap
         f less the dual function at the solver's dual variables, relative to f, or to the noise, 1, where f is less: no
         parameters in the sets, their boundaries included, can have a cost lower than f by more than this.
     violation
-        Largest violation of an inequality, in units of the body; at most 0 where all hold.
+        Largest violation of an inequality, in units of the body; at most 0 if all hold.
     where
         The body and inequality of that.
     margin
-        The part of ``duality_gap`` that is there because the bodies are kept a little inside of their sets.
+        The part of ``duality_gap`` that comes from keeping the bodies a little inside of their sets.
     parameter_error
-        How far the parameters are from the optimum, in units of the body, where the optimum was refined; else None.
+        Distance of the parameters from the optimum, in units of the body, if the optimum was refined; else None.
     """
 
     name: str
@@ -59,17 +59,17 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether every inequality holds and no body that is as far inside of its set has a lower cost."""
+        """True if every inequality holds and the duality gap, but for the margin's part, is closed."""
         return self.violation <= 0 and abs(self.duality_gap - self.margin) <= GAP
 
     @property
     def certified(self) -> bool:
-        """Whether every inequality holds and the cost is certified to be the least."""
+        """True if every inequality holds and the whole duality gap is closed: the cost is the least possible."""
         return self.violation <= 0 and abs(self.duality_gap) <= GAP
 
 
 def violation(problem: Problem, x: Array) -> tuple[float, str]:
-    """The largest violation of an inequality at x beyond rounding, in units of the body, and whose it is."""
+    """The largest violation of an inequality at x beyond rounding, in units of the body, and the inequality's label."""
     margins = [least(inequality.value(x)) for inequality in problem.inequalities]
     if not margins:
         return 0.0, ""
@@ -78,9 +78,9 @@ def violation(problem: Problem, x: Array) -> tuple[float, str]:
 
 
 def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers: Array) -> float:
-    """A cost that no parameters in the sets can be below, from the solver's dual variables, these first made feasible.
+    """Lower bound of the cost in the sets, from the solver's dual variables, these first made feasible.
 
-    With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of what is known exactly, the dual
+    With g the slope Σ ⟨G, Z⟩ of the inequalities in z and mu the multipliers of exact constraints, the dual
     function is the minimum over z of f(z) − (g + Eᵀ mu) · z, plus mu · e and the lower bounds' share. f is replaced by
     its quadratic part and a tangent of its convex rest, which lies below it: a least-squares problem.
 
@@ -89,27 +89,29 @@ def lower_bound(problem: Problem, x: Array, duals: Sequence[Array], multipliers:
     problem
         The problem.
     x
-        Where the bound is to be tight, shape (m,).
+        Solution at which the bound is to be tight, shape (m,).
     duals
         Z of every inequality, shape (n, n) or (n,) each.
     multipliers
-        Of the lower bounds.
+        Dual variables of the lower bounds.
     """
     multipliers = np.maximum(multipliers, 0)
     duals = [_nonnegative(Z) for Z in duals]
     slope = _slope(problem, duals)
-    slope[problem.others[np.isfinite(problem.lower)]] += multipliers
+    slope[problem.other_coefficients[np.isfinite(problem.lower)]] += multipliers
     z = problem.S @ x
     downhill = 2 * problem.A.T @ (problem.A @ z - problem.b) + _tangent(problem, z) - slope
     mu = np.linalg.lstsq(problem.E.T, downhill, rcond=None)[0]
     slope += problem.E.T @ mu
-    touching = [z, _minimum(problem, slope, z)] if problem.log_dets else [z]
-    least = max(_least(problem, slope, point) for point in touching)
-    return float(least + multipliers @ problem.bounds + mu @ problem.e)
+    tangent_points = [z]
+    if problem.log_dets:
+        tangent_points.append(_minimizer(problem, slope, z))
+    minimum = max(_tangent_minimum(problem, slope, point) for point in tangent_points)
+    return float(minimum + multipliers @ problem.bounds + mu @ problem.e)
 
 
 def cost_of_margin(problem: Problem, duals: Sequence[Array], margin: float) -> float:
-    """What it costs that the bodies are kept inside of their sets, to first order.
+    """Increase of the cost because bodies are kept inside of their sets by a margin, to first order.
 
     Parameters
     ----------
@@ -118,17 +120,20 @@ def cost_of_margin(problem: Problem, duals: Sequence[Array], margin: float) -> f
     duals
         Z of every inequality, shape (n, n) or (n,) each.
     margin
-        How far inside, where that is more than the problem demands.
+        Distance from the boundary, in units of the body; the problem's own where that is more.
     """
-    shares = zip(problem.inequalities, duals, strict=True)
-    traces = ((i.interior, float(np.trace(Z) if Z.ndim == 2 else Z.sum())) for i, Z in shares)
-    return sum(max(interior, margin) * trace for interior, trace in traces if interior)
+    cost = 0.0
+    for inequality, Z in zip(problem.inequalities, duals, strict=True):
+        if inequality.interior:
+            trace = float(np.trace(Z) if Z.ndim == 2 else Z.sum())
+            cost += max(inequality.interior, margin) * trace
+    return cost
 
 
-def _least(problem: Problem, slope: Array, touching: Array) -> float:
-    """The minimum over z of f(z) − slope · z with the tangent of the log-dets at a point in their place."""
-    tangent = _tangent(problem, touching)
-    rest = sum(term.value(touching) for term in problem.log_dets) - tangent @ touching
+def _tangent_minimum(problem: Problem, slope: Array, point: Array) -> float:
+    """Minimum over z of f(z) − slope · z, the log-dets replaced by their tangent at a point."""
+    tangent = _tangent(problem, point)
+    rest = sum(term.value(point) for term in problem.log_dets) - tangent @ point
     # min over z of ‖A z − b‖² − g · z is where A z − b is ½ A⁻ᵀ g.
     half = 0.5 * np.linalg.solve(problem.A.T, slope - tangent)
     return problem.constant + float(rest - half @ (half + 2 * problem.b))
@@ -138,17 +143,17 @@ def _tangent(problem: Problem, z: Array) -> Array:
     """Slope at z of the part of f that is not quadratic, shape (p',)."""
     tangent = np.zeros_like(z)
     for term in problem.log_dets:
-        tangent[term.own] += term.gradient(z)
+        tangent[term.z_slice] += term.gradient(z)
     return tangent
 
 
-def _minimum(problem: Problem, slope: Array, z: Array) -> Array:
-    """Where f(z) − slope · z is least, from near there: Newton's method on a self-concordant function."""
-    for _ in range(_NEWTON):
+def _minimizer(problem: Problem, slope: Array, z: Array) -> Array:
+    """Minimizer of f(z) − slope · z, from a z nearby: Newton's method on a self-concordant function."""
+    for _ in range(_MOST_STEPS):
         roots = [np.sqrt(2) * problem.A]
         for term in problem.log_dets:
             root = np.zeros((term.G[0].size, len(z)))
-            root[:, term.own] = term.root(z)
+            root[:, term.z_slice] = term.root(z)
             roots.append(root)
         downhill = slope - 2 * problem.A.T @ (problem.A @ z - problem.b) - _tangent(problem, z)
         R = np.linalg.qr(np.concatenate(roots), mode="r")  # Rᵀ R is the Hessian
@@ -157,7 +162,7 @@ def _minimum(problem: Problem, slope: Array, z: Array) -> Array:
         # Of a damped step: f / weight is self-concordant (Nesterov & Nemirovski), so that it descends and stays inside.
         size = float(np.sqrt(scaled @ scaled / min(term.weight for term in problem.log_dets)))
         z = z + step / (1 + size)
-        if size < _SETTLED:
+        if size < _LAST_DECREMENT:
             break
     return z
 
@@ -176,28 +181,26 @@ def _slope(problem: Problem, duals: Sequence[Array]) -> Array:
     A body of several pieces needs one slope g with basisᵀ g − Σ ⟨G, Z⟩ in the dual cone of every piece. The solver's
     agree but for its tolerance, so their mean is raised, along the slope of Tr J, until it is above them all.
     """
-    own: list[Array] = [np.zeros(len(part.piece.powers)) for part in problem.parts]
-    of_variable = np.repeat(np.arange(len(own)), [len(s) for s in own])
+    in_x = np.zeros(problem.variables)
     for inequality, Z in zip(problem.inequalities, duals, strict=True):
-        own[of_variable[inequality.first]] += np.tensordot(inequality.G, Z, axes=Z.ndim)
+        in_x[inequality.x_slice] += np.tensordot(inequality.G, Z, axes=Z.ndim)
     slope = np.zeros(len(problem.scale))
-    for body in dict.fromkeys(part.body for part in problem.parts):
-        pieces = [(part.basis, s) for part, s in zip(problem.parts, own, strict=True) if part.body == body]
-        first = next(part.first for part in problem.parts if part.body == body)
-        bases, slopes = (np.concatenate(columns) for columns in zip(*((B.T, s) for B, s in pieces), strict=True))
+    for body in dict.fromkeys(piece.body for piece in problem.pieces):
+        pieces = [piece for piece in problem.pieces if piece.body == body]
+        bases = np.concatenate([piece.basis.T for piece in pieces])
+        slopes = np.concatenate([in_x[piece.x_slice] for piece in pieces])
         g = np.linalg.lstsq(bases, slopes, rcond=None)[0]
         if len(slopes) > SIZE:
-            g = g + _TRACE * max([_shortfall(B, B.T @ g - s) for B, s in pieces])
-        slope[first : first + SIZE] = g
+            shortfalls = [_shortfall(piece.basis, piece.basis.T @ g - in_x[piece.x_slice]) for piece in pieces]
+            g = g + _TRACE * max(shortfalls)
+        slope[pieces[0].z_slice] = g
     return slope
 
 
 def _shortfall(basis: Array, rest: Array) -> float:
-    """How much of the slope of Tr J it takes to bring ``rest``, shape (K,), into the dual cone of a piece."""
+    """Multiple of the slope of Tr J that brings ``rest``, shape (K,), into the dual cone of a piece."""
     if len(rest) > SIZE:  # point masses
         return max(float(np.max(-rest / (basis.T @ _TRACE))), 0.0)
     rows = BASIS.reshape(SIZE, -1)
-    W = np.asarray(np.linalg.lstsq(rows, rest, rcond=None)[0], dtype=float).reshape(
-        4, 4
-    )  # ⟨BASIS_k, W⟩ = rest_k, symmetric
-    return max(-least(W), 0.0)
+    W = np.asarray(np.linalg.lstsq(rows, rest, rcond=None)[0], dtype=float)  # ⟨BASIS_k, W⟩ = rest_k, symmetric
+    return max(-least(W.reshape(4, 4)), 0.0)

@@ -21,16 +21,16 @@ from scipy import sparse
 from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
-from idtool.estimation.problem.parts import Matrix
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
+from idtool.estimation.problem.variables import ConicInequality
 
-APART = 1e-7  # how far inside its set a body is kept at least, that no tolerance of the solver's takes it out
+SOLVER_INTERIOR = 1e-7  # how far inside its set a body is kept at least, that no tolerance of the solver's takes it out
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What the solver returns.
+    """Solution of a solver.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Solution:
     duals
         Dual variable of every inequality, shape (n, n) or (n,).
     multipliers
-        Of the lower bounds.
+        Dual variables of the lower bounds.
     status
-        The solver's word for how it went.
+        Status that the solver returned.
     iterations
-        How many.
+        Number of iterations.
     """
 
     x: Array
@@ -82,7 +82,7 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     start
         Any x, shape (m,); at the optimum without inequalities, b takes no digits.
     settings
-        Of Clarabel.
+        Settings of Clarabel.
 
     Raises
     ------
@@ -91,17 +91,17 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
     SolverError
         If the solver gives up.
     """
-    rows, q, places = _stated(problem, start)
+    rows, q, places = _conic_form(problem, start)
     m, p = problem.variables, len(problem.b)
     P = sparse.diags(np.repeat([0.0, 2.0, 0.0], [m, p, rows.width - m - p]), format="csc")
     answer = _run(P, q, rows, settings)
     if "Infeasible" in str(answer.status):
         raise infeasible(problem)
     z = np.split(np.asarray(answer.z), np.cumsum([len(b) for b in rows.b])[:-1])
-    matrices = zip(problem.inequalities, places, strict=False)
-    duals = [
-        z[place] if inequality.G.ndim == 2 else smat(z[place], inequality.G.shape[-1]) for inequality, place in matrices
-    ]
+    duals = []
+    for inequality, place in zip(problem.inequalities, places, strict=False):
+        is_vector = inequality.G.ndim == 2
+        duals.append(z[place] if is_vector else smat(z[place], inequality.G.shape[-1]))
     multipliers = z[places[-1]] if len(problem.bounded) else np.zeros(0)
     status = "optimal" if answer.status == clarabel.SolverStatus.Solved else str(answer.status)
     return Solution(start + np.asarray(answer.x)[:m], duals, multipliers, status, int(answer.iterations))
@@ -109,7 +109,7 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
 
 def infeasible(problem: Problem) -> InfeasibleError:
     """The error that no parameters fulfil a problem's constraints."""
-    what = f" and what is known exactly ({some(problem.facts)})" if problem.facts else ""
+    what = f" and what is known exactly ({some(problem.equality_labels)})" if problem.equality_labels else ""
     return InfeasibleError(
         "solver", f"found no parameters that fulfil the constraints{what}; loosen one of them, or check its unit"
     )
@@ -118,7 +118,7 @@ def infeasible(problem: Problem) -> InfeasibleError:
 def extreme_conic(
     problem: Problem, start: Array, row: Array, level: float, settings: Mapping[str, Any]
 ) -> Array | None:
-    """Where row · z is least among all that the constraints allow and whose cost is at most a level.
+    """Minimizer of row · z among all z that the constraints allow and whose cost is at most a level.
 
     Parameters
     ----------
@@ -129,20 +129,20 @@ def extreme_conic(
     row
         Shape (p',).
     level
-        Of the cost f.
+        Level of the cost f.
     settings
-        Of Clarabel.
+        Settings of Clarabel.
 
     Returns
     -------
-    x, shape (m,); None where there is no least.
+    x, shape (m,); None where row · z is not bounded.
 
     Raises
     ------
     SolverError
         If the solver gives up.
     """
-    rows, q, _ = _stated(problem, start)
+    rows, q, _ = _conic_form(problem, start)
     _add_level(rows, q, problem, start, level - problem.constant)
     downhill = np.zeros(rows.width)
     downhill[: problem.variables] = row @ problem.S
@@ -155,7 +155,7 @@ def extreme_conic(
 
 
 def _add_level(rows: _Rows, q: Array, problem: Problem, start: Array, room: float) -> None:
-    """The cone of a cost, its constant taken off, that is no higher than a level."""
+    """The cone of a cost no higher than a level, ``room`` above its constant."""
     m, p = problem.variables, len(problem.b)
     r = np.zeros((p, rows.width))
     r[:, m : m + p] = np.eye(p)
@@ -164,16 +164,16 @@ def _add_level(rows: _Rows, q: Array, problem: Problem, start: Array, room: floa
         rows.add(slice(None), cone, np.append(np.sqrt(max(room, 0.0)), np.zeros(p)), clarabel.SecondOrderConeT(p + 1))
         return
     z = problem.S @ start
-    room -= sum(term.offset + float(term.slope @ z[term.own]) for term in problem.log_dets)
+    room -= sum(term.offset + float(term.slope @ z[term.z_slice]) for term in problem.log_dets)
     # ‖r‖² ≤ h = room − q v is ‖(1 − h, 2 r)‖ ≤ 1 + h.
     cone = np.vstack([q, -q, -2 * r])
     rows.add(slice(None), cone, np.array([1 + room, 1 - room, *np.zeros(p)]), clarabel.SecondOrderConeT(p + 2))
 
 
-def _stated(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]]:
+def _conic_form(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]]:
     """Constraints, linear cost of the log-dets, and the places of the inequalities and, last, of the lower bounds."""
     m, p = problem.variables, len(problem.b)
-    places_of_terms = np.cumsum([m + p, *(_extra(term) for term in problem.log_dets)])
+    places_of_terms = np.cumsum([m + p, *(_extra_variables(term) for term in problem.log_dets)])
     rows = _Rows(int(places_of_terms[-1]))
     q = np.zeros(rows.width)
     AS = problem.A @ problem.S
@@ -192,20 +192,20 @@ def _stated(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]]:
     return rows, q, places
 
 
-def _add_inequality(rows: _Rows, inequality: Matrix, start: Array) -> int:
+def _add_inequality(rows: _Rows, inequality: ConicInequality, start: Array) -> int:
     """The cone of one inequality; returns its place among the blocks."""
     value = inequality.value(start)
     n = len(value)
-    interior = max(inequality.interior, APART) if inequality.interior else 0.0
+    interior = max(inequality.interior, SOLVER_INTERIOR) if inequality.interior else 0.0
     if value.ndim == 1:
         inside, cone = value - interior, clarabel.NonnegativeConeT(n)
-        return rows.add(inequality.own, -inequality.G.T, inside, cone)
+        return rows.add(inequality.x_slice, -inequality.G.T, inside, cone)
     inside = svec(value - interior * np.eye(n))
-    return rows.add(inequality.own, -svec(inequality.G).T, inside, clarabel.PSDTriangleConeT(n))
+    return rows.add(inequality.x_slice, -svec(inequality.G).T, inside, clarabel.PSDTriangleConeT(n))
 
 
-def _extra(term: LogDet) -> int:
-    """How many variables a log-det takes: the triangle Z and the logarithms t."""
+def _extra_variables(term: LogDet) -> int:
+    """Number of variables that a log-det adds: the triangle Z and the logarithms t."""
     n = len(term.G[0])
     return n * (n + 1) // 2 + n
 
@@ -215,7 +215,7 @@ def _add_log_det(rows: _Rows, q: Array, term: LogDet, problem: Problem, start: A
     n = term.G.shape[-1]
     lower = np.tril_indices(n)
     k = len(lower[0])
-    S = problem.S[term.own]
+    S = problem.S[term.z_slice]
     q[: problem.variables] += term.slope @ S
     q[first + k : first + k + n] = -term.weight
     G = np.zeros((rows.width, 2 * n, 2 * n))
@@ -249,7 +249,7 @@ def smat(vector: Array, n: int) -> Array:
 
 
 def _run(P: Any, q: Array, rows: _Rows, settings: Mapping[str, Any]) -> Any:
-    """The solver's answer, if it has one."""
+    """The solver's answer; a `SolverError` if it breaks down."""
     options = clarabel.DefaultSettings()
     options.verbose = False
     for name, value in settings.items():

@@ -22,19 +22,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 from scipy.optimize import least_squares
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.estimation.problem.conic import svec
-from idtool.estimation.problem.parts import INTERIOR
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
+from idtool.estimation.problem.variables import INTERIOR
 from idtool.robot.inequality import DENSITY
 from idtool.robot.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
 
 _SETTINGS: dict[str, Any] = {"method": "trf", "ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-10, "max_nfev": 500}  # of scipy
-_EDGE, _INNER = 1e-3, 3e-2  # a start with a lesser eigenvalue, in units of the body, is moved inside, so far
-_SETTLED = 1e-9  # relative gain below which there is no further run
+_EDGE = 1e-3  # a start with a lesser eigenvalue, in units of the body, is moved inside
+_INSIDE = 3e-2  # least eigenvalue that it is moved to
+_LEAST_GAIN = 1e-9  # relative, of a run after which there is another
 _NUDGE = 1e-7  # in units of the body, of J down the cost's slope before a chart is laid
 _MASSLESS = 1e-12  # least mass, in units of the body, that has a centre
 _SERIES = 1e-2  # |λ − 1| below which (λ − 1 − log λ) / (λ − 1)² is summed up
@@ -46,15 +48,15 @@ _ROW, _COLUMN = np.array([0, 1, 2, 0, 1, 0, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 
 
 
 @dataclass(frozen=True)
-class Local:
-    """What a local estimator found.
+class LocalSolution:
+    """Solution of a local estimator.
 
     Attributes
     ----------
     x
         Shape (m,), inside all inequalities and bounds.
     status, iterations, seconds
-        Why scipy stopped, in its words, after how many evaluations of the residuals, and the wall time.
+        Reason why scipy stopped, in its words, number of evaluations of the residuals, and wall time.
     """
 
     x: Array
@@ -114,8 +116,8 @@ class LogCholesky(Chart):
         self.y = np.column_stack([np.log(size), factor[:, _ROW, _COLUMN] / size])
         self.y[:, 1:4] = np.log(self.y[:, 1:4])
 
+    @override
     def factors(self, y: Array) -> tuple[Array, Array]:
-        """See `Chart.factors`."""
         U = np.tile(np.eye(4), (len(y), 1, 1))
         U[:, _ROW, _COLUMN] = y[:, 1:]
         U[:, range(3), range(3)] = np.exp(y[:, 1:4])
@@ -141,15 +143,17 @@ class Manifold(Chart):
     runs = 12
 
     def __init__(self, J: Array, slope: Array) -> None:
-        J = _cut(J - _NUDGE * slope / np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), _TINY), 0.0)
+        J = _with_least_eigenvalue(
+            J - _NUDGE * slope / np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), _TINY), 0.0
+        )
         mass = np.maximum(J[:, 3:, 3], _MASSLESS)
         c = J[:, :3, 3] / mass
         mu, R = np.linalg.eigh(J[:, :3, :3] - J[:, :3, 3:] * c[:, None])
         self.R = R * np.linalg.det(R)[:, None, None]
         self.y = np.column_stack([mass, c, np.maximum(mu, 0), np.zeros((len(J), 3))])
 
+    @override
     def factors(self, y: Array) -> tuple[Array, Array]:
-        """See `Chart.factors`."""
         S = np.tensordot(y[:, 7:], _SKEW, axes=1)
         length = 1 + np.square(y[:, 7:]).sum(axis=1)[:, None, None]
         F = np.tile(np.eye(4), (len(y), 1, 1))
@@ -167,40 +171,43 @@ class Residuals:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self.own = np.add.outer([part.first for part in problem.parts], np.arange(SIZE))  # each body's ten among z
+        self.bodies = np.add.outer([piece.first for piece in problem.pieces], np.arange(SIZE))  # indices in z, (B, 10)
 
     def z(self, chart: Chart, v: Array) -> Array:
         """The coefficients, shape (p',)."""
         z = np.empty(len(v))
-        J = chart.pseudo_inertias(v[: self.own.size].reshape(-1, SIZE))
-        z[self.own] = from_pseudo_inertia(J + INTERIOR * np.eye(4))
-        z[self._problem.others] = v[self.own.size :]
+        J = chart.pseudo_inertias(v[: self.bodies.size].reshape(-1, SIZE))
+        z[self.bodies] = from_pseudo_inertia(J + INTERIOR * np.eye(4))
+        z[self._problem.other_coefficients] = v[self.bodies.size :]
         return z
 
     def at(self, z: Array) -> tuple[Array, Array]:
         """r, the p' rows of the quadratic part and ten for every log-det, and its derivative, shape (rows, p')."""
-        r, D = [self._problem.A @ z - self._problem.b], [self._problem.A]
+        residuals = [self._problem.A @ z - self._problem.b]
+        derivatives = [self._problem.A]
         for term in self._problem.log_dets:
-            value, derivative = spectral(term, z)
-            r.append(value)
-            D.append(np.zeros((len(value), len(z))))
-            D[-1][:, term.own] = derivative
-        return np.concatenate(r), np.concatenate(D)
+            r, derivative = spectral(term, z)
+            D = np.zeros((len(r), len(z)))
+            D[:, term.z_slice] = derivative
+            residuals.append(r)
+            derivatives.append(D)
+        return np.concatenate(residuals), np.concatenate(derivatives)
 
     def value(self, v: Array, chart: Chart) -> Array:
         """r, shape (rows,)."""
         return self.at(self.z(chart, v))[0]
 
     def jacobian(self, v: Array, chart: Chart) -> Array:
-        """Its derivative with respect to v, shape (rows, m)."""
+        """Derivative of r with respect to v, shape (rows, m)."""
         D = self.at(self.z(chart, v))[1]
-        dpi = from_pseudo_inertia(chart.derivatives(v[: self.own.size].reshape(-1, SIZE)))
-        return np.column_stack([*(D[:, self.own].swapaxes(0, 1) @ dpi.swapaxes(-1, -2)), D[:, self._problem.others]])
+        dpi = from_pseudo_inertia(chart.derivatives(v[: self.bodies.size].reshape(-1, SIZE)))
+        of_bodies = D[:, self.bodies].swapaxes(0, 1) @ dpi.swapaxes(-1, -2)  # (B, rows, 10)
+        return np.column_stack([*of_bodies, D[:, self._problem.other_coefficients]])
 
     def slope(self, z: Array) -> Array:
         """The cost's derivative with respect to each body's J, shape (B, 4, 4)."""
         r, D = self.at(z)
-        W = np.einsum("ijk,bk->bij", _FROM_J, (2 * r @ D)[self.own])
+        W = np.einsum("ijk,bk->bij", _FROM_J, (2 * r @ D)[self.bodies])
         return np.asarray(0.5 * (W + W.swapaxes(-1, -2)))
 
 
@@ -212,27 +219,32 @@ def spectral(term: LogDet, z: Array) -> tuple[Array, Array]:
     That matrix as `conic.svec`, shape (10,), and its derivative with respect to the ten of z, shape (10, 10): in X's
     own axes the change of X times the difference quotients of phi (Daleckii & Krein 1965).
     """
-    X = np.tensordot(z[term.own], term.G, axes=1)
+    X = np.tensordot(z[term.z_slice], term.G, axes=1)
     if not np.isfinite(X).all():
         return np.full(SIZE, np.inf), np.zeros((SIZE, SIZE))
     values, V = np.linalg.eigh(X)
-    phi = _phi(values := np.maximum(values, _TINY))[0]
-    gaps, middle = values[:, None] - values, 0.5 * (values[:, None] + values)
-    near = np.abs(gaps) < _EQUAL * middle
-    quotients = np.where(near, _phi(middle)[1], (phi[:, None] - phi) / np.where(near, 1.0, gaps))
+    values = np.maximum(values, _TINY)
+    phi, _ = _phi(values)
+    gaps = values[:, None] - values
+    middle = 0.5 * (values[:, None] + values)
+    _, slope = _phi(middle)
+    is_equal = np.abs(gaps) < _EQUAL * middle
+    quotients = np.where(is_equal, slope, (phi[:, None] - phi) / np.where(is_equal, 1.0, gaps))
     change = V @ (quotients * (V.T @ term.G @ V)) @ V.T
     return np.sqrt(term.weight) * svec((V * phi) @ V.T), np.sqrt(term.weight) * svec(change).T
 
 
 def _phi(values: Array) -> tuple[Array, Array]:
-    """Of λ, with its derivative: with e = λ − 1 and h = (e − log λ) / e², phi = e √h and phi' = 1 / (2 λ √h)."""
-    near = np.abs(e := values - 1) < _SERIES
-    series = np.polynomial.polynomial.polyval(np.where(near, -e, 0.0), 1 / np.arange(2.0, 11.0))
-    root = np.sqrt(np.where(near, series, (e - np.log(values)) / np.where(near, 1.0, e) ** 2))
+    """phi(λ) and its derivative: with e = λ − 1 and h = (e − log λ) / e², phi = e √h and phi' = 1 / (2 λ √h)."""
+    e = values - 1
+    is_small = np.abs(e) < _SERIES
+    series = np.polynomial.polynomial.polyval(np.where(is_small, -e, 0.0), 1 / np.arange(2.0, 11.0))
+    closed_form = (e - np.log(values)) / np.where(is_small, 1.0, e) ** 2
+    root = np.sqrt(np.where(is_small, series, closed_form))
     return e * root, 1 / (2 * values * root)
 
 
-def log_cholesky(problem: Problem, start: Array) -> Local:
+def log_cholesky(problem: Problem, start: Array) -> LocalSolution:
     """Solve in log-Cholesky parameters.
 
     Parameters
@@ -247,52 +259,58 @@ def log_cholesky(problem: Problem, start: Array) -> Local:
     SolverError
         If the problem holds what such a description cannot express.
     """
-    check(problem, "log_cholesky")
+    check_problem(problem, "log_cholesky")
     return _solve(problem, start, LogCholesky)
 
 
-def manifold(problem: Problem, start: Array) -> Local:
+def manifold(problem: Problem, start: Array) -> LocalSolution:
     """Solve on the manifold of Thm 2; see `log_cholesky`."""
-    check(problem, "manifold")
+    check_problem(problem, "manifold")
     return _solve(problem, start, Manifold)
 
 
 LOCAL = {"log_cholesky": log_cholesky, "manifold": manifold}  # by name
 
 
-def check(problem: Problem, name: str) -> None:
-    """Raise a `SolverError` if a problem has exact facts, or other inequalities than J ⪰ 0 for every body."""
-    for part in problem.parts:
-        if len(part.piece.inequalities) != 1 or part.piece.inequalities[0] is not DENSITY:
-            what = f"{name} knows only constraints: full, and {problem.labels[part.body]} has others; use clarabel"
+def check_problem(problem: Problem, name: str) -> None:
+    """Raise a `SolverError` if a problem has exact constraints, or other inequalities than J ⪰ 0 for every body."""
+    for variables in problem.pieces:
+        inequalities = variables.piece.inequalities
+        if len(inequalities) != 1 or inequalities[0] is not DENSITY:
+            body = problem.body_names[variables.body]
+            what = f"{name} knows only constraints: full, and {body} has others; use clarabel"
             raise SolverError("solver.name", what)
     if len(problem.e):
         what = f"{name} cannot hold known masses or centres exactly; give them a standard_error, or use clarabel"
         raise SolverError("solver.name", what)
 
 
-def _cut(J: Array, least: float) -> Array:
-    """The nearest matrices without lesser eigenvalues."""
+def _with_least_eigenvalue(J: Array, least: float) -> Array:
+    """The nearest matrices with no eigenvalue below ``least``."""
     values, axes = np.linalg.eigh(J)
     return np.asarray((axes * np.maximum(values, least)[:, None]) @ axes.swapaxes(-1, -2))
 
 
-def _solve(problem: Problem, start: Array, kind: type[Chart]) -> Local:
+def _solve(problem: Problem, start: Array, kind: type[Chart]) -> LocalSolution:
     started = time.perf_counter()
     residuals = Residuals(problem)
-    z, J = start.copy(), pseudo_inertia(start[residuals.own])
+    z = start.copy()
+    J = pseudo_inertia(start[residuals.bodies])
     edge = np.linalg.eigvalsh(J)[:, 0] < _EDGE
-    z[residuals.own[edge]] = from_pseudo_inertia(_cut(J[edge], _INNER))
-    z[problem.others] = np.maximum(start[problem.others], problem.lower)
-    lower = np.concatenate([np.tile(kind.lower, len(residuals.own)), problem.lower])
-    iterations, cost = 0, np.inf
+    z[residuals.bodies[edge]] = from_pseudo_inertia(_with_least_eigenvalue(J[edge], _INSIDE))
+    z[problem.other_coefficients] = np.maximum(start[problem.other_coefficients], problem.lower)
+    lower = np.concatenate([np.tile(kind.lower, len(residuals.bodies)), problem.lower])
+    iterations = 0
+    cost = np.inf
     for _ in range(kind.runs):
-        chart = kind(pseudo_inertia(z[residuals.own]) - INTERIOR * np.eye(4), residuals.slope(z))
-        v = np.concatenate([chart.y.ravel(), z[problem.others]])
+        chart = kind(pseudo_inertia(z[residuals.bodies]) - INTERIOR * np.eye(4), residuals.slope(z))
+        v = np.concatenate([chart.y.ravel(), z[problem.other_coefficients]])
         with np.errstate(over="ignore", invalid="ignore"):  # scipy goes less far where a step leads beyond all numbers
             answer = least_squares(residuals.value, v, residuals.jacobian, (lower, np.inf), args=(chart,), **_SETTINGS)
-        z, iterations = residuals.z(chart, answer.x), iterations + int(answer.nfev)
-        gain, cost = cost - 2 * answer.cost, 2 * answer.cost
-        if gain <= _SETTLED * max(cost + problem.constant, 1.0):
+        z = residuals.z(chart, answer.x)
+        iterations += int(answer.nfev)
+        gain = cost - 2 * answer.cost
+        cost = 2 * answer.cost
+        if gain <= _LEAST_GAIN * max(cost + problem.constant, 1.0):
             break
-    return Local(problem.S.T @ z, str(answer.message), iterations, time.perf_counter() - started)
+    return LocalSolution(problem.S.T @ z, str(answer.message), iterations, time.perf_counter() - started)

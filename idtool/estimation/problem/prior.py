@@ -1,4 +1,4 @@
-"""How far a body may stray from its prior: the distances d(pi, pî) of (27), each without units.
+"""Distances d(pi, pî) of a body from its prior in (27), each without units.
 
 - euclidean: ‖pi − pî‖² in units of the body's own mass and size, or as in the paper in SI units;
 - entropic: −log det J + log det Ĵ + Tr(Ĵ⁻¹ J) − 4, the log-det Bregman divergence (Lee, Wensing & Park 2020);
@@ -20,13 +20,13 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
 from idtool.robot.metric import pullback
 
-_INNER = 1e-3  # least second moment of a prior about its centre of mass, in units of its mass and typical size
+_LEAST_MOMENT = 1e-3  # least second moment of a prior about its centre of mass, in units of its mass and typical size
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class LogDet:
     G
         Symmetric matrices, shape (10, 4, 4); X = 1 at the prior.
     weight
-        Of the divergence.
+        Weight of the divergence.
     """
 
     first: int
@@ -48,26 +48,26 @@ class LogDet:
     weight: float
 
     @property
-    def own(self) -> slice:
-        """The ten among z."""
+    def z_slice(self) -> slice:
+        """The ten coefficients in z."""
         return slice(self.first, self.first + SIZE)
 
     @property
     def slope(self) -> Array:
-        """Its linear part, weight · Tr G, shape (10,)."""
+        """Slope of the linear part, weight · Tr G, shape (10,)."""
         return np.asarray(self.weight * np.trace(self.G, axis1=1, axis2=2))
 
     @property
     def offset(self) -> float:
-        """Its constant part, −weight · n."""
+        """Constant part, −weight · n."""
         return -self.weight * len(self.G[0])
 
     def matrix(self, z: Array) -> Array:
         """X, shape (4, 4)."""
-        return np.asarray(np.tensordot(z[self.own], self.G, axes=1))
+        return np.asarray(np.tensordot(z[self.z_slice], self.G, axes=1))
 
     def value(self, z: Array) -> float:
-        """The term; infinite where X is not positive definite."""
+        """Value of the term; infinite where X is not positive definite."""
         X = self.matrix(z)
         eigenvalues = np.linalg.eigvalsh(X)
         if eigenvalues[0] <= 0:
@@ -75,7 +75,7 @@ class LogDet:
         return float(self.weight * (eigenvalues - 1 - np.log(eigenvalues)).sum())
 
     def gradient(self, z: Array) -> Array:
-        """Its derivative with respect to the ten, shape (10,)."""
+        """Derivative with respect to the ten coefficients, shape (10,)."""
         X = self.matrix(z)
         return np.asarray(self.weight * np.einsum("kij,ji->k", self.G, np.eye(len(X)) - np.linalg.inv(X)))
 
@@ -86,8 +86,8 @@ class LogDet:
         return np.asarray(np.sqrt(self.weight) * (inverse @ self.G @ inverse.T).reshape(SIZE, -1).T)
 
 
-def reference(pi: Array, scales: Array) -> Array:
-    """The parameters pi, or where no body can have them or only just, what is next to them well inside; shape (10,).
+def realizable_prior(pi: Array, scales: Array) -> Array:
+    """The parameters pi, or near ones well inside the realizable set if pi is not; shape (10,).
 
     Mass and centre of mass stay, so this does not depend on the frame.
 
@@ -103,7 +103,7 @@ def reference(pi: Array, scales: Array) -> Array:
         return from_mass_com_inertia(float(scales[0]), np.zeros(3), unit**2 * float(scales[0]) * np.eye(3))
     mass, com, inertia = mass_com_inertia(pi)
     moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)  # of Sigma_C
-    least = _INNER * mass * unit**2
+    least = _LEAST_MOMENT * mass * unit**2
     if moments[0] >= least:
         return pi
     covariance = (axes * np.maximum(moments, least)) @ axes.T
@@ -111,16 +111,16 @@ def reference(pi: Array, scales: Array) -> Array:
 
 
 def moved_priors(model: LinearModel, bodies: Sequence[Body], regularization: Regularization) -> tuple[str, ...]:
-    """Names of the bodies whose distance is not from the prior itself but from its `reference`."""
+    """Names of the bodies whose distance is not from the prior itself but from its `realizable_prior`."""
     if regularization.kind not in ("entropic", "pullback"):
         return ()
     scales = np.array([c.scale or 0.0 for c in model.coefficients[: SIZE * len(bodies)]]).reshape(-1, SIZE)
     pairs = zip(bodies, scales, strict=True)
-    return tuple(body.name for body, own in pairs if not np.array_equal(reference(body.pi, own), body.pi))
+    return tuple(body.name for body, own in pairs if not np.array_equal(realizable_prior(body.pi, own), body.pi))
 
 
 def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regularization, units: Array) -> Array:
-    """The distance as least squares, ‖rows · [theta; −1]‖²; shape (rows, p + 1), none for a divergence.
+    """Rows of the distance as least squares, ‖rows · [theta; −1]‖²; shape (rows, p + 1), none for a divergence.
 
     Parameters
     ----------
@@ -133,24 +133,25 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
     units
         Units of theta, shape (p,).
     """
-    pull, prior = np.sqrt(regularization.number), model.prior
+    root_weight = np.sqrt(regularization.number)
+    prior = model.prior
     p, inertial = len(prior), SIZE * len(bodies)
     L = np.zeros((inertial, p))
     if regularization.kind == "euclidean":
-        np.fill_diagonal(L, pull / (units[:inertial] if regularization.units == "relative" else 1.0))
+        np.fill_diagonal(L, root_weight / (units[:inertial] if regularization.units == "relative" else 1.0))
     elif regularization.kind == "pullback":
         prior = prior.copy()
         for i, body in enumerate(bodies):
             own = slice(SIZE * i, SIZE * (i + 1))
-            prior[own] = reference(body.pi, units[own])
+            prior[own] = realizable_prior(body.pi, units[own])
             M = units[own, None] * pullback(prior[own]) * units[own]
-            L[own, own] = pull * np.linalg.cholesky(M).T / units[own]
+            L[own, own] = root_weight * np.linalg.cholesky(M).T / units[own]
     masses = _mass_rows(bodies, regularization, units, p)
     return np.column_stack([np.concatenate([L, masses]), np.concatenate([L @ prior, masses @ model.prior])])
 
 
 def _mass_rows(bodies: Sequence[Body], regularization: Regularization, units: Array, p: int) -> Array:
-    """What masses count beyond their share in the distance, shape (bodies, p)."""
+    """Rows that weigh masses beyond their share in the distance, shape (bodies, p)."""
     rows = np.zeros((len(bodies), p))
     if regularization.kind == "none" or regularization.units == "si":
         return rows
@@ -162,18 +163,22 @@ def _mass_rows(bodies: Sequence[Body], regularization: Regularization, units: Ar
 
 
 def log_dets(
-    model: LinearModel, bodies: Sequence[Body], regularization: Regularization, known: Knowledge, scale: Array
+    model: LinearModel,
+    bodies: Sequence[Body],
+    regularization: Regularization,
+    equalities: EqualityConstraints,
+    scale: Array,
 ) -> tuple[LogDet, ...]:
-    """The divergences of all bodies, copies too, from their priors in terms of z in units of ``scale``, shape (p',)."""
+    """Divergences of all bodies, copies too, from their priors, on z in units of ``scale``, shape (p',)."""
     if regularization.kind != "entropic" or not regularization.number:
         return ()
     terms = []
     for i, body in enumerate(bodies):
-        rows = known.K[SIZE * i : SIZE * (i + 1)]
+        rows = equalities.K[SIZE * i : SIZE * (i + 1)]
         first = int(np.flatnonzero(rows.any(axis=0))[0])
         own = slice(first, first + SIZE)
         units = np.array([c.scale for c in model.coefficients[SIZE * i : SIZE * (i + 1)]])
-        J = pseudo_inertia(reference(body.pi, units))
+        J = pseudo_inertia(realizable_prior(body.pi, units))
         inverse = np.linalg.inv(np.linalg.cholesky(J))
         G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ BASIS @ inverse.T, axes=1)
         terms.append(LogDet(first, G, regularization.number))

@@ -2,7 +2,7 @@
 
     min over theta of f(theta) = (1/n) Σ_j ‖Y_j theta − tau_j‖² / sigma_j² + w Σ_bodies d(pi, pî)
 
-subject to every body's inequalities, the coefficients' bounds and what is known exactly. d is the prior's distance, of
+subject to every body's inequalities, the coefficients' bounds and exact constraints. d is the prior's distance, of
 least squares or the log-det divergence. With theta = K (scale · z), z the coefficients that are no copies of others,
 f = ‖A z − b‖² + Σ log-dets + constant, and A is triangular with p' rows whatever the log's length. A body is the sum of
 its pieces (Cor. 2): z = S x.
@@ -23,19 +23,19 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import weighted_rows
-from idtool.estimation.problem.parts import INTERIOR, Matrix, Part, parts_of
 from idtool.estimation.problem.prior import LogDet, log_dets, prior_rows
+from idtool.estimation.problem.variables import INTERIOR, ConicInequality, PieceVariables, piece_variables
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE
 from idtool.robot.sets import ConstraintSet
 
-_LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization say anything, coefficients stay there
-_AGREE = 1e-6  # of exact facts that say the same
-_RANK = 1e-9  # of the largest singular value: facts that say less than that beyond the others say nothing
+_LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization hold them, coefficients stay there
+_AGREEMENT = 1e-6  # of exact constraints that follow from each other
+_RANK = 1e-9  # of the largest singular value: constraints below it follow from the others
 
 
 @dataclass(frozen=True)
@@ -50,20 +50,20 @@ class Problem:
         Units of z, shape (p',).
     K
         theta = K (scale · z), shape (p, p').
-    parts
+    pieces
         The bodies' pieces in the order of x; then come the other coefficients.
-    labels
+    body_names
         Name of every body.
-    others
+    other_coefficients
         Indices in z of the coefficients that are no inertia parameters.
     lower
         Their lower bounds, in units of ``scale``.
     E, e
-        What is known exactly: E z = e, rows of norm one; shapes (k, p') and (k,).
-    facts
-        Where that stands in the configuration.
+        Exact constraints: E z = e, rows of norm one; shapes (k, p') and (k,).
     log_dets
         The part of f that is not quadratic.
+    equality_labels
+        Places of the exact constraints in the configuration.
     interior
         How far inside its set a body is kept, in units of its own mass and size.
     """
@@ -73,72 +73,76 @@ class Problem:
     constant: float
     scale: Array
     K: Array
-    parts: tuple[Part, ...]
-    labels: tuple[str, ...]
-    others: Indices
+    pieces: tuple[PieceVariables, ...]
+    body_names: tuple[str, ...]
+    other_coefficients: Indices
     lower: Array
     E: Array
     e: Array
     log_dets: tuple[LogDet, ...] = ()
-    facts: tuple[str, ...] = ()
+    equality_labels: tuple[str, ...] = ()
     interior: float = INTERIOR
 
     @cached_property
-    def inequalities(self) -> tuple[Matrix, ...]:
-        """All matrix inequalities on x."""
-        return tuple(
-            Matrix(
-                part.start,
-                inequality.scaled(part.length, part.piece.powers),
-                f"{self.labels[part.body]}: {inequality.label}",
-                self.interior if inequality.strict else 0.0,
-            )
-            for part in self.parts
-            for inequality in part.piece.inequalities
-        )
+    def inequalities(self) -> tuple[ConicInequality, ...]:
+        """All inequalities of the bodies on x."""
+        inequalities = []
+        for variables in self.pieces:
+            for inequality in variables.piece.inequalities:
+                inequalities.append(
+                    ConicInequality(
+                        first=variables.start,
+                        G=inequality.scaled(variables.length, variables.piece.powers),
+                        label=f"{self.body_names[variables.body]}: {inequality.label}",
+                        interior=self.interior if inequality.strict else 0.0,
+                    )
+                )
+        return tuple(inequalities)
 
     @property
     def variables(self) -> int:
-        """How many x there are, m."""
-        return self._split + len(self.others)
+        """Number of variables x, m."""
+        return self._first_other + len(self.other_coefficients)
 
     @property
-    def _split(self) -> int:
-        return self.parts[-1].stop if self.parts else 0
+    def _first_other(self) -> int:
+        """Index in x of the first coefficient that is no inertia parameter."""
+        return self.pieces[-1].stop if self.pieces else 0
 
     @property
     def bounded(self) -> Indices:
         """Indices in x of the coefficients that have a lower bound."""
-        return self._split + np.flatnonzero(np.isfinite(self.lower))
+        return self._first_other + np.flatnonzero(np.isfinite(self.lower))
 
     @property
     def bounds(self) -> Array:
-        """Their lower bounds."""
+        """Lower bounds of the `bounded` coefficients."""
         return self.lower[np.isfinite(self.lower)]
 
     @cached_property
     def S(self) -> Array:  # noqa: N802
         """Sum of pieces: z = S x, shape (p', m)."""
         S = np.zeros((len(self.scale), self.variables))
-        for part in self.parts:
-            S[part.first : part.first + SIZE, part.start : part.stop] = part.basis
-        S[self.others, self._split + np.arange(len(self.others))] = 1
+        for piece in self.pieces:
+            S[piece.z_slice, piece.x_slice] = piece.basis
+        S[self.other_coefficients, self._first_other + np.arange(len(self.other_coefficients))] = 1
         return S
 
     def theta(self, z: Array) -> Array:
         """All coefficients, copies included, shape (p,), SI."""
         return np.asarray(self.K @ (self.scale * z))
 
-    def pieces(self, x: Array) -> list[tuple[int, Array]]:
+    def piece_parameters(self, x: Array) -> list[tuple[int, Array]]:
         """Body index and parameters, shape (10,), SI, of every piece; of copies too."""
-        found = []
-        for body in range(len(self.labels)):
-            own = self.K[SIZE * body : SIZE * (body + 1)]
-            first = int(np.flatnonzero(own.any(axis=0))[0])
-            z = slice(first, first + SIZE)
-            for part in (part for part in self.parts if part.first == first):
-                found.append((body, own[:, z] @ (self.scale[z] * (part.basis @ x[part.start : part.stop]))))
-        return found
+        parameters = []
+        for body in range(len(self.body_names)):
+            K = self.K[SIZE * body : SIZE * (body + 1)]
+            first = int(np.flatnonzero(K.any(axis=0))[0])
+            for piece in self.pieces:
+                if piece.first == first:
+                    z = self.scale[piece.z_slice] * (piece.basis @ x[piece.x_slice])
+                    parameters.append((body, K[:, piece.z_slice] @ z))
+        return parameters
 
     def cost(self, z: Array) -> float:
         """The objective f."""
@@ -153,7 +157,7 @@ def build_problem(
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
     noise: Array,
-    known: Knowledge | None = None,
+    equalities: EqualityConstraints | None = None,
 ) -> Problem:
     """State (27) on R-factors.
 
@@ -166,55 +170,68 @@ def build_problem(
     reduction
         The data.
     sets
-        One set a body.
+        One set per body.
     regularization
         The prior's kind and weight.
     noise
         sigma, shape (nv,).
-    known
-        What is known otherwise; default: nothing.
+    equalities
+        The equality constraints; default: none.
 
     Raises
     ------
     ConfigError
-        If what is known exactly contradicts itself.
+        If exact constraints contradict each other.
     """
     p = len(model.coefficients)
-    known = known or Knowledge.none(p)
+    equalities = equalities or EqualityConstraints.none(p)
     data = weighted_rows(model, reduction, noise)
     units = _units(model, data)
-    rows = np.concatenate([data, _soft(known, reduction, p), prior_rows(model, bodies, regularization, units)])
+    soft = _soft_rows(equalities, reduction, p)
+    prior = prior_rows(model, bodies, regularization, units)
     least = np.sqrt(_LEAST_WEIGHT) / units
-    rows = np.concatenate([rows, np.column_stack([np.diag(least), least * model.prior])])
-    scale = units[known.free]
-    R = np.asarray(np.linalg.qr(np.column_stack([rows[:, :p] @ known.K * scale, rows[:, p]]), mode="r"))
+    anchor = np.column_stack([np.diag(least), least * model.prior])
+    rows = np.concatenate([data, soft, prior, anchor])
+
+    scale = units[equalities.free]
     q = len(scale)
-    parts = parts_of(bodies, sets, known.free)
-    others = np.flatnonzero(known.free >= SIZE * len(bodies))
-    lower = np.array([model.coefficients[known.free[i]].lower for i in others]) / scale[others]
-    E, e = _equalities(known, scale)
-    terms = log_dets(model, bodies, regularization, known, scale)
-    constant = float(np.square(R[q:, q]).sum())
-    names = tuple(body.name for body in bodies)
-    facts = tuple(dict.fromkeys(fact.label for fact in known.hard))
-    return Problem(R[:q, :q], R[:q, q], constant, scale, known.K, parts, names, others, lower, E, e, terms, facts)
-
-
-def _units(model: LinearModel, data: Array) -> Array:
-    """Typical size of every coefficient, shape (p,): an inertia parameter's own, any other's by what it does."""
-    held = np.array([c.scale is not None for c in model.coefficients])
-    size = np.linalg.norm(data[:, :-1], axis=0)
-    grown = _placeholder_factor(data, np.where(held, model.prior, 0.0))
-    return np.array(
-        [
-            grown * c.scale if c.scale is not None else 1 / (s or 1.0)
-            for c, s in zip(model.coefficients, size, strict=True)
-        ]
+    R = np.asarray(np.linalg.qr(np.column_stack([rows[:, :p] @ equalities.K * scale, rows[:, p]]), mode="r"))
+    others = np.flatnonzero(equalities.free >= SIZE * len(bodies))
+    lower = np.array([model.coefficients[equalities.free[i]].lower for i in others]) / scale[others]
+    E, e = _exact_equations(equalities, scale)
+    return Problem(
+        A=R[:q, :q],
+        b=R[:q, q],
+        constant=float(np.square(R[q:, q]).sum()),
+        scale=scale,
+        K=equalities.K,
+        pieces=piece_variables(bodies, sets, equalities.free),
+        body_names=tuple(body.name for body in bodies),
+        other_coefficients=others,
+        lower=lower,
+        E=E,
+        e=e,
+        log_dets=log_dets(model, bodies, regularization, equalities, scale),
+        equality_labels=tuple(dict.fromkeys(constraint.label for constraint in equalities.hard)),
     )
 
 
+def _units(model: LinearModel, data: Array) -> Array:
+    """Typical size of every coefficient, shape (p,): an inertia parameter's own, any other's by its effect."""
+    has_scale = np.array([c.scale is not None for c in model.coefficients])
+    factor = _placeholder_factor(data, np.where(has_scale, model.prior, 0.0))
+    effect = np.linalg.norm(data[:, :-1], axis=0)
+    units = []
+    for c, size in zip(model.coefficients, effect, strict=True):
+        if c.scale is not None:
+            units.append(factor * c.scale)
+        else:
+            units.append(1 / (size or 1.0))
+    return np.array(units)
+
+
 def _placeholder_factor(rows: Array, prior: Array) -> float:
-    """How much heavier than the prior the bodies are by the torque they take, at least 1.
+    """Ratio of the measured torque to that of the prior's bodies, at least 1.
 
     URDFs are often given with masses that only hold a place. Deviations from such a prior are no multiples of it.
     """
@@ -222,25 +239,26 @@ def _placeholder_factor(rows: Array, prior: Array) -> float:
     return max(float(measured / explained), 1.0) if explained > 0 else 1.0
 
 
-def _soft(known: Knowledge, reduction: Reduction, p: int) -> Array:
-    """What is known with a standard error, weighted against samples that repeat each other; shape (facts, p + 1)."""
+def _soft_rows(equalities: EqualityConstraints, reduction: Reduction, p: int) -> Array:
+    """Measured constraints, weighted against samples that repeat each other; shape (measured, p + 1)."""
     independent = sum(factor.independent for factor in reduction) / len(reduction)
-    return np.asarray(known.soft_rows().reshape(-1, p + 1) / np.sqrt(max(independent, 1.0)))
+    return np.asarray(equalities.soft_rows().reshape(-1, p + 1) / np.sqrt(max(independent, 1.0)))
 
 
-def _equalities(known: Knowledge, scale: Array) -> tuple[Array, Array]:
-    """The exact facts on z without those that follow from others; rows of norm one."""
-    if not known.hard:
+def _exact_equations(equalities: EqualityConstraints, scale: Array) -> tuple[Array, Array]:
+    """E and e of the exact constraints E z = e, without those that follow from others; rows of norm one."""
+    if not equalities.hard:
         return np.zeros((0, len(scale))), np.zeros(0)
-    E = np.array([fact.row for fact in known.hard]) @ known.K * scale
-    e = np.array([fact.value for fact in known.hard])
+    E = np.array([constraint.row for constraint in equalities.hard]) @ equalities.K * scale
+    e = np.array([constraint.value for constraint in equalities.hard])
     size = np.linalg.norm(E, axis=1)
     E, e = E / size[:, None], e / size
     U, s, Vt = svd(E)
-    seen = s > _RANK * s[0]
-    rows, values = Vt[seen], (U.T @ e)[seen] / s[seen]
-    wrong = np.abs(E @ rows.T @ values - e)
-    if wrong.max() > _AGREE * max(np.abs(e).max(), 1.0):
-        worst = known.hard[int(np.argmax(wrong))].label
+    is_independent = s > _RANK * s[0]
+    rows = Vt[is_independent]
+    values = (U.T @ e)[is_independent] / s[is_independent]
+    deviation = np.abs(E @ rows.T @ values - e)
+    if deviation.max() > _AGREEMENT * max(np.abs(e).max(), 1.0):
+        worst = equalities.hard[int(np.argmax(deviation))].label
         raise ConfigError(worst, "contradicts what else is known exactly; give one of them a standard_error")
     return rows, values

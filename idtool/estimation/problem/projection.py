@@ -13,10 +13,10 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.dynamics.effects.rigid_body import parameter_scales
-from idtool.estimation.problem.identify import solve
-from idtool.estimation.problem.parts import parts_of
-from idtool.estimation.problem.prior import reference
+from idtool.estimation.problem.estimate import solve
+from idtool.estimation.problem.prior import realizable_prior
 from idtool.estimation.problem.problem import Problem
+from idtool.estimation.problem.variables import piece_variables
 from idtool.robot.body import Body
 from idtool.robot.inertia import SIZE
 from idtool.robot.metric import FLOOR, nearest_realizable, pullback
@@ -25,8 +25,9 @@ from idtool.robot.sets import ConstraintSet
 Metric = Literal["euclidean", "pullback"]
 
 _PASSES = 6
-_COARSE, _FINER = 0.1, 1e-5  # cost from which the gap is small against it; of the last unit, the least next one
-_NO_DISTANCE = 1e-6  # squared
+_ACCURATE_COST = 0.1  # in the unit of cost, from which the gap is small against it
+_LEAST_STEP = 1e-5  # of the unit of cost from one pass to the next
+_ZERO_DISTANCE = 1e-6  # squared
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class Projection:
     pi
         Shape (10,).
     pieces
-        What they are the sum of (Cor. 2), shape (pieces, 10).
+        Parameters of its pieces, whose sum they are (Cor. 2), shape (pieces, 10).
     distance
-        From the parameters projected, in units of the body's mass and size or of the pull-back metric.
+        Distance from the original parameters, in units of the body's mass and size or of the pull-back metric.
     """
 
     pi: Array
@@ -48,17 +49,17 @@ class Projection:
     distance: float
 
 
-def project(pi: Array, chosen: ConstraintSet, body: Body, metric: Metric = "euclidean") -> Projection:
+def project(pi: Array, constraint_set: ConstraintSet, body: Body, metric: Metric = "euclidean") -> Projection:
     """The nearest parameters of a set.
 
     Parameters
     ----------
     pi
         Any finite parameters, shape (10,).
-    chosen
+    constraint_set
         The set.
     body
-        Whose bounds the set takes, and whose size the Euclidean metric is relative to.
+        The set is within its bounds, and the Euclidean metric is relative to its size.
     metric
         ``euclidean``: relative deviations; ``pullback``: ½ Tr(Ĵ⁻¹ dJ Ĵ⁻¹ dJ) at pi or, where pi is not well inside the
         realizable parameters, at what is next to it there. The latter does not depend on units and frames.
@@ -70,56 +71,72 @@ def project(pi: Array, chosen: ConstraintSet, body: Body, metric: Metric = "eucl
     """
     pi = np.asarray(pi, dtype=float)
     unit = parameter_scales(body, abs(float(pi[0])) or 1.0)
-    at = reference(pi, unit)
-    M = np.eye(SIZE) if metric == "euclidean" else unit[:, None] * pullback(at) * unit
-    if metric == "pullback" and chosen.name in ("full", "ellipsoid") and len(body.ellipsoids) < 2 and not body.com:
-        bounded = chosen.name == "ellipsoid" and body.ellipsoids
-        nearest = nearest_realizable(pi, at, body.ellipsoids[0].Q if bounded else None)
-        off = (nearest - pi) / unit
-        return Projection(nearest, nearest[None], float(np.sqrt(off @ M @ off)))
-    return _solved(pi, chosen, body, M, unit)
+    if metric == "euclidean":
+        return _project_by_solver(pi, constraint_set, body, np.eye(SIZE), unit)
+    center = realizable_prior(pi, unit)
+    M = unit[:, None] * pullback(center) * unit
+    has_closed_form = constraint_set.name in ("full", "ellipsoid") and len(body.ellipsoids) < 2 and not body.com
+    if not has_closed_form:
+        return _project_by_solver(pi, constraint_set, body, M, unit)
+    Q = body.ellipsoids[0].Q if constraint_set.name == "ellipsoid" and body.ellipsoids else None
+    nearest = nearest_realizable(pi, center, Q)
+    difference = (nearest - pi) / unit
+    return Projection(nearest, nearest[None], float(np.sqrt(difference @ M @ difference)))
 
 
-def _solved(pi: Array, chosen: ConstraintSet, body: Body, M: Array, unit: Array) -> Projection:
-    """The projection by the solver, whose gap is relative to a cost of one: again with the distance as its unit."""
-    size, found = float(np.linalg.norm(M)), None
+def _project_by_solver(pi: Array, constraint_set: ConstraintSet, body: Body, M: Array, unit: Array) -> Projection:
+    """Projection by the solver, whose gap is relative to a cost of one: again with the distance as its unit."""
+    unit_cost = float(np.linalg.norm(M))
+    projection = None
     for _ in range(_PASSES):
-        problem = nearest_problem(pi, chosen, body, np.asarray(np.linalg.cholesky(M / size).T), unit)
+        A = np.asarray(np.linalg.cholesky(M / unit_cost).T)
+        problem = nearest_problem(pi, constraint_set, body, A, unit)
         try:
             x, certificate = solve(problem)
         except SolverError:
-            if found is None:
+            if projection is None:
                 raise
             break
-        squared = size * max(certificate.objective, 0.0)
-        pieces = np.array([piece for _, piece in problem.pieces(x)])
-        found = Projection(problem.theta(problem.S @ x), pieces, float(np.sqrt(squared)))
-        if certificate.objective > _COARSE or size < _NO_DISTANCE:
+        squared = unit_cost * max(certificate.objective, 0.0)
+        pieces = np.array([parameters for _, parameters in problem.piece_parameters(x)])
+        projection = Projection(problem.theta(problem.S @ x), pieces, float(np.sqrt(squared)))
+        if certificate.objective > _ACCURATE_COST or unit_cost < _ZERO_DISTANCE:
             break
-        size *= max(certificate.objective, _FINER)
-    if found is None:
+        unit_cost *= max(certificate.objective, _LEAST_STEP)
+    if projection is None:
         raise AssertionError  # the first pass gives it or an error
-    return found
+    return projection
 
 
-def nearest_problem(pi: Array, chosen: ConstraintSet, body: Body, A: Array, unit: Array) -> Problem:
+def nearest_problem(pi: Array, constraint_set: ConstraintSet, body: Body, A: Array, unit: Array) -> Problem:
     """The problem min ‖A (z − pi / unit)‖² over a set.
 
     Parameters
     ----------
-    pi, chosen, body
+    pi, constraint_set, body
         As in `project`.
     A
         Square root of the metric in these units, shape (10, 10).
     unit
         Units of the parameters, shape (10,).
     """
-    known = np.array([[-c, *np.eye(3)[k], *np.zeros(6)] for k, c in enumerate(body.com or ())]).reshape(-1, SIZE)
-    E = known * unit / np.linalg.norm(known * unit, axis=1, keepdims=True)
-    none = np.zeros(0)
-    parts = parts_of([body], [chosen], np.arange(SIZE))
-    others = none.astype(np.intp)
-    facts = E, np.zeros(len(E))
+    com = body.com or ()
+    E = np.zeros((len(com), SIZE))  # h − m c = 0
+    for axis, c in enumerate(com):
+        E[axis, 0] = -c
+        E[axis, 1 + axis] = 1.0
+    E = E * unit / np.linalg.norm(E * unit, axis=1, keepdims=True)
     return Problem(
-        A, A @ (pi / unit), 0.0, unit, np.eye(SIZE), parts, (body.name,), others, none, *facts, interior=FLOOR
+        A=A,
+        b=A @ (pi / unit),
+        constant=0.0,
+        scale=unit,
+        K=np.eye(SIZE),
+        pieces=piece_variables([body], [constraint_set], np.arange(SIZE)),
+        body_names=(body.name,),
+        other_coefficients=np.zeros(0, dtype=np.intp),
+        lower=np.zeros(0),
+        E=E,
+        e=np.zeros(len(E)),
+        interior=FLOOR,
     )

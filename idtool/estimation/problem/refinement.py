@@ -31,12 +31,13 @@ from idtool.estimation.problem.conic import Solution, svec
 from idtool.estimation.problem.problem import Problem
 
 _ACCURACY = 3e-8  # in units of z: a step that is shorter is the last
-_STEPS, _PATIENCE = 40, 4  # in all, and in a row that are no shorter than one before
+_MOST_STEPS = 40
+_PATIENCE = 4  # steps in a row that are no shorter than one before, after which it ends
 _DUAL_UNIT = 0.03  # typical Z at an inequality's limit
-_LEAST = 1e-15  # mu to start with
+_LEAST_MU = 1e-15  # to start with
 _CAREFUL, _BOLD = 0.9, 1 - 1e-6  # of the way to the boundary that a step goes
-_CORRECTED = 3  # times that a step is computed, from what the last time left
-_CONDITIONED = 1e-7  # least pivot: its square is what is left of a computed step's digits
+_CORRECTIONS = 3  # of a solution of the linear system, each from the residual of the last
+_LEAST_PIVOT = 1e-7  # its square is the share of a computed step's digits that is right
 _ONE = np.ones((1, 1))
 
 
@@ -49,7 +50,7 @@ class Refined:
     solution
         The optimum and its dual variables.
     error
-        How far any z is from the optimum, by the length of the next step.
+        Distance of any z from the optimum, by the length of the next step.
     """
 
     solution: Solution
@@ -64,37 +65,37 @@ def refine(problem: Problem, solution: Solution) -> Refined | None:
     problem
         From `problem.build_problem`.
     solution
-        Near the optimum, what is known exactly met, and its dual variables.
+        Near the optimum, with exact constraints met, and its dual variables.
 
     Returns
     -------
     The optimum among the bodies that are as far inside their sets as the problem demands; None where the method breaks
     down at once.
     """
-    passed: list[_Point] = []
+    iterates: list[_Iterate] = []
     with suppress(np.linalg.LinAlgError):
-        path = _Path(problem, solution)
-        for steps in range(_STEPS):
-            here, imbalance = path.solution(steps), path.imbalance()
-            error = path.step()
-            passed.append(_Point(here, error, imbalance))
+        newton = _Newton(problem, solution)
+        for steps in range(_MOST_STEPS):
+            before, imbalance = newton.solution(steps), newton.imbalance()
+            error = newton.step()
+            iterates.append(_Iterate(before, error, imbalance))
             if error <= _ACCURACY:
-                passed.append(_Point(path.solution(steps + 1), error, path.imbalance()))
+                iterates.append(_Iterate(newton.solution(steps + 1), error, newton.imbalance()))
                 break
-            errors = [point.error for point in passed]
+            errors = [iterate.error for iterate in iterates]
             if min(errors[-_PATIENCE:]) > min(errors):
                 break
-    if not passed:
+    if not iterates:
         return None
-    nearest = min(reversed(passed), key=lambda point: point.error)
-    balanced = min(passed, key=lambda point: point.imbalance).solution
+    nearest = min(reversed(iterates), key=lambda iterate: iterate.error)
+    balanced = min(iterates, key=lambda iterate: iterate.imbalance).solution
     solution = replace(nearest.solution, duals=balanced.duals, multipliers=balanced.multipliers)
     return Refined(solution, nearest.error) if np.isfinite(nearest.error) else None
 
 
 @dataclass(frozen=True)
-class _Point:
-    """A point on the way, the length of the step from there to the optimum, and how far its duals are from balance."""
+class _Iterate:
+    """A solution, the length of the step from there to the optimum, and the imbalance of its dual variables."""
 
     solution: Solution
     error: float
@@ -107,15 +108,15 @@ class _Row:
 
     Attributes
     ----------
-    own, G, least
+    variables, G, least
         As in `_Form`, of one.
     Z
         Shape (n, n).
     place
-        Which inequality it is, or one beyond them for the lower bounds, and which of its entries.
+        Index of the inequality, or one beyond them for the lower bounds, and of its entry.
     """
 
-    own: Indices
+    variables: Indices
     G: Array
     least: float
     Z: Array
@@ -125,12 +126,12 @@ class _Row:
 def _rows(problem: Problem, solution: Solution) -> Iterator[_Row]:
     """All inequalities and, last, the lower bounds."""
     for i, (inequality, Z) in enumerate(zip(problem.inequalities, solution.duals, strict=True)):
-        own = np.arange(inequality.own.start, inequality.own.stop)
+        variables = np.arange(inequality.x_slice.start, inequality.x_slice.stop)
         if Z.ndim == 2:
-            yield _Row(own, inequality.G, inequality.interior, _symmetric(Z), (i, 0))
+            yield _Row(variables, inequality.G, inequality.interior, _symmetric(Z), (i, 0))
             continue
         for j, multiplier in enumerate(Z):
-            yield _Row(own, inequality.G[:, j, None, None], inequality.interior, multiplier * _ONE, (i, j))
+            yield _Row(variables, inequality.G[:, j, None, None], inequality.interior, multiplier * _ONE, (i, j))
     bounds = zip(problem.bounded, problem.bounds, solution.multipliers, strict=True)
     for j, (k, bound, multiplier) in enumerate(bounds):
         yield _Row(np.array([k]), _ONE[None], bound, multiplier * _ONE, (len(solution.duals), j))
@@ -141,12 +142,12 @@ class _Form:
 
     Attributes
     ----------
-    own
+    variables
         Indices of their variables, shape (B, K).
     G
         Shape (B, K, n, n).
     least
-        What is taken off X, shape (B, n, n).
+        Constant that is subtracted from X, shape (B, n, n).
     P, Q, Z
         Shape (B, n, n).
     places
@@ -154,7 +155,7 @@ class _Form:
     """
 
     def __init__(self, rows: Sequence[_Row]) -> None:
-        self.own = np.array([row.own for row in rows])
+        self.variables = np.array([row.variables for row in rows])
         self.G = np.array([row.G for row in rows])
         self._one = np.eye(self.G.shape[-1])
         self.least = np.array([row.least for row in rows])[:, None, None] * self._one
@@ -164,7 +165,7 @@ class _Form:
 
     def slack(self, x: Array) -> Array:
         """X(x) − margin · 1."""
-        return _combined(x[self.own], self.G) - self.least
+        return _combined(x[self.variables], self.G) - self.least
 
     def centre(self, x: Array, mu: float) -> None:
         """Set S and Z to the nearest that have S Z = mu · 1, in units in which both are of one size."""
@@ -181,41 +182,41 @@ class _Form:
     def slope(self, m: int) -> Array:
         """Σ ⟨G, Z⟩ on x, shape (m,)."""
         slope = np.zeros(m)
-        np.add.at(slope, self.own, np.einsum("bkij,bij->bk", self.G, self.Z))
+        np.add.at(slope, self.variables, np.einsum("bkij,bij->bk", self.G, self.Z))
         return slope
 
     def scale(self, x: Array) -> None:
-        """Find the scaling R with d, and what it makes of G and of what S lacks."""
+        """Find the scaling R with d, and the scaled G and residual of S."""
         U, self._d, Vt = np.linalg.svd(_transposed(self.Q) @ self.P)
         root = np.sqrt(self._d)[:, None]
         self._R = self.P @ _transposed(Vt) / root
         self._inverse = _transposed(self.Q @ U / root)
         self._D = self._d[:, None] * self._one
         self._G = self._inverse[:, None] @ self.G @ _transposed(self._inverse)[:, None]
-        lack = self.slack(x) - self.P @ _transposed(self.P)
-        self._lack = self._inverse @ lack @ _transposed(self._inverse)
+        residual = self.slack(x) - self.P @ _transposed(self.P)
+        self._residual = self._inverse @ residual @ _transposed(self._inverse)
 
     def root(self, m: int) -> Array:
         """Rows whose squares are the barrier's second derivative, shape (B n (n + 1) / 2, m)."""
         entries = _transposed(svec(self._G))
         root = np.zeros((*entries.shape[:2], m))
-        for block, own, values in zip(root, self.own, entries, strict=True):
-            block[:, own] = values
+        for block, variables, values in zip(root, self.variables, entries, strict=True):
+            block[:, variables] = values
         return root.reshape(-1, m)
 
-    def wanted(self, mu: float, bend: Array | float) -> Array:
-        """Sum of the scaled changes of S and Z that leads to S Z = mu · 1; ``bend`` is what is of second order."""
-        off = mu * self._one - np.square(self._D) - bend
-        return np.asarray(2 * off / (self._d[:, :, None] + self._d[:, None]))
+    def target(self, mu: float, second_order: Array | float) -> Array:
+        """Sum of the scaled changes of S and Z that leads to S Z = mu · 1, with a second-order term of S Z."""
+        residual = mu * self._one - np.square(self._D) - second_order
+        return np.asarray(2 * residual / (self._d[:, :, None] + self._d[:, None]))
 
-    def pull(self, wanted: Array) -> Array:
-        """That, without what S lacks, as entries along `root`."""
-        return svec(wanted - self._lack).ravel()
+    def right_side(self, target: Array) -> Array:
+        """The target less the residual of S, as entries along `root`."""
+        return svec(target - self._residual).ravel()
 
-    def changes(self, dx: Array, wanted: Array) -> tuple[Array, Array]:
+    def changes(self, dx: Array, target: Array) -> tuple[Array, Array]:
         """The scaled changes of S and Z that go with a step of x."""
-        dS = _combined(dx[self.own], self._G) + self._lack
-        return _symmetric(dS), _symmetric(wanted - dS)
+        dS = _combined(dx[self.variables], self._G) + self._residual
+        return _symmetric(dS), _symmetric(target - dS)
 
     def rate(self, change: Array) -> float:
         """The least r such that S or Z is singular after the share −1 / r of a scaled change."""
@@ -236,8 +237,8 @@ class _Form:
         self.P, self.Q, self.Z = P, Q, Q @ _transposed(Q)
 
 
-class _Path:
-    """The way from a solution to the optimum."""
+class _Newton:
+    """Newton's method from a solution to the optimum."""
 
     def __init__(self, problem: Problem, solution: Solution) -> None:
         self._problem, self._solution, self._S = problem, solution, problem.S
@@ -252,49 +253,49 @@ class _Path:
         self._count = max(sum(form.count for form in self._forms), 1)
         product = sum(float(np.abs((form.slack(self.x) * form.Z).sum())) for form in self._forms)
         for form in self._forms:
-            form.centre(self.x, max(product / self._count, _LEAST))
+            form.centre(self.x, max(product / self._count, _LEAST_MU))
 
     def step(self) -> float:
-        """Take one step of Newton's method; returns how far the optimum is by it."""
+        """Take one step of Newton's method; returns the distance of the optimum by it."""
         m = len(self.x)
         for form in self._forms:
             form.scale(self.x)
         barrier = np.concatenate([np.zeros((0, m)), *(form.root(m) for form in self._forms)])
-        log_dets = [term.root(self._S @ self.x) @ self._S[term.own] for term in self._problem.log_dets]
+        log_dets = [term.root(self._S @ self.x) @ self._S[term.z_slice] for term in self._problem.log_dets]
         solve = self._factored(np.concatenate([self._root, *log_dets, barrier]))
         mu = sum(form.product() for form in self._forms) / self._count
         downhill = -self._uphill()
 
-        def direction(mu: float, bends: Sequence[Array | float]) -> tuple[Array, list[tuple[Array, Array]]]:
-            wanted = [form.wanted(mu, bend) for form, bend in zip(self._forms, bends, strict=True)]
-            pulls = [form.pull(one) for form, one in zip(self._forms, wanted, strict=True)]
-            dx = solve(downhill + barrier.T @ np.concatenate([np.zeros(0), *pulls]))
-            return dx, [form.changes(dx, one) for form, one in zip(self._forms, wanted, strict=True)]
+        def direction(mu: float, second_order: Sequence[Array | float]) -> tuple[Array, list[tuple[Array, Array]]]:
+            targets = [form.target(mu, term) for form, term in zip(self._forms, second_order, strict=True)]
+            right_sides = [form.right_side(target) for form, target in zip(self._forms, targets, strict=True)]
+            dx = solve(downhill + barrier.T @ np.concatenate([np.zeros(0), *right_sides]))
+            return dx, [form.changes(dx, target) for form, target in zip(self._forms, targets, strict=True)]
 
         dx, changes = direction(0.0, [0.0] * len(self._forms))
-        share = min(1.0, self._reach(dx, changes))
+        share = min(1.0, self._steps_to_boundary(dx, changes))
         error = float(np.abs(self._S @ dx).max()) / share
         pairs = list(zip(self._forms, changes, strict=True))
-        left = sum(form.product_after(share, *change) for form, change in pairs) / self._count
-        centring = max(left / mu, 0.0) ** 3 if mu else 0.0
+        mu_after = sum(form.product_after(share, *change) for form, change in pairs) / self._count
+        centring = max(mu_after / mu, 0.0) ** 3 if mu else 0.0
         dx, changes = direction(centring * mu, [_symmetric(dS @ dZ) for dS, dZ in changes])
-        bold = min(max(_CAREFUL, 1 - centring), _BOLD)
-        share = min(1.0, bold * self._reach(dx, changes))
+        share_of_way = min(max(_CAREFUL, 1 - centring), _BOLD)
+        share = min(1.0, share_of_way * self._steps_to_boundary(dx, changes))
         self.x = self.x + share * dx
         for form, change in zip(self._forms, changes, strict=True):
             form.move(share, *change)
         return error if np.isfinite(error) else np.inf
 
     def imbalance(self) -> float:
-        """How far slope and dual variables are from their balance at the optimum."""
+        """Deviation of slope and dual variables from their balance at the optimum."""
         uphill = self._uphill()
         if self._free is not None:
             uphill = self._free.T @ uphill
-        left = float(np.abs(uphill).sum()) + sum(form.product() for form in self._forms)
-        return left if np.isfinite(left) else np.inf
+        imbalance = float(np.abs(uphill).sum()) + sum(form.product() for form in self._forms)
+        return imbalance if np.isfinite(imbalance) else np.inf
 
     def solution(self, steps: int) -> Solution:
-        """Where it has come to after some steps."""
+        """The current solution, after so many steps."""
         duals = [Z.copy() for Z in (*self._solution.duals, self._solution.multipliers)]
         for form in self._forms:
             for (i, j), Z in zip(form.places, form.Z, strict=True):
@@ -306,11 +307,11 @@ class _Path:
         return replace(self._solution, x=self.x, duals=duals[:-1], multipliers=duals[-1], iterations=iterations)
 
     def _uphill(self) -> Array:
-        """What the slope of f is not balanced by, shape (m,), but for what is known exactly."""
+        """Slope of f less that of the inequalities, shape (m,); at the optimum exact constraints balance it."""
         z = self._S @ self.x
         slope = np.sqrt(2) * self._root.T @ (self._problem.A @ z - self._problem.b)
         for term in self._problem.log_dets:
-            slope += self._S[term.own].T @ term.gradient(z)
+            slope += self._S[term.z_slice].T @ term.gradient(z)
         return np.asarray(slope - sum(form.slope(len(slope)) for form in self._forms))
 
     def _factored(self, H: Array) -> Callable[[Array], Array]:
@@ -324,7 +325,7 @@ class _Path:
         def solve(y: Array) -> Array:
             y = size * (y if self._free is None else self._free.T @ y)
             dx = np.zeros_like(y)
-            for _ in range(_CORRECTED):
+            for _ in range(_CORRECTIONS):
                 rest = y - H.T @ (H @ dx)
                 dx = dx + solve_triangular(R, solve_triangular(R, rest, trans=1))
             dx = size * dx
@@ -332,8 +333,8 @@ class _Path:
 
         return solve
 
-    def _reach(self, dx: Array, changes: Sequence[tuple[Array, Array]]) -> float:
-        """How many times a step leads to the boundary."""
+    def _steps_to_boundary(self, dx: Array, changes: Sequence[tuple[Array, Array]]) -> float:
+        """Multiple of a step that leads to the boundary."""
         pairs = zip(self._forms, changes, strict=True)
         rates = [form.rate(change) for form, both in pairs for change in both]
         for term in self._problem.log_dets:
@@ -353,7 +354,7 @@ def _triangle(H: Array) -> Array:
     """R with Rᵀ R = Hᵀ H, columns of norm one: by Cholesky's method where that keeps enough digits, else by QR."""
     with suppress(np.linalg.LinAlgError):
         R = _transposed(np.linalg.cholesky(H.T @ H))
-        if R.diagonal().min() > _CONDITIONED:
+        if R.diagonal().min() > _LEAST_PIVOT:
             return R
     return np.asarray(np.linalg.qr(H, mode="r"))
 

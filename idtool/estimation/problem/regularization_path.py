@@ -23,8 +23,8 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.blocks import Blocks, together
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.problem.barrier import Barrier
@@ -66,7 +66,7 @@ class PathPoint:
         Root mean square residual on all data, and of each block of time under a fit to the others, in units of the
         joints' noise; the latter is interpolated between decades, and NaN where logs are too short.
     total_mass
-        Of all bodies [kg].
+        Mass of all bodies [kg].
     distance
         Distance from the prior, Σ d(pi, pî) of (27) in Wensing, Kim & Slotine (2018).
     """
@@ -95,7 +95,7 @@ class RegularizationPath:
     standard_error
         Standard error of the best weight's validation error squared; NaN where logs are too short.
     limit
-        Why the weight is not larger: ``validation``, ``significance``, ``range`` (it is the largest tried) or
+        Reason why the weight is not larger: ``validation``, ``significance``, ``range`` (it is the largest tried) or
         ``untested`` (logs are too short to leave out a part).
     """
 
@@ -114,7 +114,7 @@ class RegularizationPath:
 
     @property
     def reason(self) -> str:
-        """Why it is not larger, in words."""
+        """Reason why the weight is not larger, in words."""
         return _REASONS[self.limit]
 
 
@@ -124,7 +124,7 @@ def regularization_path(
     data: Sequence[Blocks],
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
-    known: Knowledge,
+    equalities: EqualityConstraints,
     noise: Array,
 ) -> RegularizationPath:
     """Fit with every weight of the path, and choose the largest that the data do not object to.
@@ -138,21 +138,21 @@ def regularization_path(
     data
         The logs in blocks.
     sets
-        One set a body.
+        One set per body.
     regularization
         The prior's kind.
-    known
-        What is known otherwise.
+    equalities
+        The equality constraints.
     noise
         The joints' residual noise, shape (nv,) [N·m or N].
 
     Raises
     ------
     SolverError
-        If nothing fulfils the sets and what is known exactly.
+        If nothing fulfils the sets and exact constraints.
     """
-    total = together([log.total for log in data])
-    tracker = _Tracker(model, bodies, total, sets, regularization, known, noise)
+    total = merge_reductions([log.total for log in data])
+    tracker = _Tracker(model, bodies, total, sets, regularization, equalities, noise)
     fits = tracker.solve(tracker.data_gram, WEIGHTS)
     blocks = _blocks(data)
     if len(blocks) < _FOLDS:
@@ -179,26 +179,26 @@ def _largest_accepted(train: Array, validation: Array, best: int, standard_error
     train, validation
         Mean squared residuals of each weight on all data and on what was left out, shape (W,).
     best
-        Index of the weight with the least of the latter.
+        Index of the weight with the least squared residual on what was left out.
     standard_error
-        Of that.
+        Standard error of that residual.
     """
     effective_samples = 2 / (standard_error / validation[best]) ** 2  # a mean square's relative variance is 2 / n
     ratios = {  # above 1 the data object
         "validation": validation / (validation[best] + standard_error),
         "significance": train / (train.min() * (1 + _MOST_MOVED**2 / effective_samples)),
     }
-    for here in range(best, 0, -1):
-        firmer = here - 1
-        crossings = {  # as a share of the way to the firmer weight, in its logarithm
-            name: float(np.clip((1 - ratio[here]) / (ratio[firmer] - ratio[here]), 0, 1))
-            for name, ratio in ratios.items()
-            if ratio[firmer] > 1
-        }
+    for weaker in range(best, 0, -1):
+        firmer = weaker - 1
+        crossings = {}  # as a share of the way to the firmer weight, in its logarithm
+        for name, ratio in ratios.items():
+            if ratio[firmer] > 1:
+                crossing = (1 - ratio[weaker]) / (ratio[firmer] - ratio[weaker])
+                crossings[name] = float(np.clip(crossing, 0, 1))
         if crossings:
             limit = min(crossings, key=lambda name: crossings[name])
-            factor = WEIGHTS[firmer] / WEIGHTS[here]
-            return float(WEIGHTS[here] * factor ** crossings[limit]), limit
+            factor = WEIGHTS[firmer] / WEIGHTS[weaker]
+            return float(WEIGHTS[weaker] * factor ** crossings[limit]), limit
     return float(WEIGHTS[0]), "range"
 
 
@@ -219,7 +219,7 @@ def _blocks(data: Sequence[Blocks]) -> list[Reduction]:
     block_seconds = min(_BLOCK_SECONDS, seconds / (2 * _FOLDS))
     blocks: list[Reduction] = []
     for log in data:
-        blocks += log.joined(max(round(block_seconds / log.seconds), 1)).parts
+        blocks += log.regrouped(max(round(block_seconds / log.seconds), 1)).parts
     return [block for block in blocks if any(factor.rows for factor in block)]
 
 
@@ -246,7 +246,7 @@ class _Tracker:
     problem
         The problem at the weight 1, for its constraints and log-dets.
     body_count
-        How many bodies there are.
+        Number of bodies.
     data_gram
         Gram matrix of all data, per sample.
 
@@ -262,20 +262,20 @@ class _Tracker:
         total: Reduction,
         sets: Sequence[ConstraintSet],
         regularization: Regularization,
-        known: Knowledge,
+        equalities: EqualityConstraints,
         noise: Array,
     ) -> None:
         def problem_with(weight: float) -> Problem:
-            return build_problem(model, bodies, total, sets, regularization.weighing(weight), noise, known)
+            return build_problem(model, bodies, total, sets, regularization.with_weight(weight), noise, equalities)
 
         without_prior, self.problem = problem_with(0.0), problem_with(1.0)
         self.model, self.noise, self.body_count = model, noise, len(bodies)
         self.data_gram = self._gram_of_data(total)
         gram_without_prior = _gram_of_problem(without_prior)
-        self._known_gram = gram_without_prior - self.data_gram  # of what is known otherwise
+        self._constraint_gram = gram_without_prior - self.data_gram  # of measured constraints and the anchor
         self._prior_gram = _gram_of_problem(self.problem) - gram_without_prior  # at the weight 1
         gap = _GAP * max(without_prior.constant, _LEAST_COST)
-        prior = model.prior[known.free] / self.problem.scale
+        prior = model.prior[equalities.free] / self.problem.scale
         start = np.asarray(np.linalg.lstsq(self.problem.S, prior, rcond=None)[0])
         self._barrier = Barrier(self.problem, *self._quadratic(self.data_gram, float(WEIGHTS[0])), gap, start)
 
@@ -297,7 +297,7 @@ class _Tracker:
     def _quadratic(self, data_gram: Array, weight: float) -> tuple[Array, Array]:
         """The quadratic part ½ xᵀ P x − qᵀ x of the cost at a weight: P, shape (m, m), and q, shape (m,)."""
         S = self.problem.S
-        gram = data_gram + self._known_gram + weight * self._prior_gram
+        gram = data_gram + self._constraint_gram + weight * self._prior_gram
         AtA, Atb = gram[:-1, :-1], gram[:-1, -1]
         return 2 * S.T @ AtA @ S, 2 * S.T @ Atb
 
@@ -333,8 +333,8 @@ class _Tracker:
         """The result: a point for each weight, from the smallest, and the chosen one with its neighbours."""
         points = [self._point(*each) for each in zip(WEIGHTS, x, validation, strict=True)]
         reported = weight * np.array([10.0, 1.0, 0.1])
-        apart = np.abs(np.log(WEIGHTS) - np.log(reported)[:, None])
-        fits = self.solve(self.data_gram, reported, starts=x[apart.argmin(axis=1)])
+        distance = np.abs(np.log(WEIGHTS) - np.log(reported)[:, None])
+        fits = self.solve(self.data_gram, reported, starts=x[distance.argmin(axis=1)])
         softness = -np.log(WEIGHTS)
         errors = np.interp(-np.log(reported), softness, validation, left=np.nan, right=np.nan)
         stronger, chosen, weaker = (self._point(*each) for each in zip(reported, fits, errors, strict=True))

@@ -15,12 +15,12 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
-from idtool.estimation.problem.identify import solve
+from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import SIZE, least_eigenvalue
 
-_POOL = 4096  # samples that draws are taken from, at random from all: a log of any length fits into memory
-_MORE = 4  # times as many draws of few samples
+_POOL = 4096  # samples that draws are made from, at random from all: a log of any length fits into memory
+_FEW_SAMPLES_FACTOR = 4  # times as many draws of few samples
 _STEPS = (1, 3)  # times a power of ten: the counts
 
 
@@ -33,11 +33,11 @@ class Pool:
     blocks
         Per joint, columns and torque in the band, shape (m_j + 1, samples).
     kept
-        Per joint, whether the sample counts, shape (samples,).
+        Per joint, true for samples that count, shape (samples,).
     worth
-        How many independent ones each sample is worth, shape (samples,).
+        Number of independent samples that each is worth, shape (samples,).
     whole
-        Whether these are all samples.
+        True if these are all samples.
     """
 
     blocks: list[Array]
@@ -50,13 +50,13 @@ class Pool:
         factors = []
         for block, kept in zip(self.blocks, self.kept, strict=True):
             own = chosen[kept[chosen]]
-            factors.append(replace(Factor.of(block[:, own]), independent=float(self.worth[own].sum())))
+            factors.append(replace(Factor.from_columns(block[:, own]), independent=float(self.worth[own].sum())))
         return tuple(factors)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """What a constraint set makes of few and of many samples; each shape (counts,), over the draws.
+    """Learning curve of a constraint set: figures for each count of samples, shape (counts,), over the draws.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Curve:
         Mean over the draws of log(error of the first set / this set's), both from the same samples, and its standard
         error: pairs show what the spread of the draws hides. NaN where less than two draws were solved.
     unsolved
-        Draws that the solver gave up on.
+        Number of draws that the solver gave up on.
     """
 
     median: Array
@@ -96,21 +96,25 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
             blocks, kept = experiment.equation.filtered_rows(batch)
-            everything = np.arange(blocks[0].shape[1])
-            worth = np.full(len(everything), 1 / run.signals.low_pass.redundancy)
+            indices = np.arange(blocks[0].shape[1])
+            worth = np.full(len(indices), 1 / run.signals.low_pass.redundancy)
             new = Pool(blocks, kept, worth)
-            total = merge(total, new.reduction(everything))
-            samples += len(everything)
+            total = merge(total, new.reduction(indices))
+            samples += len(indices)
             # Every sample draws a random key; the pool is those with the least ones.
-            keys = np.concatenate([keys, rng.random(len(everything))])
+            keys = np.concatenate([keys, rng.random(len(indices))])
             if pool is not None:
                 blocks = [np.concatenate(pair, axis=1) for pair in zip(pool.blocks, blocks, strict=True)]
                 kept = [np.concatenate(pair) for pair in zip(pool.kept, kept, strict=True)]
                 worth = np.concatenate([pool.worth, worth])
             least = np.argsort(keys)[:_POOL]
             keys = keys[least]
-            chosen = [block[:, least] for block in blocks], [k[least] for k in kept]
-            pool = Pool(*chosen, worth[least], samples <= _POOL)
+            pool = Pool(
+                blocks=[block[:, least] for block in blocks],
+                kept=[counts[least] for counts in kept],
+                worth=worth[least],
+                whole=samples <= _POOL,
+            )
     experiment.checked(total)
     if pool is None:
         raise AssertionError  # ruled out by the check
@@ -123,14 +127,16 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
     for run in experiment.runs:
         for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
             blocks, _ = experiment.equation.filtered_rows(batch)
-            total = merge(total, tuple(Factor.of(block) for block in blocks))
+            total = merge(total, tuple(Factor.from_columns(block) for block in blocks))
     return total
 
 
 def counts(samples: int) -> list[int]:
     """1, 3, 10, 30, … up to a number of samples, and that number."""
-    powers = range(len(str(samples)))
-    return [*(c for k in powers for s in _STEPS if (c := s * 10**k) < samples), samples]
+    steps = []
+    for power in range(len(str(samples))):
+        steps += [step * 10**power for step in _STEPS]
+    return [*(count for count in steps if count < samples), samples]
 
 
 def learn(
@@ -138,7 +144,7 @@ def learn(
     total: Reduction,
     validation: Reduction,
     active: Sequence[Indices],
-    state: dict[str, Callable[[Reduction], Problem]],
+    problem_of: dict[str, Callable[[Reduction], Problem]],
     draws: int,
     rng: np.random.Generator,
     progress: Progress,
@@ -155,10 +161,10 @@ def learn(
         The data that the error is on.
     active
         Per joint, its coefficients.
-    state
-        By set, what states the problem for a reduction.
+    problem_of
+        By set, function that builds the problem from a reduction.
     draws
-        How many; four times as many where there are fewer samples than parameters, where errors spread widely.
+        Number of draws; four times as many where there are fewer samples than parameters, where errors spread widely.
     rng
         Source of the draws.
     progress
@@ -170,25 +176,25 @@ def learn(
     """
     steps = counts(pool.blocks[0].shape[1])
     few = sum(count < int(np.max(np.concatenate(active))) for count in steps)
-    results = {name: np.full((_MORE * draws, len(steps), 2), np.nan) for name in state}
-    for draw in range(_MORE * draws):
+    results = {name: np.full((_FEW_SAMPLES_FACTOR * draws, len(steps), 2), np.nan) for name in problem_of}
+    for draw in range(_FEW_SAMPLES_FACTOR * draws):
         order = rng.permutation(steps[-1])
         data, first = empty(active), 0
         for k, count in enumerate(steps[: few if draw >= draws else None]):
             data, first = merge(data, pool.reduction(order[first:count])), count
-            for name, problem in state.items():
-                results[name][draw, k] = _outcome(problem(data), validation, active)
-        progress("drawing samples", (draw + 1) / (_MORE * draws))
+            for name, build in problem_of.items():
+                results[name][draw, k] = _outcome(build(data), validation, active)
+        progress("drawing samples", (draw + 1) / (_FEW_SAMPLES_FACTOR * draws))
     curves = {
-        name: [result[: _MORE * draws if k < few else draws, k] for k in range(len(steps))]
+        name: [result[: _FEW_SAMPLES_FACTOR * draws if k < few else draws, k] for k in range(len(steps))]
         for name, result in results.items()
     }
     if not pool.whole:
         steps = [*steps, max(factor.rows for factor in total)]
-        for name, problem in state.items():
-            curves[name].append(np.array([_outcome(problem(total), validation, active)]))
-    against = next(iter(curves.values()))
-    return steps, {name: _curve(columns, against) for name, columns in curves.items()}
+        for name, build in problem_of.items():
+            curves[name].append(np.array([_outcome(build(total), validation, active)]))
+    first_set = next(iter(curves.values()))
+    return steps, {name: _curve(columns, first_set) for name, columns in curves.items()}
 
 
 def _outcome(problem: Problem, validation: Reduction, active: Sequence[Indices]) -> tuple[float, float]:
@@ -203,19 +209,19 @@ def _outcome(problem: Problem, validation: Reduction, active: Sequence[Indices])
 
 def rms(data: Reduction, active: Sequence[Indices], theta: Array) -> Array:
     """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
-    squares = [f.squares(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
+    squares = [f.squared_error(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
     return np.asarray(np.sqrt([*map(float, squares), float(np.mean(squares))]))
 
 
 def violation(problem: Problem, z: Array) -> float:
-    """How far the worst body is from full consistency, in units of its typical mass and size; 0 where all can be."""
-    inertial = np.setdiff1d(np.arange(len(z)), problem.others)
+    """Distance of the worst body from full consistency, in units of its typical mass and size; 0 if there is none."""
+    inertial = np.setdiff1d(np.arange(len(z)), problem.other_coefficients)
     least = least_eigenvalue(z[inertial].reshape(-1, SIZE))
     return max(-float(least.min()), 0.0)
 
 
 def _curve(columns: Sequence[Array], first: Sequence[Array]) -> Curve:
-    """What the errors and violations of a set and of the first one, shape (draws, 2) for each count, come to."""
+    """The curve of errors and violations of a set beside those of the first one, shape (draws, 2) for each count."""
     solved = [column[~np.isnan(column[:, 0])] for column in columns]
     quartiles = [np.quantile(c[:, 0], [0.25, 0.5, 0.75]) if len(c) else np.full(3, np.nan) for c in solved]
     lower, median, upper = np.transpose(quartiles)

@@ -22,7 +22,7 @@ from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.estimation.online.adapt import adapt, convergence, time_to
 from idtool.estimation.problem.certificate import Certificate
-from idtool.estimation.problem.identify import solve, solve_locally
+from idtool.estimation.problem.estimate import solve, solve_locally
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study.learning import Curve, gather, held_out, learn
@@ -35,12 +35,12 @@ PRIORS = ("euclidean", "pullback", "entropic")
 DRAWS = 40
 _FORGETTING = np.inf  # the parameters of a log do not change
 _REPEATS = 3  # of a solution, for its time
-_PATIENCE = 1.0  # s, for all of them
+_MOST_SECONDS = 1.0  # for all of them
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One way to identify the model.
+class StudyEntry:
+    """Result of one constraint set or estimator.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Online:
     error
         By set, shape (T,) each.
     settled
-        By set, when the error falls below a tenth for good [s]; None: never.
+        By set, time after which the error stays below a tenth [s]; None: never.
     """
 
     t: Array
@@ -84,14 +84,14 @@ class Online:
 
 @dataclass(frozen=True)
 class Study:
-    """What the data make of every constraint set and estimator.
+    """Every constraint set and every estimator on the same data.
 
     Attributes
     ----------
     experiment
         Model and data.
     sets, estimators
-        Outcomes by name: constraint sets with the configuration's prior; priors and local solvers.
+        Entries by name: constraint sets with the configuration's prior; priors and local solvers.
     train, validation
         Errors of all these models under their names; the first one's curves are for drawing.
     counts, curves, draws
@@ -99,14 +99,14 @@ class Study:
     online
         Remark 5.
     warnings
-        What a user should know, a plain sentence each.
+        Plain sentences for the user.
     seconds
         Wall time of everything.
     """
 
     experiment: Experiment
-    sets: dict[str, Outcome]
-    estimators: dict[str, Outcome]
+    sets: dict[str, StudyEntry]
+    estimators: dict[str, StudyEntry]
     train: Evaluation
     validation: Evaluation
     counts: list[int]
@@ -118,7 +118,7 @@ class Study:
 
 
 def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Study:
-    """Identify in every way.
+    """Estimate with every constraint set and every estimator.
 
     Parameters
     ----------
@@ -144,53 +144,69 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     rng = np.random.default_rng(experiment.config.seed)
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)
-    noise = free_noise(equation, total, experiment.known)
+    noise = free_noise(equation, total, experiment.equalities)
     warnings = [*experiment.warnings, *(delay.warnings if delay else ())]
     names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
-    state = {name: _stating(experiment, name, noise) for name in names}
-    problems = {name: state[name](total) for name in names}
-    ways = {name: partial(_solved, experiment, name, p, partial(solve, p)) for name, p in problems.items()}
-    sets = _outcomes(ways, warnings, progress)
-    estimators = _outcomes(_estimators(experiment, total, noise), warnings, progress)
-    theta = {**{f"set {k}": o.theta for k, o in sets.items()}, **{k: o.theta for k, o in estimators.items()}}
+    problem_of = {name: _problem_builder(experiment, name, noise) for name in names}
+    candidates = {}
+    for name in names:
+        problem = problem_of[name](total)
+        candidates[name] = partial(_entry, experiment, name, problem, partial(solve, problem))
+    sets = _solved_entries(candidates, warnings, progress)
+    estimators = _solved_entries(_estimators(experiment, total, noise), warnings, progress)
+
     tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
-    models = {"identified": sets[tightest].theta, "prior": equation.prior, **theta}
-    evaluations = [evaluate(experiment, models, held, progress, angles=held) for held in (False, True)]
-    drawn = {name: state[name] for name in CURVES if name in state}
+    models = {"identified": sets[tightest].theta, "prior": equation.prior}
+    models |= {f"set {name}": entry.theta for name, entry in sets.items()}
+    models |= {name: entry.theta for name, entry in estimators.items()}
+    train_errors = evaluate(experiment, models, held_out=False, progress=progress)
+    validation_errors = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
+
+    drawn = {name: problem_of[name] for name in CURVES if name in problem_of}
     counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)
-    unsolved = {name: curve.unsolved for name, curve in curves.items() if curve.unsolved}
+    unsolved = [f"{name} {curve.unsolved}" for name, curve in curves.items() if curve.unsolved]
     if unsolved:
-        warnings.append(f"draws that the solver gave up on: {', '.join(f'{n} {k}' for n, k in unsolved.items())}")
+        warnings.append(f"draws that the solver gave up on: {', '.join(unsolved)}")
     rows = weighted_rows(equation, total, noise)[:, :-1]
     online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)
     return Study(
-        *(experiment, sets, estimators, evaluations[0], evaluations[1], counts, curves, draws, online),
-        *(tuple(warnings), time.perf_counter() - started),
+        experiment=experiment,
+        sets=sets,
+        estimators=estimators,
+        train=train_errors,
+        validation=validation_errors,
+        counts=counts,
+        curves=curves,
+        draws=draws,
+        online=online,
+        warnings=tuple(warnings),
+        seconds=time.perf_counter() - started,
     )
 
 
 def _weakly_regularized(experiment: Experiment) -> Experiment:
-    """The same with a number for the prior's weight: what an automatic one chooses would hide what a set does."""
+    """The experiment with a number for the prior's weight: an automatic one would hide the effect of a set."""
     regularization = experiment.config.regularization.or_weak()
     return replace(experiment, config=experiment.config.model_copy(update={"regularization": regularization}))
 
 
-def _stating(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduction], Problem]:
-    """What states the problem of a constraint set for a reduction."""
+def _problem_builder(experiment: Experiment, name: str, noise: Array) -> Callable[[Reduction], Problem]:
+    """Function that builds the problem of a constraint set from a reduction."""
     equation, bodies, config = experiment.equation, experiment.model.bodies, experiment.config
     sets = [choose_set(body, name) for body in bodies]
 
-    def state(data: Reduction) -> Problem:
-        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.known)
+    def build(data: Reduction) -> Problem:
+        return build_problem(equation, bodies, data, sets, config.regularization, noise, experiment.equalities)
 
-    return state
+    return build
 
 
-def _solved(
+def _entry(
     experiment: Experiment, name: str, problem: Problem, attempt: Callable[[], tuple[Array, Certificate]]
-) -> Outcome:
+) -> StudyEntry:
+    """The result of a problem, solved several times to measure the time."""
     seconds: list[float] = []
-    while len(seconds) < _REPEATS and sum(seconds) < _PATIENCE:
+    while len(seconds) < _REPEATS and sum(seconds) < _MOST_SECONDS:
         started = time.perf_counter()
         x, certificate = attempt()
         seconds.append(time.perf_counter() - started)
@@ -198,39 +214,41 @@ def _solved(
     sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
     units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
     least = least_eigenvalue((theta[: len(units)] / units).reshape(-1, SIZE))
-    return Outcome(sets, theta, certificate, float(np.median(seconds)), least)
+    return StudyEntry(sets, theta, certificate, float(np.median(seconds)), least)
 
 
-def _outcomes(ways: Mapping[str, Callable[[], Outcome]], warnings: list[str], progress: Progress) -> dict[str, Outcome]:
-    """What comes of every way that works; of the others, why not."""
-    found = {}
-    for done, (name, way) in enumerate(ways.items()):
-        progress(f"solving {name}", done / len(ways))
+def _solved_entries(
+    candidates: Mapping[str, Callable[[], StudyEntry]], warnings: list[str], progress: Progress
+) -> dict[str, StudyEntry]:
+    """Entries of all candidates that can be solved, and a warning about each of the others."""
+    entries = {}
+    for done, (name, solve_candidate) in enumerate(candidates.items()):
+        progress(f"solving {name}", done / len(candidates))
         try:
-            found[name] = way()
+            entries[name] = solve_candidate()
         except SolverError as error:
             warnings.append(f"{name}: {error}")
-    return found
+    return entries
 
 
-def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], Outcome]]:
+def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], StudyEntry]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
     equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
     weighted = given.model_copy(update={"weight": given.number or WEAK.number, "units": "relative"})
-    ways: dict[str, Callable[[], Outcome]] = {}
+    candidates: dict[str, Callable[[], StudyEntry]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})
         chosen = "full" if name in LOCAL else "ellipsoid"
         sets = [choose_set(body, chosen) for body in bodies]
-        problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.known)
-        start = equation.prior[experiment.known.free] / problem.scale
+        problem = build_problem(equation, bodies, total, sets, kind, noise, experiment.equalities)
+        start = equation.prior[experiment.equalities.free] / problem.scale
         attempt = partial(solve_locally, problem, name, start) if name in LOCAL else partial(solve, problem)
-        ways[name] = partial(_solved, experiment, chosen, problem, attempt)
-    return ways
+        candidates[name] = partial(_entry, experiment, chosen, problem, attempt)
+    return candidates
 
 
 def _online(experiment: Experiment, names: list[str], target: Array, rows: Array, progress: Progress) -> Online:
-    """Remark 5: how soon the adaptive estimator comes to what the data say in the end."""
+    """Convergence of the adaptive estimator to the estimate from all data (Remark 5)."""
     t: Array = np.zeros(0)
     error: dict[str, Array] = {}
     for name in names:

@@ -1,5 +1,5 @@
-"""How far to trust a fit: standard errors, what each number rests on, logs against each other, bias, prediction."""
+"""Uncertainty of a fit: standard errors, identifiability, agreement between logs, bias and prediction."""
 
-from idtool.estimation.uncertainty.inquiry import Trust, trust
+from idtool.estimation.uncertainty.analysis import UncertaintyAnalysis, uncertainty_analysis
 
-__all__ = ["Trust", "trust"]
+__all__ = ["UncertaintyAnalysis", "uncertainty_analysis"]

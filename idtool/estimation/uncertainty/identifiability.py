@@ -1,4 +1,4 @@
-"""What each number rests on: the data, the data in a combination with others, the constraint set, or the prior.
+"""Information source of each parameter: the data, the data in a combination with others, the constraint set, the prior.
 
 A coefficient's prior spread is its typical size, the body's own. The data narrow it to the posterior spread; how far
 the constraints narrow what is left is seen from the range at 1 % above the least cost, with and without them. These
@@ -18,43 +18,44 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.dynamics.effects.effect import Coefficient
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.problem.identify import Estimate
+from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.problem import Problem
-from idtool.estimation.uncertainty.base import BaseParameters, structural_base
+from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
 from idtool.estimation.uncertainty.ranges import free_spread, ranges
-from idtool.estimation.uncertainty.uncertainty import Uncertainty, weighed
+from idtool.estimation.uncertainty.standard_errors import Uncertainty, whitened_rows
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 
-Ground = Literal["data", "combination", "constraints", "prior"]
+InformationSource = Literal["data", "combination", "constraints", "prior"]
 
-_KNOWN = 0.5  # share of the data at which a coefficient that they determine counts as known by them
-_TIED = 0.3  # correlation of coefficients that move together
-_NAMED = 3  # of them
+_DATA_SHARE = 0.5  # of the data, from which a coefficient that they determine counts as known by them
+_CORRELATED = 0.3  # correlation of coefficients that move together
+_MOST_PARTNERS = 3
+_LEAST_INFORMATION = 1e-9  # square root, on a coefficient without prior that the data do not see
 
 
 @dataclass(frozen=True)
-class Basis:
-    """What a coefficient rests on.
+class ParameterSource:
+    """Shares of data, constraints and prior in the information on one parameter.
 
     Attributes
     ----------
-    on
-        The most of it.
+    information_source
+        The largest share.
     data, constraints, prior
         Shares, which make one: what the data take off the prior spread, what the constraints take off the rest, and
         what is left.
     range
-        What the constraints allow at 1 % above the least cost, SI; None where there is no end.
+        Range that the constraints allow at 1 % above the least cost, SI; None where there is no end.
     moves_with
-        Indices of the coefficients it moves with, the most tied first, and whether they rise or fall with it.
+        Indices of the coefficients it moves with, the most correlated first, and the correlation.
     combinations
         Indices of the base parameters that it is a part of, those first of which it is most.
     """
 
-    on: Ground
+    information_source: InformationSource
     data: float
     constraints: float
     prior: float
@@ -65,99 +66,114 @@ class Basis:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the parameters rest on.
+    """Base parameters and what they are known to, and the information source of every inertia parameter.
 
     Attributes
     ----------
     base
         The base parameters of the model.
-    value, standard_error, reach
-        Theirs: beta, its standard error, infinite where the log does not determine it, and half the width of the 95 %
-        interval in standard errors; shape (r,).
-    bases
-        One an inertia parameter.
+    value, standard_error, coverage_factor
+        Of beta; the standard error is infinite where the log does not determine it, and the coverage factor is half
+        the width of the 95 % interval in standard errors; shape (r,).
+    sources
+        One per inertia parameter.
     """
 
     base: BaseParameters
     value: Array
     standard_error: Array
-    reach: Array
-    bases: tuple[Basis, ...]
+    coverage_factor: Array
+    sources: tuple[ParameterSource, ...]
 
     @property
-    def seen(self) -> Mask:
-        """Which base parameters the log determines, shape (r,)."""
+    def determined(self) -> Mask:
+        """True for base parameters that the log determines, shape (r,)."""
         return np.isfinite(self.standard_error)
 
 
 def identifiability(
     model: Model,
     equation: LinearModel,
-    known: Knowledge,
+    equalities: EqualityConstraints,
     reduction: Reduction,
     estimate: Estimate,
-    found: Uncertainty,
+    uncertainty: Uncertainty,
     tell: Callable[[float], None],
 ) -> Identifiability:
-    """Ask what each number rests on.
+    """Find the information source of every inertia parameter.
 
     Parameters
     ----------
-    model, equation, known
+    model, equation, equalities
         The robot.
     reduction
         The data.
     estimate
         The identification.
-    found
+    uncertainty
         Standard errors.
     tell
         Told the share that is done.
     """
-    base, problem, x = structural_base(model, equation, known), estimate.problem, estimate.x
-    inertial = np.setdiff1d(np.arange(len(known.free)), problem.others)
-    spread, tied = _posterior(equation, known, reduction, problem, estimate.noise, found, inertial)
+    base = structural_base_parameters(model, equation, equalities)
+    problem, x = estimate.problem, estimate.x
+    inertial = np.setdiff1d(np.arange(len(equalities.free)), problem.other_coefficients)
+    names = equalities.free[inertial]
+    posterior, correlation = _posterior(equation, equalities, reduction, problem, estimate.noise, uncertainty, inertial)
     limits = ranges(problem, x, inertial, tell)
     free = free_spread(problem, x)[inertial] / problem.scale[inertial]
     ends = np.where(np.isfinite(limits), limits, (-np.inf, np.inf))
-    widths = np.diff(ends, axis=1)[:, 0] / 2 / problem.scale[inertial]
-    kept = np.minimum(widths, 1) / np.minimum(free, 1)
-    sees = found.identifiable[known.free[inertial]]
+    half_widths = np.diff(ends, axis=1)[:, 0] / 2 / problem.scale[inertial]
+    kept = np.minimum(half_widths, 1) / np.minimum(free, 1)
+    is_determined = uncertainty.identifiable[names]
     units = np.array([c.scale or 1.0 for c in equation.coefficients])
-    bases = []
-    for i, k in enumerate(inertial):
-        prior = float(spread[i] * min(kept[i], 1.0))
-        data, held = 1 - float(spread[i]), float(spread[i]) - prior
-        on = _ground(bool(sees[i]), data, held, prior)
-        low, high = (float(v) if np.isfinite(v) else None for v in limits[i])
-        partners = _partners(tied[i], i, known.free[inertial])
-        bases.append(
-            Basis(on, data, held, prior, (low, high), partners, _combinations(base, int(known.free[k]), units))
+    sources = []
+    for i, name in enumerate(names.tolist()):
+        left_by_data = float(posterior[i])
+        prior = float(posterior[i] * min(kept[i], 1.0))
+        data = 1 - left_by_data
+        constraints = left_by_data - prior
+        low, high = limits[i].tolist()
+        sources.append(
+            ParameterSource(
+                information_source=_information_source(bool(is_determined[i]), data, constraints, prior),
+                data=data,
+                constraints=constraints,
+                prior=prior,
+                range=(low if np.isfinite(low) else None, high if np.isfinite(high) else None),
+                moves_with=_partners(correlation[i], i, names),
+                combinations=_combinations(base, name, units),
+            )
         )
-    every = _for_all(bases, known, SIZE * len(model.bodies))
-    return Identifiability(base, base.B @ estimate.theta, found.of(base.B), found.reach(base.B), every)
+    return Identifiability(
+        base=base,
+        value=base.B @ estimate.theta,
+        standard_error=uncertainty.of(base.B),
+        coverage_factor=uncertainty.coverage_factor(base.B),
+        sources=_with_copies(sources, equalities, SIZE * len(model.bodies)),
+    )
 
 
 def _posterior(
     equation: LinearModel,
-    known: Knowledge,
+    equalities: EqualityConstraints,
     reduction: Reduction,
     problem: Problem,
     noise: Array,
-    found: Uncertainty,
+    uncertainty: Uncertainty,
     inertial: Indices,
 ) -> tuple[Array, Array]:
-    """Of inertia parameters in units of their prior spread: posterior spread, and correlation.
+    """Posterior spread of inertia parameters in units of their prior spread, and their correlation.
 
     The data's information is that of their independent rows, less where the residual's scatter says so.
     """
-    inflated = float(np.trace(found.spread)) / max(len(found.spread), 1)
-    data = np.concatenate(weighed(equation, reduction, noise)) / np.sqrt(inflated or 1.0)
-    told = known.soft_rows()[:, : len(equation.coefficients)]
-    W = np.concatenate([told, data]) @ known.K * problem.scale
+    variance = float(np.trace(uncertainty.covariance_y)) / max(len(uncertainty.covariance_y), 1)
+    data = np.concatenate(whitened_rows(equation, reduction, noise)) / np.sqrt(variance or 1.0)
+    soft = equalities.soft_rows()[:, : len(equation.coefficients)]
+    W = np.concatenate([soft, data]) @ equalities.K * problem.scale
     prior = np.zeros((len(inertial), W.shape[1]))
     prior[np.arange(len(inertial)), inertial] = 1
-    least = 1e-9 * np.eye(W.shape[1])  # of a coefficient without prior that the data do not see
+    least = _LEAST_INFORMATION * np.eye(W.shape[1])
     R = np.linalg.qr(np.concatenate([W, prior, least]), mode="r")
     inverse = np.linalg.inv(R)
     C = (inverse @ inverse.T)[np.ix_(inertial, inertial)]
@@ -165,9 +181,9 @@ def _posterior(
     return np.minimum(spread, 1.0), C / np.outer(spread, spread)
 
 
-def _ground(sees: bool, data: float, constraints: float, prior: float) -> Ground:
-    """The most of what a coefficient rests on."""
-    if sees and data >= _KNOWN:
+def _information_source(is_determined: bool, data: float, constraints: float, prior: float) -> InformationSource:
+    """The largest share; the data count as the source only of a coefficient that they determine."""
+    if is_determined and data >= _DATA_SHARE:
         return "data"
     if data > max(constraints, prior):
         return "combination"
@@ -175,10 +191,10 @@ def _ground(sees: bool, data: float, constraints: float, prior: float) -> Ground
 
 
 def _partners(correlation: Array, own: int, names: Indices) -> tuple[tuple[int, float], ...]:
-    """The coefficients that one moves with, the most tied first."""
-    order = np.argsort(-np.abs(correlation), kind="stable")
-    tied = [int(i) for i in order if i != own and abs(correlation[i]) >= _TIED][:_NAMED]
-    return tuple((int(names[i]), float(correlation[i])) for i in tied)
+    """The coefficients that one moves with, the most correlated first."""
+    order = np.argsort(-np.abs(correlation), kind="stable").tolist()
+    partners = [i for i in order if i != own and abs(correlation[i]) >= _CORRELATED]
+    return tuple((int(names[i]), float(correlation[i])) for i in partners[:_MOST_PARTNERS])
 
 
 def _combinations(base: BaseParameters, k: int, units: Array) -> tuple[int, ...]:
@@ -188,23 +204,25 @@ def _combinations(base: BaseParameters, k: int, units: Array) -> tuple[int, ...]
     return tuple(int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0)
 
 
-def _for_all(bases: Sequence[Basis], known: Knowledge, count: int) -> tuple[Basis, ...]:
-    """One for each inertia parameter, a copy's being its original's, turned round where it is reflected."""
-    found = []
-    for row in known.K[:count]:
+def _with_copies(
+    sources: Sequence[ParameterSource], equalities: EqualityConstraints, count: int
+) -> tuple[ParameterSource, ...]:
+    """One source per inertia parameter: a copy's is its original's, with signs changed where it is mirrored."""
+    all_sources = []
+    for row in equalities.K[:count]:
         place = int(np.argmax(np.abs(row)))
-        original = bases[place]
+        source = sources[place]
         if row[place] < 0:
-            low, high = original.range
-            turned = None if high is None else -high, None if low is None else -low
-            moves = tuple((k, -tied) for k, tied in original.moves_with)
-            original = replace(original, range=turned, moves_with=moves)
-        found.append(original)
-    return tuple(found)
+            low, high = source.range
+            mirrored = (None if high is None else -high, None if low is None else -low)
+            moves_with = tuple((k, -correlation) for k, correlation in source.moves_with)
+            source = replace(source, range=mirrored, moves_with=moves_with)
+        all_sources.append(source)
+    return tuple(all_sources)
 
 
 def combination(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> tuple[tuple[int, float], ...]:
-    """A base parameter's terms: the one it is called after, then what weighs most by the coefficients' typical sizes.
+    """Terms of a base parameter: the one it is called after, then what weighs most by the coefficients' typical sizes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far off the predicted torque may be for the parameters' errors alone, along a motion."""
+"""Standard errors of the predicted torque along a motion, from the parameters' errors alone."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
-from idtool.estimation.uncertainty.uncertainty import Uncertainty
+from idtool.estimation.uncertainty.standard_errors import Uncertainty
 
-_UNKNOWN = 1e-3  # of a row's size in directions that the data did not see, above which its error is not known
+_UNKNOWN = 1e-3  # share of a row's size in unobservable directions, above which its error is not known
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Prediction:
     rms, largest
         Over the samples whose error is known, shape (nv,) [N·m or N].
     unknown
-        Share of the samples that lie in directions that the fitted data do not see, shape (nv,).
+        Share of the samples that lie in directions that the fitted data do not determine, shape (nv,).
     """
 
     rms: Array
@@ -30,34 +30,36 @@ class Prediction:
     unknown: Array
 
 
-def prediction(experiment: Experiment, found: Uncertainty, held_out: bool, progress: Progress) -> Prediction:
-    """Ask for the predicted torque's standard error.
+def prediction(experiment: Experiment, uncertainty: Uncertainty, held_out: bool, progress: Progress) -> Prediction:
+    """Compute the predicted torque's standard error.
 
     Parameters
     ----------
     experiment
         Model and data.
-    found
+    uncertainty
         Of the coefficients.
     held_out
-        Which parts.
+        If true on the held-out parts, else on the training parts.
     progress
         Told how far it has come.
     """
-    seen, equation = found.directions, experiment.equation
-    values, vectors = np.linalg.eigh(found.spread)
-    root = seen.visible @ (vectors * np.sqrt(np.maximum(values, 0)))
-    hidden, visible = seen.hidden, seen.visible * seen.gain
+    equation, directions = experiment.equation, uncertainty.directions
+    values, vectors = np.linalg.eigh(uncertainty.covariance_y)
+    root = directions.observable @ (vectors * np.sqrt(np.maximum(values, 0)))  # (p, r), whose square is the covariance
+    observable = directions.observable * directions.singular_values
+    unobservable = directions.unobservable
     squares, largest, count, unknown = np.zeros((4, len(equation.joints)))
     for run in experiment.runs:
         parts = run.held_out if held_out else run.train
         stage = f"errors on {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts), parts, progress, stage):
-            for j, (rows, own) in enumerate(zip(equation.block(batch), equation.active(), strict=True)):
-                Y = rows[:-1].T
-                off, on = (np.square(Y @ ways[own]).sum(axis=1) for ways in (hidden, visible))
-                known = off <= _UNKNOWN**2 * (on + off)
-                variance = np.square(Y[known] @ root[own]).sum(axis=1)
+            for j, (block, columns) in enumerate(zip(equation.block(batch), equation.active(), strict=True)):
+                Y = block[:-1].T
+                seen = np.square(Y @ observable[columns]).sum(axis=1)
+                unseen = np.square(Y @ unobservable[columns]).sum(axis=1)
+                is_known = unseen <= _UNKNOWN**2 * (seen + unseen)
+                variance = np.square(Y[is_known] @ root[columns]).sum(axis=1)
                 squares[j] += variance.sum()
                 largest[j] = max(largest[j], float(np.max(variance, initial=0.0)))
                 count[j] += len(Y)

@@ -9,7 +9,7 @@ from typing import Any
 
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
-from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units
 from idtool.reporting.figures import by_unit, number, with_error
 from idtool.reporting.pages.base import render
@@ -181,21 +181,23 @@ def _torques(last: Sequence[Trace], first: Sequence[Trace], units: Mapping[str, 
     return drawn(traces, names, units, _MOST_VALUES)
 
 
-def _side_by_side(diagnosis: Diagnosis) -> Replay | None:
+def _side_by_side(diagnosis: Diagnosis) -> RolloutEvaluation | None:
     """Rollouts of the last model and, as ``prior``, of the first one, where both were run over the same windows."""
     last, first = diagnosis.last.simulation, diagnosis.first.simulation
     if last is None or "identified" in last.failed:
         return None
     keep = ("identified", "baseline")
-    departures = {name: last.departures[name] for name in keep}
-    lost, traces = {"identified": last.lost["identified"]}, [_only(t, ("measured", "identified")) for t in last.traces]
+    errors = {name: last.errors[name] for name in keep}
+    diverged = {"identified": last.diverged["identified"]}
+    traces = [_only(t, ("measured", "identified")) for t in last.traces]
     if first is not None and "identified" not in first.failed and first.windows == last.windows:
-        departures["prior"], lost["prior"] = first.departures["identified"], first.lost["identified"]
+        errors["prior"] = first.errors["identified"]
+        diverged["prior"] = first.diverged["identified"]
         traces = [
             replace(own, curves={**own.curves, "prior": former.curves["identified"]})
             for own, former in zip(traces, first.traces, strict=True)
         ]
-    return replace(last, departures=departures, lost=lost, traces=tuple(traces), failed={})
+    return replace(last, errors=errors, diverged=diverged, traces=tuple(traces), failed={})
 
 
 def _only(trace: Trace, names: Sequence[str]) -> Trace:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import Sections
 from idtool.reporting.pages.charts import chart, line, numbers, panel
@@ -27,12 +27,12 @@ def with_simulation(sections: Sections, simulation: Simulation | None) -> Sectio
     return [section for section in sections if section != SIMULATION or simulation is not None]
 
 
-def simulation_view(replay: Replay | None, simulation: Simulation | None, model: str) -> dict[str, Any]:
+def simulation_view(rollouts: RolloutEvaluation | None, simulation: Simulation | None, model: str) -> dict[str, Any]:
     """What is drawn of a simulation, of bounded size; nothing where there was none.
 
     Parameters
     ----------
-    replay
+    rollouts
         The simulation.
     simulation
         Its record; None where there was none.
@@ -43,10 +43,10 @@ def simulation_view(replay: Replay | None, simulation: Simulation | None, model:
     -------
     ``simulation``, as `curves` has the torques, each joint with the ``range`` of positions to show, and ``charts``.
     """
-    if replay is None or simulation is None:
+    if rollouts is None or simulation is None:
         return {}
     names = {"measured": "measured", "simulated": model, **({"prior": "prior"} if simulation.prior else {})}
-    view = drawn(replay.traces, names, simulation.units, _MOST_VALUES)
+    view = drawn(rollouts.traces, names, simulation.units, _MOST_VALUES)
     for log in view["logs"]:
         for joint in log["joints"]:
             joint["range"] = _shown(numbers(joint["measured"]), numbers(joint.get("simulated", [])))

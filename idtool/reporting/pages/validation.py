@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.replay import Replay
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
@@ -31,7 +31,7 @@ def validation_page(
     evaluation: Evaluation,
     report: ValidationReport,
     command: str,
-    replay: Replay | None = None,
+    rollouts: RolloutEvaluation | None = None,
     bodies: tuple[Model, Mapping[str, Array]] | None = None,
 ) -> str:
     """validation.html.
@@ -44,7 +44,7 @@ def validation_page(
         The content of validation.json.
     command
         The command line that made it.
-    replay
+    rollouts
         The same models run forwards, if they were.
     bodies
         The tree of bodies, and coefficients of the same models, shape (p,) each: the robot is drawn.
@@ -60,7 +60,7 @@ def validation_page(
         ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js"],
         {
             **curves(evaluation, "model", units, position=False),
-            **simulation_view(replay, report.simulation, "model"),
+            **simulation_view(rollouts, report.simulation, "model"),
             **robot,
         },
         report=report,

@@ -1,4 +1,4 @@
-"""What is demanded of the bodies and known of them beside the logs: sets, prior, measured masses, copies, solver."""
+"""Settings of the estimation: constraint sets, prior, known masses, copies, solver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Constraints = Literal["none", "semi", "full", "known_com", "com_ellipsoid", "ell
 
 
 def _weight_form(data: Any) -> str:
-    """Which form of a weight is given, for messages that name its key alone."""
+    """Tag of the form in which a weight is given, for messages that name its key alone."""
     return "[auto]" if data == "auto" else "[number]"
 
 
@@ -39,12 +39,12 @@ class Regularization(Record):
 
     @property
     def is_automatic(self) -> bool:
-        """Whether the weight is to be chosen from the data."""
+        """True if the weight is to be chosen from the data."""
         return self.weight == "auto" and self.kind != "none"
 
     @property
     def masses_known_better(self) -> float:
-        """How many times better masses are known than inertias."""
+        """Factor by which a mass of the prior has a smaller relative standard error than an inertia, 1 or more."""
         if self.units == "si":
             return 1.0
         if self.mass_precision is not None:
@@ -64,15 +64,15 @@ class Regularization(Record):
             raise ValueError("the weight auto is chosen by regularization_path before a problem is stated")
         return 0.0 if self.weight == "auto" else self.weight
 
-    def weighing(self, weight: float) -> Self:
-        """The same distance with a weight."""
+    def with_weight(self, weight: float) -> Self:
+        """The same distance with this number as its weight; the factor of ``mass_precision`` stays as it is now."""
         return self.model_copy(update={"weight": weight, "mass_precision": self.masses_known_better})
 
     def or_weak(self) -> Regularization:
-        """The same; in place of an automatic weight the paper's, which leaves to the data whatever they can tell."""
+        """Itself if the weight is a number, else a weak prior that needs no choice of weight: the paper's."""
         if self.weight != "auto":
             return self
-        return WEAK if self.is_automatic else self.weighing(0.0)
+        return WEAK if self.is_automatic else self.with_weight(0.0)
 
     @model_validator(mode="after")
     def _units_of_the_euclidean(self) -> Self:

@@ -11,7 +11,7 @@ from idtool.robot.sets.base import ConstraintSet
 
 
 class KnownCentre(ConstraintSet):
-    """Sigma_C = Sigma − m c cᵀ ⪰ 0, 3×3, and m ≥ 0; that h = m c is an equality of the problem (`knowledge`)."""
+    """Sigma_C = Sigma − m c cᵀ ⪰ 0, 3×3, and m ≥ 0; h = m c is an equality of the problem (`equality_constraints`)."""
 
     name = "known_com"
     tightness = 3

@@ -21,7 +21,7 @@ INTERIOR = 1e-9  # how far inside its set a body is kept, in units of its own ma
 
 
 @dataclass(frozen=True)
-class Part:
+class PieceVariables:
     """A piece of a body among the variables.
 
     Attributes
@@ -33,7 +33,7 @@ class Part:
     start
         Index of its first variable in x.
     piece
-        What it must fulfil.
+        Its inequalities.
     length
         The body's typical size [m].
     """
@@ -50,13 +50,23 @@ class Part:
         return self.start + len(self.piece.powers)
 
     @property
+    def z_slice(self) -> slice:
+        """The body's ten coefficients in z."""
+        return slice(self.first, self.first + SIZE)
+
+    @property
+    def x_slice(self) -> slice:
+        """Its K variables in x."""
+        return slice(self.start, self.stop)
+
+    @property
     def basis(self) -> Array:
         """Share of z per unit of x, shape (10, K)."""
         return np.asarray(self.piece.basis * self.length ** (self.piece.powers - POWERS[:, None]))
 
 
 @dataclass(frozen=True)
-class Matrix:
+class ConicInequality:
     """One inequality on x: Σ_k x[first + k] G_k ⪰ interior · 1, entry by entry where it is on a vector.
 
     Attributes
@@ -66,7 +76,7 @@ class Matrix:
     G
         Symmetric matrices, shape (K, n, n), or vectors, shape (K, n), without unit.
     label
-        The body and what is demanded of it.
+        The body and its inequality.
     interior
         How far inside x is kept.
     """
@@ -77,28 +87,33 @@ class Matrix:
     interior: float = INTERIOR
 
     @property
-    def own(self) -> slice:
-        """The K variables among x."""
+    def x_slice(self) -> slice:
+        """The K variables in x."""
         return slice(self.first, self.first + len(self.G))
 
     def value(self, x: Array) -> Array:
         """The matrix or vector at x, shape (n, n) or (n,)."""
-        return np.asarray(np.tensordot(x[self.own], self.G, axes=1))
+        return np.asarray(np.tensordot(x[self.x_slice], self.G, axes=1))
 
 
-def parts_of(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free: Indices) -> tuple[Part, ...]:
-    """The pieces of the bodies that are no copies of others, whose pieces they share.
+def piece_variables(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free: Indices) -> tuple[PieceVariables, ...]:
+    """Variables of all pieces of the bodies that are no copies of others, whose pieces they share.
 
     Parameters
     ----------
     bodies, sets
         The bodies, one set each.
     free
-        Which coefficients z are, shape (p',).
+        Index of each z among the coefficients, shape (p',).
     """
-    parts: list[Part] = []
+    variables: list[PieceVariables] = []
     place = {int(k): i for i, k in enumerate(free)}
-    for i, (body, kind) in enumerate(zip(bodies, sets, strict=True)):
-        for piece in kind.pieces(body) if SIZE * i in place else ():
-            parts.append(Part(i, place[SIZE * i], parts[-1].stop if parts else 0, piece, typical_length(body)))
-    return tuple(parts)
+    start = 0
+    for i, (body, constraint_set) in enumerate(zip(bodies, sets, strict=True)):
+        first = place.get(SIZE * i)
+        if first is None:
+            continue
+        for piece in constraint_set.pieces(body):
+            variables.append(PieceVariables(i, first, start, piece, typical_length(body)))
+            start = variables[-1].stop
+    return tuple(variables)

@@ -14,10 +14,10 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from idtool.estimation.dataset.blocks import Blocks
-from idtool.estimation.dataset.knowledge import Fact, Knowledge
+from idtool.estimation.dataset.equality_constraints import Constraint, EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor
-from idtool.estimation.uncertainty.scatter import Scatter, scatter
-from idtool.estimation.uncertainty.uncertainty import uncertainty
+from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
+from idtool.estimation.uncertainty.standard_errors import least_squares_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ P = 6
 ACTIVE = (np.array([0, 1, 2, 3]), np.array([2, 3, 4, 5]))  # two joints, and what both feel
 SIGMA = np.array([0.5, 2.0])
 EQUATION = SimpleNamespace(coefficients=(SimpleNamespace(scale=None),) * P, active=lambda: ACTIVE)
-NOTHING = Knowledge.none(P)
+NOTHING = EqualityConstraints.none(P)
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,15 @@ def slow(rng: np.random.Generator, a: float, shape: tuple[int, ...]) -> Array:
 
 
 def asked(
-    data: Sequence[Blocks], noise: Array = SIGMA, theta: Array | None = None, known: Knowledge = NOTHING, seed: int = 0
-) -> Scatter:
-    """What `scatter` says, from zero where no other start is given."""
+    data: Sequence[Blocks],
+    noise: Array = SIGMA,
+    theta: Array | None = None,
+    known: EqualityConstraints = NOTHING,
+    seed: int = 0,
+) -> ClusterRobustEstimate:
+    """What `cluster_robust_estimate` says, from zero where no other start is given."""
     start = np.zeros(P) if theta is None else theta
-    return scatter(EQUATION, data, noise, start, known, np.random.default_rng(seed))  # type: ignore[arg-type]
+    return cluster_robust_estimate(EQUATION, data, noise, start, known, np.random.default_rng(seed))  # type: ignore[arg-type]
 
 
 def weighted(Y: Array, tau: Array, sigma: Array = SIGMA) -> tuple[Array, Array]:
@@ -131,23 +135,23 @@ def test_the_spread_of_white_residuals_is_without_bias(facts: int) -> None:
 
     def spread(noise: Array, deviation: Array) -> Array:
         values = rows @ s.truth + errors * deviation
-        told = tuple(Fact("a fact", row, value, 0.5) for row, value in zip(rows, values, strict=True))
-        found = asked([s.log(SIGMA[:, None] * noise, 4)], theta=s.truth, known=replace(NOTHING, facts=told))
+        told = tuple(Constraint("a fact", row, value, 0.5) for row, value in zip(rows, values, strict=True))
+        found = asked([s.log(SIGMA[:, None] * noise, 4)], theta=s.truth, known=replace(NOTHING, constraints=told))
         assert found.bootstrap
-        assert found.blocks == 16
-        return found.uncertainty.spread - found.uncertainty.directions.soft
+        assert found.cluster_count == 16
+        return found.uncertainty.covariance_y - found.uncertainty.directions.soft
 
     units = np.eye(2 * n + facts)
     total = sum(spread(unit[: 2 * n].reshape(2, n), unit[2 * n :]) for unit in units)
     W = np.concatenate([weighted(s.Y, s.Y[:, :, 0])[0], rows / 0.5])
-    found = asked([s.log(np.ones((2, n)), 4)], known=replace(NOTHING, facts=tuple(map(fact, rows)))).uncertainty
+    found = asked([s.log(np.ones((2, n)), 4)], known=replace(NOTHING, constraints=tuple(map(fact, rows)))).uncertainty
     np.testing.assert_allclose(total + found.directions.soft, np.eye(P), atol=1e-9)
-    V = found.directions.visible
+    V = found.directions.observable
     np.testing.assert_allclose(V @ V.T, np.linalg.inv(W.T @ W), rtol=1e-7)
 
 
-def fact(row: Array) -> Fact:
-    return Fact("a fact", row, 0.3, 0.5)
+def fact(row: Array) -> Constraint:
+    return Constraint("a fact", row, 0.3, 0.5)
 
 
 def test_white_residuals_have_the_ordinary_standard_errors() -> None:
@@ -157,8 +161,8 @@ def test_white_residuals_have_the_ordinary_standard_errors() -> None:
     expected = np.diag(np.linalg.inv(W.T @ W))
     noises = SIGMA[:, None] * np.random.default_rng(2).normal(size=(40, 2, 1000))
     found = [asked([s.log(noise, 10)], theta=s.truth) for noise in noises]
-    assert np.median([f.blocks for f in found]) == 100
-    assert sum(f.correlated for f in found) <= 2
+    assert np.median([f.cluster_count for f in found]) == 100
+    assert sum(f.correlated_beyond_clusters for f in found) <= 2
     squares = np.array([np.square(f.uncertainty.standard_error) for f in found])
     np.testing.assert_allclose(squares.mean(axis=0) / expected, 1, atol=0.1)
     assert (np.abs(squares / expected - 1) < 0.8).all()
@@ -189,8 +193,8 @@ def covers(s: Linear, draws: int, seed: int, a: float, length: int) -> tuple[Arr
         log = s.log(SIGMA[:, None] * slow(rng, a, (2, n)), length)
         found = asked([log], theta=s.truth)
         assert found.bootstrap
-        reach = found.uncertainty.reach(np.eye(P))
-        ordinary = uncertainty(EQUATION, log.total, SIGMA).standard_error  # type: ignore[arg-type]
+        reach = found.uncertainty.coverage_factor(np.eye(P))
+        ordinary = least_squares_uncertainty(EQUATION, log.total, SIGMA).standard_error  # type: ignore[arg-type]
         off = np.abs(found.theta - s.truth)
         errors = (found.uncertainty.standard_error * reach, found.bootstrap.standard_error * reach, 1.96 * ordinary)
         hits += [off <= half for half in errors]
@@ -220,15 +224,15 @@ def test_blocks_are_as_long_as_the_residual_is_slow() -> None:
     for a in (0.0, 0.8, 0.97):
         s = linear(4000, 1, correlation=a)
         found = asked([s.log(SIGMA[:, None] * slow(rng, a, (2, 4000)), 10)], theta=s.truth)
-        assert not found.correlated
-        assert found.blocks == pytest.approx(40 / found.seconds, rel=0.1)
-        seconds.append(found.seconds)
+        assert not found.correlated_beyond_clusters
+        assert found.cluster_count == pytest.approx(40 / found.cluster_seconds, rel=0.1)
+        seconds.append(found.cluster_seconds)
     assert seconds[0] == pytest.approx(0.1)
     assert seconds[0] < seconds[1] < seconds[2]
     s = linear(800, 1, correlation=0.995)
     found = asked([s.log(SIGMA[:, None] * slow(rng, 0.995, (2, 800)), 10)], theta=s.truth)
-    assert found.correlated
-    assert found.blocks >= 16
+    assert found.correlated_beyond_clusters
+    assert found.cluster_count >= 16
 
 
 @pytest.mark.parametrize("blocks", [1, 2, 15])
@@ -237,13 +241,13 @@ def test_few_blocks_say_nothing_of_their_scatter(blocks: int) -> None:
     n = 40 * blocks
     s = linear(n, redundancy=2.5)
     found = asked([s.log(np.ones((2, n)), 40)])
-    assert found.blocks == blocks
+    assert found.cluster_count == blocks
     assert found.bootstrap is None
     W, _ = weighted(s.Y, s.Y[:, :, 0])
     expected = np.sqrt(2.5 * np.diag(np.linalg.inv(W.T @ W)))
     np.testing.assert_allclose(found.uncertainty.standard_error, expected, rtol=1e-8)
-    np.testing.assert_array_equal(found.uncertainty.freedom(np.eye(P)), np.inf)
-    np.testing.assert_allclose(found.uncertainty.reach(np.eye(P)), 1.959964, rtol=1e-6)
+    np.testing.assert_array_equal(found.uncertainty.degrees_of_freedom(np.eye(P)), np.inf)
+    np.testing.assert_allclose(found.uncertainty.coverage_factor(np.eye(P)), 1.959964, rtol=1e-6)
 
 
 @pytest.mark.parametrize("ends", [(25,), (13, 40), (1, 2), (17, 32, 33)])
@@ -254,7 +258,7 @@ def test_several_logs_are_as_one(ends: tuple[int, ...]) -> None:
     whole = s.log(noise, 20)
     one = asked([whole])
     several = asked([replace(whole, parts=whole.parts[i:j]) for i, j in itertools.pairwise((0, *ends, 50))])
-    assert one.blocks == several.blocks == 50
+    assert one.cluster_count == several.cluster_count == 50
     np.testing.assert_allclose(one.theta, several.theta, rtol=1e-9)
     np.testing.assert_allclose(one.uncertainty.covariance, several.uncertainty.covariance, rtol=1e-8)
 
@@ -277,23 +281,25 @@ def test_other_units_give_the_same_in_these() -> None:
     s = linear(1000, correlation=0.7)
     tau = s.Y @ s.truth + SIGMA[:, None] * slow(np.random.default_rng(7), 0.7, (2, 1000))
     units, torque = np.array([1e3, 1e-3, 1.0, 40.0, 1e-6, 7.0]), 1e3
-    known = replace(NOTHING, facts=(Fact("a fact", np.array([1.0, 0, 0, 0, 0.1, 0]), 1.2, 0.05),))
-    in_units = replace(NOTHING, facts=(replace(known.facts[0], row=known.facts[0].row / units),))
+    known = replace(NOTHING, constraints=(Constraint("a fact", np.array([1.0, 0, 0, 0, 0.1, 0]), 1.2, 0.05),))
+    in_units = replace(NOTHING, constraints=(replace(known.constraints[0], row=known.constraints[0].row / units),))
     one = asked([of_rows(s.Y, tau, 20)], known=known)
     other = asked([of_rows(torque * s.Y / units, torque * tau, 20)], torque * SIGMA, known=in_units)
     assert one.bootstrap
     assert other.bootstrap
     np.testing.assert_allclose(other.theta, one.theta * units, rtol=1e-7)
-    assert (other.blocks, other.seconds) == (one.blocks, one.seconds)
+    assert (other.cluster_count, other.cluster_seconds) == (one.cluster_count, one.cluster_seconds)
     for mine, theirs in ((one.uncertainty, other.uncertainty), (one.bootstrap, other.bootstrap)):
         np.testing.assert_allclose(theirs.standard_error, mine.standard_error * units, rtol=1e-6)
-    np.testing.assert_allclose(other.uncertainty.freedom(np.eye(P)), one.uncertainty.freedom(np.eye(P)), rtol=1e-6)
+    np.testing.assert_allclose(
+        other.uncertainty.degrees_of_freedom(np.eye(P)), one.uncertainty.degrees_of_freedom(np.eye(P)), rtol=1e-6
+    )
 
 
 HARD = (
-    Fact("one", np.array([1.0, 0.02, 0, 0, 0, 0]), 1.5),
-    Fact("two", np.array([0, 0, 0, 0.1, 0, -0.3]), 0.2),
-    Fact("three", np.array([0, 0, 0, 0, 1.0, 0]), 40.0),
+    Constraint("one", np.array([1.0, 0.02, 0, 0, 0, 0]), 1.5),
+    Constraint("two", np.array([0, 0, 0, 0.1, 0, -0.3]), 0.2),
+    Constraint("three", np.array([0, 0, 0, 0, 1.0, 0]), 40.0),
 )
 
 
@@ -307,7 +313,7 @@ def test_with_exact_facts_the_estimate_is_least_squares_on_their_plane(length: i
     K = np.block([[W.T @ W, C.T], [C, np.zeros((3, 3))]])
     expected = np.linalg.solve(K, np.concatenate([W.T @ b, d]))[:P]
     start = np.linalg.lstsq(C, d, rcond=None)[0]
-    found = asked([of_rows(s.Y, tau, length)], theta=start, known=replace(NOTHING, facts=HARD))
+    found = asked([of_rows(s.Y, tau, length)], theta=start, known=replace(NOTHING, constraints=HARD))
     np.testing.assert_allclose(found.theta, expected, rtol=1e-6, atol=1e-7)
     errors = found.uncertainty.standard_error
     assert errors[4] == pytest.approx(0, abs=1e-12)
@@ -327,11 +333,11 @@ def test_with_soft_facts_the_estimate_is_least_squares_with_rows_of_theirs(lengt
     W, b = weighted(s.Y, tau)
     rows = np.array([f.row for f in HARD])
     values, errors = rows @ s.truth + [0.1, -0.2, 3.0], np.array([0.03, 0.01, 1.0])
-    facts = tuple(Fact("", row, v, e) for row, v, e in zip(rows, values, errors, strict=True))
+    facts = tuple(Constraint("", row, v, e) for row, v, e in zip(rows, values, errors, strict=True))
     whole = np.concatenate([W / np.sqrt(2.5), rows / errors[:, None]])
     expected = np.linalg.lstsq(whole, np.concatenate([b / np.sqrt(2.5), values / errors]), rcond=None)[0]
     for start in (np.zeros(P), FAR):
-        found = asked([of_rows(s.Y, tau, length, 2.5)], theta=start, known=replace(NOTHING, facts=facts))
+        found = asked([of_rows(s.Y, tau, length, 2.5)], theta=start, known=replace(NOTHING, constraints=facts))
         np.testing.assert_allclose(found.theta, expected, rtol=1e-7, atol=1e-7)
     if not found.bootstrap:
         np.testing.assert_allclose(found.uncertainty.covariance, np.linalg.inv(whole.T @ whole), rtol=1e-6, atol=1e-12)
@@ -344,7 +350,7 @@ def test_what_is_known_from_elsewhere_alone_is_as_good_as_told(length: int) -> N
     Y = s.Y.copy()
     Y[0][:, 0] = 0.0
     tau = Y @ s.truth + 3 * np.random.default_rng(8).normal(size=(2, 600))
-    known = replace(NOTHING, facts=(Fact("a fact", np.eye(P)[0], 1.7, 0.4),))
+    known = replace(NOTHING, constraints=(Constraint("a fact", np.eye(P)[0], 1.7, 0.4),))
     found = asked([of_rows(Y, tau, length, 2.5)], known=known)
     assert (found.bootstrap is None) == (length == 1000)
     for told in (found.uncertainty, found.bootstrap or found.uncertainty):
@@ -358,7 +364,7 @@ def test_copies_are_estimated_once() -> None:
     tau = s.Y @ s.truth + np.random.default_rng(8).normal(size=(2, 600))
     K = np.delete(np.eye(P), 4, axis=1)
     K[4, 1] = -1.0
-    known = Knowledge(K, np.array([0, 1, 2, 3, 5]))
+    known = EqualityConstraints(K, np.array([0, 1, 2, 3, 5]))
     W, b = weighted(s.Y, tau)
     expected = K @ np.linalg.lstsq(W @ K, b, rcond=None)[0]
     found = asked([of_rows(s.Y, tau, 10)], known=known)
@@ -388,7 +394,7 @@ def test_a_blocks_influence_is_what_the_estimate_would_be_without_it() -> None:
     s = linear(1000)
     tau = s.Y @ s.truth + SIGMA[:, None] * np.random.default_rng(1).normal(size=(2, 1000))
     found = asked([of_rows(s.Y, tau, 20)], theta=s.truth)
-    assert found.influence.shape == (found.blocks, P) == (50, P)
+    assert found.influence.shape == (found.cluster_count, P) == (50, P)
     for b in range(50):
         kept = np.arange(1000) // 20 != b
         moved = found.theta - least_squares(s.Y[:, kept], tau[:, kept])
@@ -401,10 +407,12 @@ def test_blocks_are_joined_as_told() -> None:
     s = linear(960)
     noise = SIGMA[:, None] * np.random.default_rng(1).normal(size=(2, 960))
     long = asked([s.log(noise, 30)])
-    told = scatter(EQUATION, [s.log(noise, 10)], SIGMA, s.truth, NOTHING, np.random.default_rng(0), joined=3)  # type: ignore[arg-type]
-    assert (told.blocks, told.joined) == (32, 3)
-    assert told.seconds == pytest.approx(0.3)
-    assert long.joined == 1
+    told = cluster_robust_estimate(
+        EQUATION, [s.log(noise, 10)], SIGMA, s.truth, NOTHING, np.random.default_rng(0), blocks_per_cluster=3
+    )  # type: ignore[arg-type]
+    assert (told.cluster_count, told.blocks_per_cluster) == (32, 3)
+    assert told.cluster_seconds == pytest.approx(0.3)
+    assert long.blocks_per_cluster == 1
     np.testing.assert_allclose(told.uncertainty.covariance, long.uncertainty.covariance, rtol=1e-6)
 
 
@@ -414,12 +422,12 @@ def test_freedom_is_the_number_of_equal_blocks_less_one() -> None:
     Y = np.tile(part, (1, 30, 1))
     noise = np.random.default_rng(9).normal(size=(2, 600))
     found = asked([of_rows(Y, Y @ np.ones(P) + noise, 20)], theta=np.ones(P)).uncertainty
-    np.testing.assert_allclose(found.freedom(np.eye(P)), 29, rtol=1e-6)
-    np.testing.assert_allclose(found.reach(np.eye(P)), stats.t.ppf(0.975, 29), rtol=1e-6)
+    np.testing.assert_allclose(found.degrees_of_freedom(np.eye(P)), 29, rtol=1e-6)
+    np.testing.assert_allclose(found.coverage_factor(np.eye(P)), stats.t.ppf(0.975, 29), rtol=1e-6)
     Y[0][20:, 0] = 0.0
     found = asked([of_rows(Y, Y @ np.ones(P) + noise, 20)], theta=np.ones(P)).uncertainty
-    assert found.freedom(np.eye(P))[0] == pytest.approx(1, abs=1e-6)
-    assert found.freedom(np.eye(P))[5] > 28
+    assert found.degrees_of_freedom(np.eye(P))[0] == pytest.approx(1, abs=1e-6)
+    assert found.degrees_of_freedom(np.eye(P))[5] > 28
 
 
 def test_a_joint_without_rows_that_count_in_a_block_does_no_harm() -> None:

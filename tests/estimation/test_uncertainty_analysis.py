@@ -17,14 +17,14 @@ from paths import SAMPLES
 from scipy import stats
 
 from idtool.data.logs import Log, make_log, read_log, write_log
-from idtool.estimation.dataset.blocks import together
+from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.fit import Fit, fit
-from idtool.estimation.identified import identified
-from idtool.estimation.uncertainty import Trust, trust
-from idtool.estimation.uncertainty.scatter import Scatter, scatter
-from idtool.estimation.uncertainty.uncertainty import Uncertainty, uncertainty
+from idtool.estimation.identification import estimate_from_logs
+from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
+from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
+from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.robot.config import WEAK, read_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -44,21 +44,23 @@ def experiment(*logs: Path, holdout: float = 0.0) -> Experiment:
 @cache
 def fitted() -> Fit:
     """The sample leg, the whole log, and what it rests on."""
-    return fit(experiment(TRAIN), silent, questioned=True)
+    return fit(experiment(TRAIN), silent, analyze_uncertainty=True)
 
 
-def held(theta: Array, free: Array, blocks: int = 0) -> tuple[Trust, Array]:
+def held(theta: Array, free: Array, blocks: int = 0) -> tuple[UncertaintyAnalysis, Array]:
     """Three coefficients, the last two felt only as their sum; standard errors of the first and of the sum."""
     equation = SimpleNamespace(coefficients=(SimpleNamespace(scale=None),) * 3, active=lambda: (np.arange(3),))
     x = np.random.default_rng(0).normal(size=(40, 2)) * [1.0, 30.0]
     Y = np.column_stack([x, x[:, 1]])
-    data = (Factor.of(np.column_stack([Y, np.zeros(40)]).T),)
-    found = uncertainty(equation, data, np.array([0.3]))  # type: ignore[arg-type]
+    data = (Factor.from_columns(np.column_stack([Y, np.zeros(40)]).T),)
+    found = least_squares_uncertainty(equation, data, np.array([0.3]))  # type: ignore[arg-type]
     if blocks:
-        found = replace(found, shares=np.tile(np.eye(2) / blocks, (blocks, 1, 1)))
-    believed = fitted().trust
-    believed = replace(believed, theta=theta, uncertainty=found, scatter=replace(believed.scatter, theta=free))
-    return believed, 0.3 * np.sqrt(np.diag(np.linalg.inv(x.T @ x)))
+        found = replace(found, cluster_information=np.tile(np.eye(2) / blocks, (blocks, 1, 1)))
+    analysis = fitted().uncertainty_analysis
+    analysis = replace(
+        analysis, theta=theta, uncertainty=found, cluster_robust=replace(analysis.cluster_robust, theta=free)
+    )
+    return analysis, 0.3 * np.sqrt(np.diag(np.linalg.inv(x.T @ x)))
 
 
 ROWS = np.array([[1.0, 0, 0], [0, 1, 1], [2, -1, -1], [0, 1, 0]])
@@ -69,11 +71,11 @@ def test_an_interval_is_around_the_datas_value_and_the_fits(blocks: int) -> None
     """By Student's t with a degree of freedom less than blocks."""
     free = np.array([1.0, 2.0, 3.0])
     for apart in (0.0, 0.5, -20.0, 20.0):
-        trust, errors = held(free, free, blocks)
+        analysis, errors = held(free, free, blocks)
         theta = free + apart * np.append(errors, errors[1] / 2)
-        trust = replace(trust, theta=theta)
+        analysis = replace(analysis, theta=theta)
         reach = stats.t.ppf(0.975, blocks - 1) if blocks else stats.norm.ppf(0.975)
-        found = trust.interval(ROWS[:2])
+        found = analysis.interval(ROWS[:2])
         for row, error, (low, high) in zip(ROWS[:2], errors, found, strict=True):
             told, fitted = row @ free, row @ theta
             assert low == pytest.approx(min(told, fitted) - reach * error)
@@ -82,12 +84,12 @@ def test_an_interval_is_around_the_datas_value_and_the_fits(blocks: int) -> None
 
 def test_a_pull_is_in_standard_errors() -> None:
     free = np.array([1.0, 2.0, 3.0])
-    trust, errors = held(free, free)
-    trust = replace(trust, theta=free + np.array([2.5 * errors[0], 0.0, -4 * errors[1]]))
-    assert trust.pull(ROWS[:2]) == pytest.approx([2.5, 4.0])
-    assert trust.pull(-3 * ROWS[:2]) == pytest.approx([2.5, 4.0])
-    variance = 4 * errors[0] ** 2 + errors[1] ** 2 - 4 * covariance_of(trust.uncertainty)
-    assert trust.pull(ROWS[2:3])[0] == pytest.approx((5 * errors[0] + 4 * errors[1]) / np.sqrt(variance))
+    analysis, errors = held(free, free)
+    analysis = replace(analysis, theta=free + np.array([2.5 * errors[0], 0.0, -4 * errors[1]]))
+    assert analysis.pull(ROWS[:2]) == pytest.approx([2.5, 4.0])
+    assert analysis.pull(-3 * ROWS[:2]) == pytest.approx([2.5, 4.0])
+    variance = 4 * errors[0] ** 2 + errors[1] ** 2 - 4 * covariance_of(analysis.uncertainty)
+    assert analysis.pull(ROWS[2:3])[0] == pytest.approx((5 * errors[0] + 4 * errors[1]) / np.sqrt(variance))
 
 
 def covariance_of(found: Uncertainty) -> float:
@@ -97,40 +99,40 @@ def covariance_of(found: Uncertainty) -> float:
 
 
 def test_what_the_data_do_not_determine_has_no_interval_and_no_pull() -> None:
-    trust, _ = held(np.array([1.0, 2.0, 3.0]), np.array([1.0, 5.0, 0.0]))
-    low, high = trust.interval(ROWS[3:])[0]
+    analysis, _ = held(np.array([1.0, 2.0, 3.0]), np.array([1.0, 5.0, 0.0]))
+    low, high = analysis.interval(ROWS[3:])[0]
     assert (low, high) == (-np.inf, np.inf)
-    assert trust.pull(ROWS[3:]) == pytest.approx([0.0])
+    assert analysis.pull(ROWS[3:]) == pytest.approx([0.0])
 
 
 def test_the_sample_log_says_how_far_to_trust_it() -> None:
     """Intervals of base parameters hold the truth as often as they say, give or take; nothing is wrong with the log."""
     found = fitted()
-    believed = found.trust
-    assert believed.identifiability
-    B = believed.identifiability.base.B
-    assert np.isfinite(believed.interval(B)).all()
+    analysis = found.uncertainty_analysis
+    assert analysis.identifiability
+    B = analysis.identifiability.base.B
+    assert np.isfinite(analysis.interval(B)).all()
     truth = B @ true_theta(found.experiment)
-    low, high = believed.interval(B).T
+    low, high = analysis.interval(B).T
     assert ((low <= truth) & (truth <= high)).mean() > 0.85
-    for values in (B @ found.estimate.theta, B @ believed.scatter.theta):
+    for values in (B @ found.estimate.theta, B @ analysis.cluster_robust.theta):
         assert ((low <= values) & (values <= high)).all()
-    assert believed.scatter.bootstrap
-    assert not any("log for longer" in said or "resampled" in said for said in believed.warnings)
-    assert believed.repeatability is None
-    np.testing.assert_array_equal(believed.theta, found.estimate.theta)
+    assert analysis.cluster_robust.bootstrap
+    assert not any("log for longer" in said or "resampled" in said for said in analysis.warnings)
+    assert analysis.repeatability is None
+    np.testing.assert_array_equal(analysis.theta, found.estimate.theta)
 
 
 def test_every_parameter_rests_on_something_and_its_range_holds_it() -> None:
     """Where the prior is weak: a firm one keeps bodies off the limits of their sets."""
     e = experiment(TRAIN)
     e = replace(e, config=e.config.model_copy(update={"regularization": WEAK}))
-    found = fit(e, silent, questioned=True)
-    asked = found.trust.identifiability
+    found = fit(e, silent, analyze_uncertainty=True)
+    asked = found.uncertainty_analysis.identifiability
     assert asked
-    bases = asked.bases
+    bases = asked.sources
     assert len(bases) == 10 * len(found.experiment.model.bodies)
-    assert {basis.on for basis in bases} == {"data", "combination", "constraints", "prior"}
+    assert {basis.information_source for basis in bases} == {"data", "combination", "constraints", "prior"}
     for theta, basis in zip(found.estimate.theta, bases, strict=False):
         low, high = basis.range
         assert low is None or low <= theta + 1e-6
@@ -138,40 +140,40 @@ def test_every_parameter_rests_on_something_and_its_range_holds_it() -> None:
 
 
 def test_more_of_a_log_is_trusted_more() -> None:
-    part = fit(experiment(TRAIN, holdout=0.7), silent).trust
-    whole = fitted().trust
+    part = fit(experiment(TRAIN, holdout=0.7), silent).uncertainty_analysis
+    whole = fitted().uncertainty_analysis
     assert part.identifiability is None
     ratio = part.uncertainty.of(base()) / whole.uncertainty.of(base())
     assert np.median(ratio) == pytest.approx(np.sqrt(1 / 0.3), rel=0.35)
 
 
-def questioned(share: float, blocks: int | None = None) -> Trust:
+def analysis_with(share: float, blocks: int | None = None) -> UncertaintyAnalysis:
     """The sample fit's trust from its first so many blocks, its residual worth a share of their independent samples."""
     found = fitted().experiment
-    solution = identified(found, "ls", silent)
+    solution = estimate_from_logs(found, "ls", silent)
     data = tuple(replace(log, parts=log.parts[:blocks]) for log in solution.data)
-    reduction = together([log.total for log in data])
+    reduction = merge_reductions([log.total for log in data])
     count = float(np.mean([factor.independent for factor in reduction]))
     independent = dict.fromkeys(found.equation.joints, share * count)
-    return trust(found, replace(solution, data=data, reduction=reduction), independent, silent, False)
+    return uncertainty_analysis(found, replace(solution, data=data, reduction=reduction), independent, silent, False)
 
 
 def base() -> Array:
     """The base parameters as combinations."""
-    asked = fitted().trust.identifiability
+    asked = fitted().uncertainty_analysis.identifiability
     assert asked
     return asked.base.B
 
 
 def test_a_short_log_is_told_by_its_spectrum() -> None:
     """Fewer than 16 blocks: standard errors go with the root of the number of independent samples, and it is said."""
-    one, fourth, more = (questioned(share, 10) for share in (1.0, 0.25, 4.0))
-    for believed in (one, fourth, more):
-        assert believed.scatter.bootstrap is None
-        (said,) = (said for said in believed.warnings if "blocks" in said)
+    one, fourth, more = (analysis_with(share, 10) for share in (1.0, 0.25, 4.0))
+    for analysis in (one, fourth, more):
+        assert analysis.cluster_robust.bootstrap is None
+        (said,) = (said for said in analysis.warnings if "blocks" in said)
         assert "less than the 16 blocks" in said
         assert "log for longer" in said
-    B = base()[one.uncertainty.directions.sees(base())]
+    B = base()[one.uncertainty.directions.determines(base())]
     assert len(B) > 20
     np.testing.assert_allclose(fourth.uncertainty.of(B) / one.uncertainty.of(B), 2, rtol=1e-6)
     np.testing.assert_allclose(
@@ -180,9 +182,9 @@ def test_a_short_log_is_told_by_its_spectrum() -> None:
 
 
 def test_with_enough_blocks_the_scatter_is_believed() -> None:
-    one, fourth = (questioned(share) for share in (1.0, 0.25))
+    one, fourth = (analysis_with(share) for share in (1.0, 0.25))
     np.testing.assert_array_equal(fourth.uncertainty.of(base()), one.uncertainty.of(base()))
-    np.testing.assert_array_equal(one.uncertainty.of(base()), one.scatter.uncertainty.of(base()))
+    np.testing.assert_array_equal(one.uncertainty.of(base()), one.cluster_robust.uncertainty.of(base()))
 
 
 def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,22 +192,22 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
 
     times = 1.0
 
-    def correlated(*rest: Any) -> Scatter:
-        found = scatter(*rest)
-        wider = replace(found.uncertainty, spread=times * found.uncertainty.spread)
-        return replace(found, uncertainty=wider, correlated=True)
+    def correlated(*rest: Any) -> ClusterRobustEstimate:
+        found = cluster_robust_estimate(*rest)
+        wider = replace(found.uncertainty, covariance_y=times * found.uncertainty.covariance_y)
+        return replace(found, uncertainty=wider, correlated_beyond_clusters=True)
 
-    plain = questioned(1.0).uncertainty
-    monkeypatch.setattr("idtool.estimation.uncertainty.inquiry.scatter", correlated)
-    many, few = questioned(4.0), questioned(1 / 400)
+    plain = analysis_with(1.0).uncertainty
+    monkeypatch.setattr("idtool.estimation.uncertainty.analysis.cluster_robust_estimate", correlated)
+    many, few = analysis_with(4.0), analysis_with(1 / 400)
     np.testing.assert_allclose(many.uncertainty.of(base()), plain.of(base()), rtol=0.4)
     assert (many.uncertainty.of(base()) >= plain.of(base()) * (1 - 1e-9)).all()
-    worth = few.uncertainty.directions.worth
-    assert np.trace(few.uncertainty.spread) * worth / len(few.uncertainty.spread) == pytest.approx(400)
+    worth = few.uncertainty.directions.independent_per_row
+    assert np.trace(few.uncertainty.covariance_y) * worth / len(few.uncertainty.covariance_y) == pytest.approx(400)
     times = 9.0
-    np.testing.assert_allclose(questioned(1.0).uncertainty.of(base()), 3 * plain.of(base()), rtol=1e-6)
-    for believed in (many, few):
-        assert any("correlated for longer than" in said for said in believed.warnings)
+    np.testing.assert_allclose(analysis_with(1.0).uncertainty.of(base()), 3 * plain.of(base()), rtol=1e-6)
+    for analysis in (many, few):
+        assert any("correlated for longer than" in said for said in analysis.warnings)
 
 
 @pytest.fixture
@@ -231,11 +233,11 @@ def test_a_log_of_a_stiffer_knee_is_named(spoilt: Callable[[str, Callable[[Log],
         return np.asarray(tau)
 
     path = spoilt("stiff", stiff)
-    found = fit(experiment(TRAIN, OTHER, path), silent, questioned=True).trust
+    found = fit(experiment(TRAIN, OTHER, path), silent, analyze_uncertainty=True).uncertainty_analysis
     compared, asked = found.repeatability, found.identifiability
     assert compared
     assert asked
-    assert compared.odd == 2
+    assert compared.outlier == 2
     assert any("the odd one out is stiff.csv" in said for said in found.warnings)
     coefficients = fitted().experiment.equation.coefficients
     differ = [coefficients[k] for k in asked.base.own[~compared.agrees]]
@@ -244,7 +246,7 @@ def test_a_log_of_a_stiffer_knee_is_named(spoilt: Callable[[str, Callable[[Log],
 
 
 def test_two_logs_of_one_leg_agree() -> None:
-    found = fit(experiment(TRAIN, OTHER), silent, questioned=True).trust
+    found = fit(experiment(TRAIN, OTHER), silent, analyze_uncertainty=True).uncertainty_analysis
     assert found.repeatability
     assert found.repeatability.agrees.mean() > 0.9
-    assert found.repeatability.odd is None
+    assert found.repeatability.outlier is None

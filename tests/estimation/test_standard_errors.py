@@ -16,8 +16,8 @@ from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.reduction import Factor, Reduction
-from idtool.estimation.problem.identify import identify
-from idtool.estimation.uncertainty.uncertainty import uncertainty
+from idtool.estimation.problem.estimate import estimate
+from idtool.estimation.uncertainty.standard_errors import least_squares_uncertainty
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import NAMES
 from idtool.robot.model import Model
@@ -47,14 +47,14 @@ def random_motion(rng: np.random.Generator, nv: int, count: int = 400) -> Motion
 
 
 def reduced(blocks: list[Array], redundancy: float = 1.0) -> Reduction:
-    return tuple(Factor.of(block, redundancy) for block in blocks)
+    return tuple(Factor.from_columns(block, redundancy) for block in blocks)
 
 
 def determined(build: Build, text: str, joints: list[str], **config: Any) -> dict[str, set[str]]:
     """Names of the coefficients that random states of a robot determine, by their owner."""
     _, linear = equation(build, text, joints, **config)
     motion = random_motion(np.random.default_rng(0), len(joints))
-    found = uncertainty(linear, reduced(linear.columns(motion)), np.ones(len(joints)))
+    found = least_squares_uncertainty(linear, reduced(linear.columns(motion)), np.ones(len(joints)))
     names: dict[str, set[str]] = {c.owner: set() for c in linear.coefficients}
     for coefficient, known, error in zip(linear.coefficients, found.identifiable, found.standard_error, strict=True):
         assert known == np.isfinite(error)
@@ -108,7 +108,7 @@ def test_a_coefficient_is_determined_where_its_column_adds_to_the_rank(
 ) -> None:
     rng = np.random.default_rng(seed)
     s = synthetic(rng, robot_of(random_urdf(rng, size=4, mimic=0, massless=0)), 200)
-    found = uncertainty(s.linear, s.reduction(s.tau), np.ones(len(s.Y)))
+    found = least_squares_uncertainty(s.linear, s.reduction(s.tau), np.ones(len(s.Y)))
     rows = s.Y.reshape(-1, s.Y.shape[-1])
     size = np.linalg.norm(rows, axis=0)
     rows = rows / np.where(size > 1e-9 * size.max(), size, np.inf)
@@ -121,7 +121,7 @@ def test_a_coefficient_is_determined_where_its_column_adds_to_the_rank(
 def test_without_data_nothing_is_determined(build: Build) -> None:
     _, linear = equation(build, ARM, ["j1", "j2"])
     nothing = reduced([np.zeros((len(active) + 1, 0)) for active in linear.active()])
-    found = uncertainty(linear, nothing, np.ones(2))
+    found = least_squares_uncertainty(linear, nothing, np.ones(2))
     assert not found.identifiable.any()
     assert np.isinf(found.standard_error).all()
 
@@ -132,7 +132,7 @@ def test_a_column_alone_has_the_textbooks_standard_error(build: Build) -> None:
     _, linear = equation(build, slide, ["j1"], friction=NO_FRICTION, gravity=[0, 0, 0])
     motion = random_motion(np.random.default_rng(1), 1)
     for redundancy in (1.0, 6.5):
-        found = uncertainty(linear, reduced(linear.columns(motion), redundancy), np.array([0.3]))
+        found = least_squares_uncertainty(linear, reduced(linear.columns(motion), redundancy), np.array([0.3]))
         expected = 0.3 * np.sqrt(redundancy) / np.linalg.norm(motion.a[0])
         assert found.standard_error[NAMES.index("m")] == pytest.approx(expected)
 
@@ -164,10 +164,10 @@ def test_standard_errors_are_the_scatter_of_fits_to_many_noises(build: Build) ->
             block[-1] = truth[active] @ block[:-1] + row
         reduction = reduced(columns, low_pass.redundancy)
         sets = [constraint_sets()["none"]] * 2
-        estimate = identify(linear, model.bodies, reduction, sets, Regularization(kind="none"))
-        found = uncertainty(linear, reduction, estimate.noise)
+        solution = estimate(linear, model.bodies, reduction, sets, Regularization(kind="none"))
+        found = least_squares_uncertainty(linear, reduction, solution.noise)
         known = found.identifiable
-        z.append((estimate.theta - truth)[known] / found.standard_error[known])
+        z.append((solution.theta - truth)[known] / found.standard_error[known])
     scores = np.array(z)
     assert scores.shape == (300, 8)
     assert 0.9 < scores.std() < 1.1

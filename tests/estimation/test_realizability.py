@@ -15,7 +15,7 @@ from solids import inside, random_shape
 from synthetic import bounded_body, point_parameters, points_in, random_ellipsoid
 
 from idtool.estimation.problem.projection import Metric, project
-from idtool.estimation.problem.verdict import Verdict, judge
+from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import POWERS, from_mass_com_inertia, pseudo_inertia
@@ -38,7 +38,7 @@ def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, re
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 
 
-def shown(verdict: Verdict, pi: Array, size: float) -> None:
+def shown(verdict: RealizabilityCheck, pi: Array, size: float) -> None:
     """The witness has the body's parameters, and no negative mass."""
     assert verdict.violations == ()
     assert (verdict.masses > 0).all()
@@ -54,7 +54,7 @@ def extent(*bounds: Ellipsoid) -> float:
 def test_mass_in_an_ellipsoid_is_shown_by_four_points_in_it(rng: np.random.Generator, count: int) -> None:
     S = random_ellipsoid(rng)
     pi = mass_within(rng, S, count=count, reach=1.0)
-    verdict = judge(bounded_body(S), pi)
+    verdict = check_realizability(bounded_body(S), pi)
     shown(verdict, pi, extent(S))
     assert len(verdict.masses) <= 4
     assert verdict.pieces is None
@@ -65,7 +65,7 @@ def test_mass_in_an_ellipsoid_is_shown_by_four_points_in_it(rng: np.random.Gener
 def test_mass_in_a_union_is_shown_by_four_points_in_each(rng: np.random.Generator, count: int, number: int) -> None:
     bounds = [random_ellipsoid(rng) for _ in range(number)]
     pi = mass_within(rng, *bounds, count=count)
-    verdict = judge(bounded_body(*bounds), pi)
+    verdict = check_realizability(bounded_body(*bounds), pi)
     assert verdict.pieces is not None
     assert verdict.pieces.shape == (number, 10)
     shown(verdict, pi, extent(*bounds))
@@ -86,7 +86,7 @@ def test_a_point_of_mass_in_each_of_a_union_is_no_violation(rng: np.random.Gener
     """Parts without volume are on the boundary of all that they must fulfil."""
     bounds = [random_ellipsoid(rng) for _ in range(2)]
     pi = mass_within(rng, *bounds, count=1)
-    assert judge(bounded_body(*bounds), pi).violations == ()
+    assert check_realizability(bounded_body(*bounds), pi).violations == ()
 
 
 @given(seeds)
@@ -96,7 +96,7 @@ def test_mass_in_an_ellipsoid_and_a_hull_is_split_between_them(rng: np.random.Ge
     corners = np.array(hull.vertices)
     spread = rng.dirichlet(np.full(len(corners), 3 / len(corners)), 100) @ corners
     pi = mass_within(rng, S) + point_parameters(np.full(100, 0.02), spread)
-    verdict = judge(bounded_body(S, hull), pi)
+    verdict = check_realizability(bounded_body(S, hull), pi)
     assert verdict.violations == ()
     assert verdict.pieces is not None
     unit = pi[0] * max(extent(S), float(np.abs(corners).max())) ** POWERS
@@ -111,7 +111,7 @@ def test_mass_in_other_shapes_is_no_violation(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     shape = random_shape(rng, kind)
     places = inside(rng, shape, 12)
-    verdict = judge(bounded_body(shape), point_parameters(rng.uniform(0.1, 1, 12), places))
+    verdict = check_realizability(bounded_body(shape), point_parameters(rng.uniform(0.1, 1, 12), places))
     assert verdict.violations == ()
     assert len(verdict.masses) == len(verdict.points) == 0
 
@@ -119,7 +119,7 @@ def test_mass_in_other_shapes_is_no_violation(kind: str, seed: int) -> None:
 @given(seeds)
 def test_without_bounds_every_body_that_can_exist_is_shown(rng: np.random.Generator) -> None:
     pi = mass_within(rng, random_ellipsoid(rng))
-    verdict = judge(bounded_body(), pi)
+    verdict = check_realizability(bounded_body(), pi)
     shown(verdict, pi, 3.0)
     np.testing.assert_allclose(verdict.masses, pi[0] / 4)
 
@@ -151,13 +151,13 @@ REFUSED: dict[str, tuple[Body, Array, str]] = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_is_refused_with_the_reason(case: str) -> None:
     body, pi, reason = REFUSED[case]
-    verdict = judge(body, pi)
+    verdict = check_realizability(body, pi)
     assert any(reason in violation for violation in verdict.violations), verdict.violations
     assert all(violation.isprintable() for violation in verdict.violations)
     assert verdict.pieces is None
     assert len(verdict.masses) == len(verdict.points) == 0
     if "mass" not in case and "number" not in case:
-        assert judge(body, FITTING).violations == ()
+        assert check_realizability(body, FITTING).violations == ()
 
 
 @given(seeds, st.floats(0.02, 3))
@@ -168,13 +168,13 @@ def test_a_body_is_refused_exactly_where_its_trace_is_negative(rng: np.random.Ge
     pi = from_mass_com_inertia(1.5, S.center + 0.3 * rng.normal(size=3), 1.5 * (np.trace(sigma) * np.eye(3) - sigma))
     trace = float(np.trace(pseudo_inertia(pi) @ S.Q)) / 1.5
     if abs(trace) > 1e-6 * (1 + np.linalg.norm(S.center) / min(S.semi_axes)) ** 2:
-        assert bool(judge(bounded_body(S), pi).violations) == (trace < 0)
+        assert bool(check_realizability(bounded_body(S), pi).violations) == (trace < 0)
 
 
 def test_pieces_that_are_known_are_not_sought(rng: np.random.Generator) -> None:
     bounds = random_ellipsoid(rng), random_ellipsoid(rng)
     pieces = np.array([mass_within(rng, S) for S in bounds])
-    verdict = judge(bounded_body(*bounds), pieces.sum(axis=0), pieces)
+    verdict = check_realizability(bounded_body(*bounds), pieces.sum(axis=0), pieces)
     np.testing.assert_array_equal(verdict.pieces, pieces)
     shown(verdict, pieces.sum(axis=0), extent(*bounds))
 
@@ -183,7 +183,7 @@ def test_pieces_of_another_set_are(rng: np.random.Generator) -> None:
     """Such as those of a fit that demanded full consistency alone."""
     bounds = random_ellipsoid(rng), random_ellipsoid(rng)
     pi = mass_within(rng, *bounds)
-    verdict = judge(bounded_body(*bounds), pi, pi[None])
+    verdict = check_realizability(bounded_body(*bounds), pi, pi[None])
     assert verdict.pieces is not None
     assert verdict.pieces.shape == (2, 10)
     shown(verdict, pi, extent(*bounds))
@@ -193,7 +193,7 @@ def test_pieces_of_a_looser_set_that_has_as_many_are_not_believed(rng: np.random
     """Such as those of a fit that demanded the centres of mass alone in the ellipsoids."""
     wide = from_mass_com_inertia(1.0, (0.0, 0.0, 0.0), 10 * np.eye(3))
     small = from_mass_com_inertia(1.0, APART.center, 1e-3 * np.eye(3))
-    verdict = judge(bounded_body(BALL, APART), wide + small, np.array([wide, small]))
+    verdict = check_realizability(bounded_body(BALL, APART), wide + small, np.array([wide, small]))
     assert verdict.violations != ()
     assert len(verdict.masses) == 0
 
@@ -213,7 +213,7 @@ def test_the_projection_of_what_cannot_be_can(rng: np.random.Generator) -> None:
     ):
         body = bounded_body(*bounds)
         for pi in (TRIANGLE, NEGATIVE, FAR, BETWEEN):
-            if judge(body, pi).violations:
+            if check_realizability(body, pi).violations:
                 for metric in METRICS:
                     nearest = project(pi, choose_set(body), replace(body, pi=pi), metric)
-                    assert judge(body, nearest.pi).violations == (), (bounds, metric)
+                    assert check_realizability(body, nearest.pi).violations == (), (bounds, metric)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.estimation.evaluation.envelope import Trace
-from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay
+from idtool.estimation.evaluation.rollouts import HORIZONS, RolloutError, RolloutEvaluation
 
 Array = NDArray[np.float64]
 
@@ -24,24 +24,24 @@ def experiment_of(units: Mapping[str, str], dt: float = 0.005) -> Any:
     )
 
 
-def replay_of(curves: Mapping[str, Array], closed: bool = False, logs: int = 1, **changes: Any) -> Replay:
+def rollouts_of(curves: Mapping[str, Array], closed: bool = False, logs: int = 1, **changes: Any) -> RolloutEvaluation:
     """A made-up simulation: curves of ``measured`` and models, whose errors are 0.1, 0.2, …, the baseline's 0.9."""
     nv, points = curves["measured"].shape
     t = np.repeat(np.arange(points // 2) + 0.5, 2) * 0.01
-    departures = {}
+    errors = {}
     for i, name in enumerate([*list(curves)[1:], "baseline"]):
         error = 0.9 if name == "baseline" else 0.1 * (i + 1)
         after = {seconds: (np.full(nv, 10 * (error * seconds) ** 2), 10) for seconds in HORIZONS}
         squares = np.full(nv, 1000 * error**2)
-        departures[name] = Departure(squares, 4 * squares, 1000, 1000, {} if closed else after)
+        errors[name] = RolloutError(squares, 4 * squares, 1000, 1000, {} if closed else after)
     contents = {
         "kind": "closed_loop" if closed else "open_loop",
         "window": None if closed else 0.5,
-        "departures": departures,
+        "errors": errors,
         "traces": tuple(Trace(f"log {i}", t, dict(curves)) for i in range(logs)),
         "windows": 10,
-        "of": 12,
-        "lost": dict.fromkeys(list(curves)[1:], 0),
+        "available": 12,
+        "diverged": dict.fromkeys(list(curves)[1:], 0),
         "failed": {},
     }
-    return Replay(**{**contents, **changes})
+    return RolloutEvaluation(**{**contents, **changes})

@@ -1,4 +1,4 @@
-"""The identification: the problem (27) solved to the global optimum, and checked."""
+"""The estimate of the coefficients: the problem (27) solved to the global optimum, and the solution checked."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import some
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.dataset.weights import free_noise, freedom, residual_noise, weighted_rows
+from idtool.estimation.dataset.weights import free_noise, freedom_left, residual_noise, weighted_rows
 from idtool.estimation.problem.backends import solve_by_cvxpy
 from idtool.estimation.problem.barrier import Barrier
-from idtool.estimation.problem.certificate import GAP, Certificate, cost_of_margin, lower_bound, violation
-from idtool.estimation.problem.conic import APART, Solution, infeasible, solve_conic
+from idtool.estimation.problem.certificate import Certificate, cost_of_margin, lower_bound, violation
+from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, infeasible, solve_conic
 from idtool.estimation.problem.local import LOCAL
-from idtool.estimation.problem.parts import INTERIOR
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.refinement import refine
+from idtool.estimation.problem.variables import INTERIOR
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.sets import ConstraintSet
 
-_CLOSE = 1e-3  # to the limit of an inequality, in units of the body
+_AT_LIMIT = 1e-3  # of an inequality, in units of the body
 # A problem in units of order one loses accuracy by being scaled again, but for a few.
 _ATTEMPTS: tuple[dict[str, float | bool], ...] = (
     {},
@@ -36,57 +36,49 @@ _ATTEMPTS: tuple[dict[str, float | bool], ...] = (
     {"tol_feas": 1e-9, "tol_gap_rel": 1e-9},
     {"equilibrate_enable": True},
 )
-ENOUGH = 1e-6  # error of the parameters, in units of the body, above which they are not at the optimum
+PARAMETER_TOLERANCE = 1e-6  # in units of the body: parameters with a larger error are not at the optimum
 _BACKEND = "CLARABEL"  # of cvxpy, also where Clarabel fails on the problem as it is stated here
 _SETTINGS = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-7, "tol_feas": 1e-8, "equilibrate_enable": False}
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Identified coefficients.
+    """Estimated coefficients.
 
     Attributes
     ----------
     theta
         The p coefficients, SI.
-    parts
-        Per body, the parameter vectors that it is the sum of, shape (parts, 10).
+    pieces
+        Per body, the parameter vectors that it is the sum of, shape (pieces, 10).
     noise
         Per joint, rms of the residual torque in the band with the degrees of freedom taken off [N·m or N].
     certificate
         The check of the solution.
     problem, x
-        What was solved, and its optimum, shape (m,).
+        The problem and its optimum, shape (m,).
     """
 
     theta: Array
-    parts: tuple[Array, ...]
+    pieces: tuple[Array, ...]
     noise: Array
     certificate: Certificate
     problem: Problem
     x: Array
 
-    def is_feasible(self, tolerance: float = 0.0) -> bool:
-        """Whether every body lies in its set."""
-        return self.certificate.violation <= tolerance
 
-    def is_optimal(self, tolerance: float = GAP) -> bool:
-        """Whether the cost is certified to be the least possible, relative to it."""
-        return abs(self.certificate.duality_gap) <= tolerance
-
-
-def identify(
+def estimate(
     model: LinearModel,
     bodies: Sequence[Body],
     reduction: Reduction,
     sets: Sequence[ConstraintSet],
     regularization: Regularization,
-    known: Knowledge | None = None,
+    equalities: EqualityConstraints | None = None,
     solver: str = "clarabel",
     noise: Array | None = None,
     backend: str | None = None,
 ) -> Estimate:
-    """The identification with the joints weighted by their residual noise.
+    """Estimate the coefficients, the joints weighted by their residual noise.
 
     Parameters
     ----------
@@ -97,15 +89,15 @@ def identify(
     reduction
         The data.
     sets
-        One set a body.
+        One set per body.
     regularization
         The prior's kind and weight.
-    known
-        What is known otherwise; default: nothing.
+    equalities
+        The equality constraints; default: none.
     solver
         ``clarabel``, ``cvxpy``, or a local one of `local`.
     noise
-        The joints' residual noise, shape (nv,) [N·m or N]; default: what a fit without constraints leaves.
+        The joints' residual noise, shape (nv,) [N·m or N]; default: that of a fit without constraints.
     backend
         The solver that cvxpy takes; default: Clarabel.
 
@@ -114,34 +106,36 @@ def identify(
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
-    known = known or Knowledge.none(len(model.coefficients))
-    noise = free_noise(model, reduction, known) if noise is None else noise
-    problem = build_problem(model, bodies, reduction, sets, regularization, noise, known)
+    equalities = equalities or EqualityConstraints.none(len(model.coefficients))
+    noise = free_noise(model, reduction, equalities) if noise is None else noise
+    problem = build_problem(model, bodies, reduction, sets, regularization, noise, equalities)
     if solver == "clarabel":
         x, certificate = _solve_with_fallback(problem)
     elif solver == "cvxpy":
         x, certificate = solve_with_backend(problem, backend or _BACKEND)
     else:
-        x, certificate = solve_locally(problem, solver, model.prior[known.free] / problem.scale)
-    return estimate(model, reduction, problem, x, certificate)
+        x, certificate = solve_locally(problem, solver, model.prior[equalities.free] / problem.scale)
+    return estimate_of_solution(model, reduction, problem, x, certificate)
 
 
-def estimate(
+def estimate_of_solution(
     model: LinearModel, reduction: Reduction, problem: Problem, x: Array, certificate: Certificate
 ) -> Estimate:
-    """The coefficients of a solution x, shape (m,), and the noise that they leave."""
+    """The estimate of a solution x, shape (m,), with the residual noise of its coefficients."""
     theta = problem.theta(problem.S @ x)
     Y = weighted_rows(model, reduction, np.ones(len(reduction)))[:, :-1]
-    share = freedom(reduction, int(np.linalg.matrix_rank(Y @ problem.K)))
-    pairs = zip(reduction, model.active(), strict=True)
-    noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in pairs])
-    pieces = problem.pieces(x)
-    parts = tuple(np.array([pi for body, pi in pieces if body == i]) for i in range(len(problem.labels)))
-    return Estimate(theta, parts, noise, certificate, problem, x)
+    share = freedom_left(reduction, int(np.linalg.matrix_rank(Y @ problem.K)))
+    joints = zip(reduction, model.active(), strict=True)
+    noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
+    parameters = problem.piece_parameters(x)
+    pieces = []
+    for i in range(len(problem.body_names)):
+        pieces.append(np.array([pi for body, pi in parameters if body == i]))
+    return Estimate(theta, tuple(pieces), noise, certificate, problem, x)
 
 
 def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate]:
-    """Solve, and check the result.
+    """Solve by Clarabel, and check the result.
 
     Parameters
     ----------
@@ -159,24 +153,28 @@ def solve(problem: Problem, **options: float | bool) -> tuple[Array, Certificate
     SolverError
         If the problem is infeasible or was not solved to a relative gap of 1e-6; the message names the worst body.
     """
-    solved: list[tuple[float, Array, Certificate]] = []
-    errors: list[SolverError] = []
-    for other in _ATTEMPTS:
+    best: tuple[Array, Certificate] | None = None
+    least_error = np.inf
+    failures: list[SolverError] = []
+    for settings in _ATTEMPTS:
         try:
-            x, certificate = _attempt(problem, {**_SETTINGS, **other, **options})
-        except SolverError as error:
-            errors.append(error)
+            x, certificate = _attempt(problem, {**_SETTINGS, **settings, **options})
+        except SolverError as failure:
+            failures.append(failure)
             continue
-        solved.append((np.inf if certificate.parameter_error is None else certificate.parameter_error, x, certificate))
-        if solved[-1][0] <= ENOUGH:
+        error = np.inf if certificate.parameter_error is None else certificate.parameter_error
+        if best is None or error < least_error:
+            best = x, certificate
+            least_error = error
+        if error <= PARAMETER_TOLERANCE:
             break
-    if not solved:  # where one attempt proves the problem infeasible and the last merely gives up, that is the reason
-        proofs = [error for error in errors if isinstance(error, InfeasibleError)]
-        if not proofs and problem.facts and not _has_interior(problem):
-            raise infeasible(problem)
-        raise (proofs or errors)[-1]
-    _, x, certificate = min(solved, key=lambda one: one[0])
-    return x, certificate
+    if best is not None:
+        return best
+    # Where one attempt proves the problem infeasible and the last merely gives up, that is the reason.
+    proofs = [failure for failure in failures if isinstance(failure, InfeasibleError)]
+    if not proofs and problem.equality_labels and not _has_interior(problem):
+        raise infeasible(problem)
+    raise (proofs or failures)[-1]
 
 
 def solve_with_backend(problem: Problem, backend: str) -> tuple[Array, Certificate]:
@@ -199,16 +197,16 @@ def solve_with_backend(problem: Problem, backend: str) -> tuple[Array, Certifica
         If the solver is not installed, or as `solve` does.
     """
     started = time.perf_counter()
-    solution = solve_by_cvxpy(problem, _free(problem), backend)
-    return _finished(problem, solution, f"cvxpy ({backend})", started)
+    solution = solve_by_cvxpy(problem, _unconstrained_optimum(problem), backend)
+    return _refine_and_check(problem, solution, f"cvxpy ({backend})", started)
 
 
 def _has_interior(problem: Problem) -> bool:
-    """Whether some parameters fulfil everything with room to spare."""
+    """True if some parameters fulfil everything with room to spare; not checked where numbers are not finite."""
     m = problem.variables
-    numbers = (problem.E, problem.e, problem.bounds)
-    if not all(np.isfinite(x).all() for x in numbers):
-        return True  # which the solver has said
+    for numbers in (problem.E, problem.e, problem.bounds):
+        if not np.isfinite(numbers).all():
+            return True  # the solver has said what is wrong
     try:
         Barrier(problem, np.eye(m), np.zeros(m), gap=1.0)
     except SolverError:
@@ -217,7 +215,7 @@ def _has_interior(problem: Problem) -> bool:
 
 
 def _solve_with_fallback(problem: Problem) -> tuple[Array, Certificate]:
-    """`solve`, or where that fails what cvxpy makes of the problem."""
+    """Solve by Clarabel, and by cvxpy where that fails."""
     try:
         return solve(problem)
     except InfeasibleError:
@@ -250,15 +248,15 @@ def solve_locally(problem: Problem, name: str, start: Array) -> tuple[Array, Cer
     SolverError
         If the problem holds what a local solver does not know.
     """
-    found = LOCAL[name](problem, start)
+    local = LOCAL[name](problem, start)
     _, best = solve(problem)
     bound = best.objective - best.duality_gap * max(best.objective, 1.0)
-    certificate = certify(problem, found.x, bound, name, found.status, found.iterations, 0.0)
-    return found.x, replace(certificate, seconds=found.seconds)
+    certificate = certify(problem, local.x, bound, name, local.status, local.iterations, started=0.0)
+    return local.x, replace(certificate, seconds=local.seconds)
 
 
 def stuck_note(certificate: Certificate) -> str:
-    """What to say of a cost that is not certified to be the least; nothing of one that is."""
+    """Warning about a cost that is not certified to be the least; empty if it is."""
     if certificate.certified:
         return ""
     if certificate.holds:
@@ -266,7 +264,7 @@ def stuck_note(certificate: Certificate) -> str:
             f"keeping every body inside its set, by {INTERIOR:g} of its mass and size, raises the cost by up to "
             f"{certificate.margin:.1e} of it: the data ask for bodies far outside of their sets"
         )
-    at = f", with {certificate.where} at its limit" if -certificate.violation < _CLOSE else ""
+    at = f", with {certificate.where} at its limit" if -certificate.violation < _AT_LIMIT else ""
     return (
         f"{certificate.name} stopped after {certificate.iterations} iterations at a cost up to "
         f"{certificate.duality_gap:.1e} above the global optimum, relative to it{at}"
@@ -274,10 +272,11 @@ def stuck_note(certificate: Certificate) -> str:
 
 
 def unfinished_note(certificate: Certificate) -> str:
-    """What to say of a convex solver's optimum whose parameters are not at it; nothing of one whose are."""
-    if certificate.name in LOCAL or (certificate.parameter_error is not None and certificate.parameter_error <= ENOUGH):
+    """Warning about a convex solver's optimum whose parameters are not at it; empty if they are."""
+    error = certificate.parameter_error
+    if certificate.name in LOCAL or (error is not None and error <= PARAMETER_TOLERANCE):
         return ""
-    far = "an unknown share" if certificate.parameter_error is None else f"{certificate.parameter_error:.1g}"
+    far = "an unknown share" if error is None else f"{error:.1g}"
     return (
         "the cost is the least, but not all parameters are at the optimum: those that the prior alone holds may be off "
         f"by {far} of their body's mass and size; a larger regularization.weight holds them better"
@@ -286,44 +285,48 @@ def unfinished_note(certificate: Certificate) -> str:
 
 def _attempt(problem: Problem, settings: Mapping[str, float | bool]) -> tuple[Array, Certificate]:
     started = time.perf_counter()
-    solution = solve_conic(problem, _free(problem), settings)
-    return _finished(problem, solution, "clarabel", started)
+    solution = solve_conic(problem, _unconstrained_optimum(problem), settings)
+    return _refine_and_check(problem, solution, "clarabel", started)
 
 
-def _free(problem: Problem) -> Array:
+def _unconstrained_optimum(problem: Problem) -> Array:
     """The optimum without constraints, x (m,): from there, b takes no digits."""
     z = np.linalg.solve(problem.A, problem.b)
     return np.asarray(np.linalg.lstsq(problem.S, z, rcond=None)[0])
 
 
-def _finished(problem: Problem, solution: Solution, name: str, started: float) -> tuple[Array, Certificate]:
-    """A solver's optimum refined and checked, or as it is where refining makes it no better."""
-    solution = replace(solution, x=_polished(problem, solution.x))
+def _refine_and_check(problem: Problem, solution: Solution, name: str, started: float) -> tuple[Array, Certificate]:
+    """A solver's optimum, refined where that makes it better, and its certificate."""
+    solution = replace(solution, x=_with_exact_constraints(problem, solution.x))
     if not np.isfinite(problem.cost(problem.S @ solution.x)):
         _, where = violation(problem, solution.x)
-        raise _unsolved(problem, where, name, f"no body found ({solution.status})")
-    certificate = _certified(problem, solution, APART, name, started)
+        raise _unsolved_error(problem, where, name, f"no body found ({solution.status})")
+    certificate = _certify_solution(problem, solution, SOLVER_INTERIOR, name, started)
     if refined := refine(problem, solution):
-        better = replace(refined.solution, x=_polished(problem, refined.solution.x))
-        status = "optimal" if refined.error <= ENOUGH else solution.status
-        check = replace(_certified(problem, better, 0.0, name, started), parameter_error=refined.error, status=status)
-        if check.holds or not certificate.holds:
-            solution, certificate = better, check
+        refined_solution = replace(refined.solution, x=_with_exact_constraints(problem, refined.solution.x))
+        refined_certificate = replace(
+            _certify_solution(problem, refined_solution, 0.0, name, started),
+            parameter_error=refined.error,
+            status="optimal" if refined.error <= PARAMETER_TOLERANCE else solution.status,
+        )
+        if refined_certificate.holds or not certificate.holds:
+            solution = refined_solution
+            certificate = refined_certificate
     if not certificate.holds:
         gap, violated = certificate.duality_gap, certificate.violation
         reason = f"relative duality gap {gap:.1e}, violation {violated:.1e}"
-        raise _unsolved(problem, certificate.where, name, reason)
+        raise _unsolved_error(problem, certificate.where, name, reason)
     return solution.x, certificate
 
 
-def _unsolved(problem: Problem, where: str, name: str, reason: str) -> SolverError:
-    """What to say of a problem that a solver leaves without a solution."""
+def _unsolved_error(problem: Problem, where: str, name: str, reason: str) -> SolverError:
+    """The error that a solver found no good enough solution."""
     by = "" if name == "clarabel" else f" by {name}"
-    known = f" of {some(problem.facts)}" if problem.facts else ""
-    return SolverError(where or "solver", f"not solved well enough{by}: {reason}; check units and magnitudes{known}")
+    labels = f" of {some(problem.equality_labels)}" if problem.equality_labels else ""
+    return SolverError(where or "solver", f"not solved well enough{by}: {reason}; check units and magnitudes{labels}")
 
 
-def _certified(problem: Problem, solution: Solution, margin: float, name: str, started: float) -> Certificate:
+def _certify_solution(problem: Problem, solution: Solution, margin: float, name: str, started: float) -> Certificate:
     """The check of a solution whose bodies are kept inside of their sets by a margin."""
     bound = lower_bound(problem, solution.x, solution.duals, solution.multipliers)
     check = certify(problem, solution.x, bound, name, solution.status, solution.iterations, started)
@@ -333,7 +336,7 @@ def _certified(problem: Problem, solution: Solution, margin: float, name: str, s
 def certify(
     problem: Problem, x: Array, bound: float, name: str, status: str, iterations: int, started: float
 ) -> Certificate:
-    """The check of x against a cost that nothing can be below."""
+    """The check of x against a lower bound of the cost."""
     largest, where = violation(problem, x)
     cost = problem.cost(problem.S @ x)
     return Certificate(
@@ -348,11 +351,13 @@ def certify(
     )
 
 
-def _polished(problem: Problem, x: Array) -> Array:
-    """The same with what is exact met to the last digit, where the solver comes within its tolerance."""
+def _with_exact_constraints(problem: Problem, x: Array) -> Array:
+    """X with equations and bounds met to the last digit, which the solver meets to its tolerance."""
     rows = problem.E @ problem.S
-    x = x + np.linalg.lstsq(rows, problem.e - rows @ x, rcond=None)[0] if len(rows) else x
+    if len(rows):
+        x = x + np.linalg.lstsq(rows, problem.e - rows @ x, rcond=None)[0]
     x[problem.bounded] = np.maximum(x[problem.bounded], problem.bounds)
-    for inequality in (i for i in problem.inequalities if not i.interior):  # point masses, each its own variable
-        x[inequality.own] = np.maximum(x[inequality.own], 0)
+    for inequality in problem.inequalities:
+        if not inequality.interior:  # point masses, each its own variable
+            x[inequality.x_slice] = np.maximum(x[inequality.x_slice], 0)
     return x

@@ -1,4 +1,4 @@
-"""Which of a URDF's bodies can exist, and the nearest URDF all of whose bodies can."""
+"""Realizability check of a URDF's links, and the nearest URDF whose links are all realizable."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.estimation.problem.projection import project
-from idtool.estimation.problem.verdict import judge
+from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.body import Body, Frame
 from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import Config
@@ -22,22 +22,22 @@ from idtool.robot.urdf.writing import rewrite
 
 @dataclass(frozen=True)
 class LinkCheck:
-    """What is to be said of one link's inertial.
+    """Result of one link's check.
 
     Attributes
     ----------
     body
         The link by itself, with the bounds that the configuration gives it.
     violations
-        Why no body can have it, a plain sentence each; none where one can.
+        Reasons why no body can have its inertial, a plain sentence each; none if one can.
     """
 
     body: Body
     violations: tuple[str, ...]
 
 
-def check(robot: Robot, config: Config) -> list[LinkCheck]:
-    """Every link that has an inertial with mass or inertia, against the bounds that the configuration gives it.
+def check_links(robot: Robot, config: Config) -> list[LinkCheck]:
+    """Check every link that has an inertial with mass or inertia, within the bounds that the configuration gives it.
 
     Parameters
     ----------
@@ -61,18 +61,18 @@ def check(robot: Robot, config: Config) -> list[LinkCheck]:
             continue
         ellipsoids = tuple(bounding.ellipsoid() for bounding in config.bounding_ellipsoids.get(link, ()))
         shapes = tuple(bounding_shape(bound, robot, link) for bound in config.bounding_shapes.get(link, ()))
-        place = Frame(-1, np.eye(3), np.zeros(3))
-        body = Body(link, "link", pi, ellipsoids, place, np.zeros(3), False, np.zeros(0), shapes=shapes)
-        checks.append(LinkCheck(body, judge(body, pi).violations))
+        mount = Frame(-1, np.eye(3), np.zeros(3))
+        body = Body(link, "link", pi, ellipsoids, mount, np.zeros(3), False, np.zeros(0), shapes=shapes)
+        checks.append(LinkCheck(body, check_realizability(body, pi).violations))
     return checks
 
 
 def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
-    """The nearest inertials, in the pull-back metric, of the links that no body can have; by link, shape (10,)."""
-    wrong = [c.body for c in checks if c.violations]
-    return {body.name: project(body.pi, choose_set(body), body, "pullback").pi for body in wrong}
+    """Nearest realizable inertials, in the pull-back metric, of links that are not realizable; by link, shape (10,)."""
+    unrealizable = [check.body for check in checks if check.violations]
+    return {body.name: project(body.pi, choose_set(body), body, "pullback").pi for body in unrealizable}
 
 
 def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
-    """The URDF's text with these inertials, every other byte kept."""
+    """The URDF's text with new inertials, every other byte kept."""
     return rewrite(robot.text, inertials, {})

@@ -16,8 +16,8 @@ from idtool.data.logs import make_log, write_log
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import SimulatedWindows
 from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.evaluation import replay as module
-from idtool.estimation.evaluation.replay import HORIZONS, Departure, Replay, replay
+from idtool.estimation.evaluation import rollouts as module
+from idtool.estimation.evaluation.rollouts import HORIZONS, RolloutError, RolloutEvaluation, evaluate_rollouts
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -65,7 +65,7 @@ def swinging(seconds: float) -> dict[str, Array]:
 
 
 def test_errors_are_summed_from_the_sample_after_the_start() -> None:
-    departure = Departure.none(2)
+    departure = RolloutError.none(2)
     measured = SimpleNamespace(
         q=np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]]), v=np.array([[9.0, 1.0, NAN], [9.0, 1.0, 1.0]])
     )
@@ -81,7 +81,7 @@ def test_errors_are_summed_from_the_sample_after_the_start() -> None:
 
 
 def test_rollouts_add_up() -> None:
-    departure = Departure.none(1)
+    departure = RolloutError.none(1)
     for error, length in ((1.0, 3), (2.0, 7)):
         still = np.zeros((1, length))
         departure.add(SimpleNamespace(q=still, v=still), still + error, still, 0.01)
@@ -94,10 +94,10 @@ def test_the_true_model_follows_the_log_and_a_heavier_one_does_not(discs: Build)
     """Half the acceleration from the same start: after h, an error of a h² / 4, at any start of the swing."""
     experiment = discs(swinging(6))
     theta = experiment.equation.prior
-    found = replay(experiment, {"model": theta, "prior": 2 * theta}, True, quietly)
-    assert (found.kind, found.window, found.windows, found.of) == ("open_loop", 1.0, 6, 6)
-    assert (dict(found.lost), found.failed) == ({"model": 0, "prior": 0}, {})
-    model, prior = found.departures["model"], found.departures["prior"]
+    found = evaluate_rollouts(experiment, {"model": theta, "prior": 2 * theta}, True, quietly)
+    assert (found.kind, found.window, found.windows, found.available) == ("open_loop", 1.0, 6, 6)
+    assert (dict(found.diverged), found.failed) == ({"model": 0, "prior": 0}, {})
+    model, prior = found.errors["model"], found.errors["prior"]
     assert model.rmse(("j1", "j2"), "position")["overall"] < 1e-3
     assert model.rmse(("j1", "j2"), "velocity")["overall"] < 1e-2
     early = prior.horizon(("j1", "j2"), 0.05)
@@ -112,8 +112,8 @@ def test_open_loop_the_baseline_stays_as_it_was(discs: Build) -> None:
     t = np.arange(round(4 * RATE)) / RATE
     q = np.stack([0.7 * t, -0.2 * t], axis=1)
     experiment = discs({"q": q, "tau": np.zeros_like(q)}, simulation={"window": 0.5})
-    found = replay(experiment, {}, True, quietly)
-    baseline = found.departures["baseline"]
+    found = evaluate_rollouts(experiment, {}, True, quietly)
+    baseline = found.errors["baseline"]
     k = np.arange(1, round(0.5 * RATE) + 1)
     # the last window ends a sample early: the log has none after it
     squares = (np.sum((k / RATE) ** 2) * 8 - 0.5**2) / (8 * len(k) - 1)
@@ -134,9 +134,9 @@ def test_closed_loop_the_baseline_is_the_command(discs: Build, given: bool) -> N
     experiment = discs(
         {"q": signals["q"], "v": signals["v"], **ahead}, controller={"kp": {"j1": 5, "j2": 5}, "kd": {"j1": 1, "j2": 1}}
     )
-    found = replay(experiment, {}, True, quietly)
+    found = evaluate_rollouts(experiment, {}, True, quietly)
     assert (found.kind, found.window, found.windows) == ("closed_loop", None, 1)
-    baseline = found.departures["baseline"]
+    baseline = found.errors["baseline"]
     position, velocity = (baseline.rmse(("j1", "j2"), quantity) for quantity in ("position", "velocity"))
     assert position == pytest.approx({"j1": 0.05, "j2": 0.02, "overall": (0.0029 / 2) ** 0.5}, rel=1e-9)
     wanted = (1.0, 2.0) if given else (0.0, 0.0)
@@ -148,8 +148,8 @@ def test_of_logs_of_both_kinds_those_with_a_command_are_simulated(discs: Build) 
     command = {"q": torque["q"], "v": torque["v"], "qcmd": torque["q"]}
     for logs in ((torque, command), (command, torque)):
         experiment = discs(*logs, controller={"kp": {"j1": 5, "j2": 5}})
-        found = replay(experiment, {"model": experiment.equation.prior}, True, quietly)
-        assert (found.kind, found.windows, found.of, len(found.traces)) == ("closed_loop", 1, 1, 1)
+        found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
+        assert (found.kind, found.windows, found.available, len(found.traces)) == ("closed_loop", 1, 1, 1)
 
 
 def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,18 +166,18 @@ def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, m
 
     monkeypatch.setattr(module, "simulate", nearly)
     experiment = discs(swinging(150), swinging(50))
-    found = replay(experiment, {"model": experiment.equation.prior}, True, quietly)
-    assert (found.windows, found.of) == (120, 200)
+    found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
+    assert (found.windows, found.available) == (120, 200)
     starts = {name: np.array([part.start for part in windows]) / RATE for name, windows in seen.items()}
     assert [len(t) for t in starts.values()] == [90, 30]
     for t, seconds in zip(starts.values(), (150, 50), strict=True):
         assert t[0] < 2
         assert t[-1] > seconds - 3
         assert set(np.round(np.diff(t))) <= {1, 2}
-    model = found.departures["model"]
+    model = found.errors["model"]
     assert model.rmse(("j1", "j2"), "position") == pytest.approx({"j1": 0.1, "j2": 0.1, "overall": 0.1})
     assert model.rmse(("j1", "j2"), "velocity")["overall"] == pytest.approx(0.2)
-    assert found.lost == {"model": 2}
+    assert found.diverged == {"model": 2}
     drawn = found.traces[0].curves
     there = np.isfinite(drawn["model"]) & np.isfinite(drawn["measured"])
     assert there.mean() > 0.5
@@ -187,9 +187,9 @@ def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, m
 def test_a_model_that_cannot_be_simulated_does_not_keep_the_others(discs: Build) -> None:
     experiment = discs(swinging(3), swinging(3))
     theta = experiment.equation.prior
-    found: Replay = replay(experiment, {"model": theta, "prior": 0 * theta}, True, quietly)
-    assert set(found.departures) == {"model", "baseline"}
+    found: RolloutEvaluation = evaluate_rollouts(experiment, {"model": theta, "prior": 0 * theta}, True, quietly)
+    assert set(found.errors) == {"model", "baseline"}
     assert set(found.failed) == {"prior"}
     assert "discs.urdf: cannot be simulated" in found.failed["prior"]
-    assert found.departures["model"].rmse(("j1", "j2"), "position")["overall"] < 1e-3
+    assert found.errors["model"].rmse(("j1", "j2"), "position")["overall"] < 1e-3
     assert all("prior" not in trace.curves for trace in found.traces)

@@ -1,4 +1,4 @@
-"""How far a model's simulation departs from a log: position and velocity, against time since it was started.
+"""Errors of simulated rollouts against a log: position and velocity, against time since the rollout was started.
 
 Open loop, under the logged torque, started again from the measured state every window; its baseline stays at that
 state. Closed loop, where joints have no torque but a command and a controller, over whole stretches; its baseline takes
@@ -28,9 +28,11 @@ HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
 _LONGEST = 120.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it
 _DRAWN = 1000  # stretches of time in which the least and greatest position are drawn
 
+Kind = Literal["open_loop", "closed_loop"]
+
 
 @dataclass
-class Departure:
+class RolloutError:
     """Sums of squared errors, per joint, for one model or baseline.
 
     Attributes
@@ -38,7 +40,7 @@ class Departure:
     position, velocity
         Shape (nv,) [rad² or m², and per s²].
     samples, speeds
-        How many samples of position and of velocity.
+        Number of samples of position and of velocity.
     after
         Horizon [s] to the squared position error so long after a start, shape (nv,), and the number of starts.
     """
@@ -50,18 +52,18 @@ class Departure:
     after: dict[float, tuple[Array, int]] = field(default_factory=dict)
 
     @classmethod
-    def none(cls, joints: int) -> Departure:
-        """Nothing yet, for so many joints."""
+    def none(cls, joints: int) -> RolloutError:
+        """No samples yet, for so many joints."""
         return cls(np.zeros(joints), np.zeros(joints))
 
-    def add(self, measured: _Measured, q: Array, v: Array, dt: float) -> None:
-        """Count a rollout that was at q and v, shape (nv, N), all but the first sample, where it was started."""
+    def add(self, measured: _MeasuredMotion, q: Array, v: Array, dt: float) -> None:
+        """Count all samples of a rollout with motion q and v, shape (nv, N), but the first, where it was started."""
         errors = np.square(q - measured.q)
         self.position += errors[:, 1:].sum(axis=1)
         self.samples += errors.shape[1] - 1
-        known = np.isfinite(measured.v[:, 1:]).all(axis=0)
-        self.velocity += np.square(v - measured.v)[:, 1:][:, known].sum(axis=1)
-        self.speeds += int(np.count_nonzero(known))
+        is_known = np.isfinite(measured.v[:, 1:]).all(axis=0)
+        self.velocity += np.square(v - measured.v)[:, 1:][:, is_known].sum(axis=1)
+        self.speeds += int(np.count_nonzero(is_known))
         for seconds in HORIZONS:
             k = round(seconds / dt)
             if 0 < k < errors.shape[1]:
@@ -70,13 +72,16 @@ class Departure:
 
     def rmse(self, joints: Sequence[str], quantity: Literal["position", "velocity"]) -> dict[str, float]:
         """Root mean square by joint, and ``overall`` joints and samples."""
-        count = self.samples if quantity == "position" else self.speeds
-        return _root_mean(joints, getattr(self, quantity), count)
+        if quantity == "position":
+            return _root_mean(joints, self.position, self.samples)
+        return _root_mean(joints, self.velocity, self.speeds)
 
     def horizon(self, joints: Sequence[str], seconds: float) -> dict[str, float] | None:
-        """The same of the position so long after a start; None where no rollout is that long."""
-        squares, count = self.after.get(seconds, (self.position, 0))
-        return _root_mean(joints, squares, count) if count else None
+        """Root mean square position error so long after a start, as in `rmse`; None where no rollout is that long."""
+        if seconds not in self.after:
+            return None
+        squares, count = self.after[seconds]
+        return _root_mean(joints, squares, count)
 
 
 def _root_mean(joints: Sequence[str], squares: Array, count: int) -> dict[str, float]:
@@ -86,38 +91,40 @@ def _root_mean(joints: Sequence[str], squares: Array, count: int) -> dict[str, f
 
 
 @dataclass(frozen=True)
-class Replay:
+class RolloutEvaluation:
     """Models against logs, as simulations.
 
     Attributes
     ----------
     kind
-        Whether the torque was the logged one or the controller's.
+        Open loop: the torque was the logged one; closed loop: the controller's.
     window
-        How often the rollouts were started again [s]; None: never.
-    departures
+        Time after which the rollouts were started again [s]; None: never.
+    errors
         By model, and ``baseline``.
     traces
-        Measured and simulated positions for drawing, one a log.
-    windows, of
-        How many rollouts were simulated, and how many the logs hold.
-    lost
-        By model, how many of them ran away.
+        Measured and simulated positions for drawing, one per log.
+    windows, available
+        Number of rollouts that were simulated, and that the logs hold.
+    diverged
+        Number of rollouts that ran away, by model.
     failed
-        By model that cannot be simulated, why; it has no departure.
+        Reason why a model cannot be simulated, by model; it has no errors.
     """
 
-    kind: Literal["open_loop", "closed_loop"]
+    kind: Kind
     window: float | None
-    departures: Mapping[str, Departure]
+    errors: Mapping[str, RolloutError]
     traces: tuple[Trace, ...]
     windows: int
-    of: int
-    lost: Mapping[str, int]
+    available: int
+    diverged: Mapping[str, int]
     failed: Mapping[str, str]
 
 
-def replay(experiment: Experiment, models: Mapping[str, Array], held_out: bool, progress: Progress) -> Replay:
+def evaluate_rollouts(
+    experiment: Experiment, models: Mapping[str, Array], held_out: bool, progress: Progress
+) -> RolloutEvaluation:
     """Simulate the training or the held-out parts with one or more models.
 
     Where some logs hold torque and others only a command, it is done for the latter.
@@ -129,44 +136,54 @@ def replay(experiment: Experiment, models: Mapping[str, Array], held_out: bool, 
     models
         Name to coefficients, shape (p,).
     held_out
-        Which parts.
+        If true the held-out parts, else the training parts.
     progress
         Told how far it has come.
     """
     parts = [(run.signals, run.held_out if held_out else run.train) for run in experiment.runs]
-    closed = any(signals.command.joints.any() for signals, some in parts if some)
+    closed = any(signals.command.joints.any() for signals, ranges in parts if ranges)
     window = None if closed else experiment.config.simulation.window
-    jobs, of = _spread(parts, window, closed)
-    departures = {name: Departure.none(len(experiment.model.joints)) for name in (*models, "baseline")}
-    lost, failed, traces = dict.fromkeys(models, 0), {}, []
+    jobs, available = _windows(parts, window, closed)
+    errors = {name: RolloutError.none(len(experiment.model.joints)) for name in (*models, "baseline")}
+    diverged = dict.fromkeys(models, 0)
+    failed: dict[str, str] = {}
+    traces = []
     for signals, windows in jobs:
-        measured = [_Measured(signals, part, closed) for part in windows]
+        measured = [_MeasuredMotion(signals, part, closed) for part in windows]
         envelope = Envelope(windows, signals.log.t, _DRAWN)
-        for one in measured:
-            departures["baseline"].add(one, *one.baseline, signals.log.dt)
-            envelope.add(one.t, {"measured": one.q})
+        for motion in measured:
+            errors["baseline"].add(motion, *motion.baseline, signals.log.dt)
+            envelope.add(motion.t, {"measured": motion.q})
         for name, theta in models.items():
             if name in failed:
                 continue
             mechanism = experiment.equation.mechanism(experiment.model, theta)
+            rollouts = _rollouts(mechanism, signals, windows, progress)
             try:
-                for one, (q, v, ran_away) in zip(measured, _lanes(mechanism, signals, windows, progress), strict=True):
-                    departures[name].add(one, q, v, signals.log.dt)
-                    lost[name] += ran_away
-                    envelope.add(one.t, {name: q})
+                for motion, (q, v, has_diverged) in zip(measured, rollouts, strict=True):
+                    errors[name].add(motion, q, v, signals.log.dt)
+                    diverged[name] += has_diverged
+                    envelope.add(motion.t, {name: q})
             except ModelError as error:
                 failed[name] = str(error)
-                del departures[name]
+                del errors[name]
         traces.append(envelope.trace(signals.log.path.name))
-    kind: Literal["open_loop", "closed_loop"] = "closed_loop" if closed else "open_loop"
-    count = sum(len(windows) for _, windows in jobs)
-    return Replay(kind, window, departures, tuple(traces), count, of, lost, failed)
+    return RolloutEvaluation(
+        kind="closed_loop" if closed else "open_loop",
+        window=window,
+        errors=errors,
+        traces=tuple(traces),
+        windows=sum(len(windows) for _, windows in jobs),
+        available=available,
+        diverged=diverged,
+        failed=failed,
+    )
 
 
-def _lanes(
+def _rollouts(
     mechanism: Mechanism, signals: Signals, windows: Sequence[slice], progress: Progress
 ) -> Iterator[tuple[Array, Array, bool]]:
-    """Position and velocity in each window, shape (nv, N), and whether the rollout ran away."""
+    """Position and velocity in each window, shape (nv, N), and true if the rollout diverged."""
     stage = f"simulating {signals.log.path.name}"
     for simulated in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
         for w, window in enumerate(simulated.windows):
@@ -174,68 +191,73 @@ def _lanes(
             yield simulated.q[:, w, :length], simulated.v[:, w, :length], bool(simulated.diverged[w])
 
 
-class _Measured:
-    """What was measured in a window, and what its baseline predicts, shape (nv, N)."""
+class _MeasuredMotion:
+    """Measured motion in a window, and the prediction of its baseline, shape (nv, N)."""
 
     def __init__(self, signals: Signals, part: slice, closed: bool) -> None:
         self.t = signals.channels.times(part)
         self.q = signals.channels.signal("q", part)
         self.v = signals.velocity(part)
-        self.baseline = self._command(signals, part) if closed else self._state(signals, part)
+        self.baseline = self._commanded_motion(signals, part) if closed else self._first_state(signals, part)
 
-    def _state(self, signals: Signals, part: slice) -> tuple[Array, Array]:
+    def _first_state(self, signals: Signals, part: slice) -> tuple[Array, Array]:
+        """The measured state at the start, for all samples."""
         q, v = measured_states(signals, [part.start])
         return np.broadcast_to(q, self.q.shape), np.broadcast_to(v, self.q.shape)
 
-    def _command(self, signals: Signals, part: slice) -> tuple[Array, Array]:
+    def _commanded_motion(self, signals: Signals, part: slice) -> tuple[Array, Array]:
         """The commanded motion; joints that have no command stay as they are."""
         by_command = signals.command.joints[:, None]
-        q, v = self._state(signals, part)
-        commanded = signals.channels.signal("qcmd", part)
-        speed = np.gradient(commanded, signals.log.dt, axis=1) if commanded.shape[1] > 1 else np.zeros_like(commanded)
+        q, v = self._first_state(signals, part)
+        q_command = signals.channels.signal("qcmd", part)
+        if q_command.shape[1] > 1:
+            v_command = np.gradient(q_command, signals.log.dt, axis=1)
+        else:
+            v_command = np.zeros_like(q_command)
         if "vcmd" in signals.log.signals:
-            speed = np.where(np.isfinite(given := signals.channels.signal("vcmd", part)), given, speed)
-        return np.where(by_command, commanded, q), np.where(by_command, speed, v)
+            logged = signals.channels.signal("vcmd", part)
+            v_command = np.where(np.isfinite(logged), logged, v_command)
+        return np.where(by_command, q_command, q), np.where(by_command, v_command, v)
 
 
-def _spread(
+def _windows(
     parts: Sequence[tuple[Signals, Sequence[slice]]], window: float | None, closed: bool
 ) -> tuple[list[tuple[Signals, list[slice]]], int]:
-    """The windows that are simulated of every log that is driven in the same way, and how many there are."""
+    """Windows to simulate of every log that is driven in the same way, and the number of windows that there are."""
     jobs = [
-        (signals, split_into_windows(signals, some, window, share_ends=True))
-        for signals, some in parts
-        if some and signals.command.joints.any() == closed
+        (signals, split_into_windows(signals, ranges, window, share_ends=True))
+        for signals, ranges in parts
+        if ranges and signals.command.joints.any() == closed
     ]
-    of = sum(len(windows) for _, windows in jobs)
-    most = of if window is None else max(int(_LONGEST / window), 1)
-    if of > most:
-        keep = np.linspace(0, of, most, endpoint=False).astype(int)
+    available = sum(len(windows) for _, windows in jobs)
+    most = available if window is None else max(int(_LONGEST / window), 1)
+    if available > most:
+        kept = np.linspace(0, available, most, endpoint=False).astype(int)
         first = 0
         for i, (signals, windows) in enumerate(jobs):
-            mine = keep[(keep >= first) & (keep < first + len(windows))] - first
+            in_log = kept[(kept >= first) & (kept < first + len(windows))] - first
             first += len(windows)
-            jobs[i] = (signals, [windows[k] for k in mine])
-    return [job for job in jobs if job[1]], of
+            jobs[i] = (signals, [windows[k] for k in in_log])
+    return [(signals, windows) for signals, windows in jobs if windows], available
 
 
-def simulation_notes(replay: Replay | None, model: str) -> list[str]:
-    """What a user should know of a replay, a plain sentence each.
+def simulation_notes(rollouts: RolloutEvaluation | None, model: str) -> list[str]:
+    """Warnings about rollouts, a plain sentence each.
 
     Parameters
     ----------
-    replay
+    rollouts
         The model's simulation and, where there is one, that of ``prior``; None: not asked for.
     model
         The model's name there.
     """
-    if replay is None:
+    if rollouts is None:
         return []
     notes = []
     for name in (model, "prior"):
         which = "the prior" if name == "prior" else "the model"
-        if name in replay.failed:
-            notes.append(f"no simulation of {which}: {replay.failed[name]}")
-        elif lost := replay.lost.get(name):
-            notes.append(f"{lost} of {replay.windows} simulations of {which} ran away and were stopped")
+        if name in rollouts.failed:
+            notes.append(f"no simulation of {which}: {rollouts.failed[name]}")
+        elif diverged := rollouts.diverged.get(name):
+            notes.append(f"{diverged} of {rollouts.windows} simulations of {which} ran away and were stopped")
     return notes

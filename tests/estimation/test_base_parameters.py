@@ -15,8 +15,8 @@ from tables import GANTRY, PANDA, PUMA, RX90, SCARA, STANFORD, UR5, Row, rooted,
 
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import knowledge
-from idtool.estimation.uncertainty.base import BaseParameters, base_parameters, structural_base
+from idtool.estimation.dataset.equality_constraints import equality_constraints
+from idtool.estimation.uncertainty.base_parameters import BaseParameters, base_parameters, structural_base_parameters
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.model import Model, build_model
@@ -97,16 +97,16 @@ def check(robot: Robot, rng: np.random.Generator, **config: Any) -> BaseParamete
     Exactly so where nothing is taken for rounding; what is, is not felt.
     """
     model, equation = equation_of(robot, **config)
-    base = structural_base(model, equation)
+    base = structural_base_parameters(model, equation)
     if len(model.names) == 1:
         return base  # whose regressor Pinocchio gives as a vector
     reference = Reference(robot.text.decode(), model.names, {"gravity": UP} | config)
     bodies = [body.name for body in model.bodies]
     Y = states(reference, bodies, rng, 3 + 30 * len(bodies) // len(model.names))
     with pytest.MonkeyPatch.context() as strict:
-        strict.setattr("idtool.estimation.uncertainty.base._RANK", 1e-9)
-        strict.setattr("idtool.estimation.uncertainty.base._ZERO", 1e-12)
-        exact = structural_base(model, equation)
+        strict.setattr("idtool.estimation.uncertainty.base_parameters._RANK", 1e-9)
+        strict.setattr("idtool.estimation.uncertainty.base_parameters._ZERO", 1e-12)
+        exact = structural_base_parameters(model, equation)
     assert_same_space(exact, Y)
     assert len(base) == len(exact)
     felt = np.linalg.norm(Y, axis=0) * [c.scale or 1.0 for c in equation.coefficients]
@@ -181,7 +181,7 @@ def test_rotor_inertias_of_an_rx90(robot_of: ReadRobot, rng: np.random.Generator
     """40 with a rotor inertia for each joint (Khalil & Dombre 2002): those of joints 1 and 2 are in the links'."""
     effects = [{"effect": "rotor_inertia", "joint": f"joint{i}", "parameters": {"inertia": 0.1}} for i in range(1, 7)]
     model, equation = equation_of(robot_of(rooted(table_urdf(RX90, rng))), effects=effects)
-    base = structural_base(model, equation)
+    base = structural_base_parameters(model, equation)
     assert len(base) == 40
     rotors = np.flatnonzero([c.effect == "rotor_inertia" for c in equation.coefficients])
     alone = [int(np.flatnonzero(row)[0]) for row in base.B if len(np.flatnonzero(row)) == 1]
@@ -192,7 +192,7 @@ def test_rotor_inertias_of_an_rx90(robot_of: ReadRobot, rng: np.random.Generator
 def test_friction_is_a_parameter_of_its_own(robot_of: ReadRobot, rng: np.random.Generator) -> None:
     friction = {"viscous": True, "coulomb": True, "offset": True}
     model, equation = equation_of(robot_of(rooted(table_urdf(PUMA, rng))), friction=friction)
-    base = structural_base(model, equation)
+    base = structural_base_parameters(model, equation)
     assert len(base) == 36 + 3 * 6
     others = base.B[:, SIZE * len(model.bodies) :]
     assert np.abs(others).sum() == pytest.approx(3 * 6)
@@ -205,9 +205,9 @@ def test_copies_are_told_once(robot_of: ReadRobot, rng: np.random.Generator) -> 
     mirror = [{"body": f"right_link{i}", "of": f"left_link{i}", "plane": "xz"} for i in (1, 2, 3)]
     read = parse_config(RIGID | {"mirror": mirror}, "legs.yaml")
     model, equation = equation_of(robot)
-    base = structural_base(model, equation, knowledge(read, model, equation))
+    base = structural_base_parameters(model, equation, equality_constraints(read, model, equation))
     assert not base.B[:, 3 * SIZE :].any()
-    assert len(base) < len(structural_base(model, equation)) == 2 * 17
+    assert len(base) < len(structural_base_parameters(model, equation)) == 2 * 17
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -233,7 +233,7 @@ def test_rounded_angles_are_what_they_stand_for(robot_of: ReadRobot, rng: np.ran
     scara = rooted(table_urdf((*SCARA[:2], (3.141593, 0.25, 0, 0, "prismatic"), SCARA[3]), rng))
     puma = rooted(table_urdf(((1.5708 - P, 0, 0, 0), *PUMA[1:]), rng))
     for text, count in ((scara, 8), (puma, 36)):
-        assert len(structural_base(*equation_of(robot_of(text)))) == count
+        assert len(structural_base_parameters(*equation_of(robot_of(text)))) == count
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"the real robots are not in {REAL}")
@@ -241,7 +241,7 @@ def test_rounded_angles_are_what_they_stand_for(robot_of: ReadRobot, rng: np.ran
 def test_counts_of_real_robots(name: str, joints: int, count: int) -> None:
     robot, read = read_robot(REAL / name / f"{name}.urdf"), parse_config(RIGID, f"{name}.yaml")
     model = build_model(robot, read, actuated(robot)[:joints])
-    assert len(structural_base(model, LinearModel(model.names, build_effects(model, read)))) == count
+    assert len(structural_base_parameters(model, LinearModel(model.names, build_effects(model, read)))) == count
 
 
 def test_nothing_felt_is_no_parameter() -> None:

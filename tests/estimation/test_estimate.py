@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
-from idtool.estimation.problem.identify import Estimate, identify
+from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import SIZE, pseudo_inertia
 from idtool.robot.sets import constraint_sets
@@ -39,9 +39,9 @@ def data(robot_of: Callable[[str], Robot]) -> Data:
     return make
 
 
-def estimate(s: Synthetic, tau: Array, kind: str, regularization: Regularization = PRIOR) -> Estimate:
+def estimate_of(s: Synthetic, tau: Array, kind: str, regularization: Regularization = PRIOR) -> Estimate:
     bodies = s.model.bodies
-    return identify(s.linear, bodies, s.reduction(tau), [SETS[kind]] * len(bodies), regularization)
+    return estimate(s.linear, bodies, s.reduction(tau), [SETS[kind]] * len(bodies), regularization)
 
 
 def least_squares(Y: Array, tau: Array, sigma: Array) -> Array:
@@ -61,7 +61,7 @@ def test_without_constraints_and_prior_the_prediction_is_that_of_least_squares(d
     for _ in range(2):
         sigma = np.std(s.Y @ least_squares(s.Y, tau, sigma) - tau, axis=1)
     theta = least_squares(s.Y, tau, sigma)
-    ours = estimate(s, tau, "none", NONE)
+    ours = estimate_of(s, tau, "none", NONE)
     np.testing.assert_allclose((s.Y @ ours.theta).T / sigma, (s.Y @ theta).T / sigma, rtol=0, atol=2e-3)
 
 
@@ -70,7 +70,7 @@ def test_without_constraints_and_prior_the_prediction_is_that_of_least_squares(d
 def test_a_torque_without_noise_is_recovered(data: Data, kind: str, regularization: Regularization) -> None:
     for seed in range(3):
         s = data(seed)
-        ours = estimate(s, s.tau, kind, regularization)
+        ours = estimate_of(s, s.tau, kind, regularization)
         np.testing.assert_allclose(s.Y @ ours.theta, s.tau, rtol=0, atol=1e-6 * np.abs(s.tau).max())
 
 
@@ -79,7 +79,7 @@ def test_what_was_identified_predicts_other_motions_of_the_robot(data: Data, kin
     """To a share of the noise that goes with √(unknowns / samples), here less than half."""
     for seed in range(3):
         s, other = data(seed, count=500), data(seed, count=800)
-        ours = estimate(s, s.noisy(0.05), kind)
+        ours = estimate_of(s, s.noisy(0.05), kind)
         fresh = other.Y @ ours.theta - other.Y @ s.theta
         assert (fresh.std(axis=1) < 0.5 * 0.05 * s.tau.std(axis=1)).all()
 
@@ -96,7 +96,7 @@ def test_one_very_noisy_joint_does_not_spoil_the_others(data: Data, seed: int) -
         """The others' rms error in units of their noise."""
         return float(np.sqrt(np.mean(((good @ (theta - s.theta)).T / sigma) ** 2)))
 
-    ours = error(estimate(s, tau, "none").theta)
+    ours = error(estimate_of(s, tau, "none").theta)
     assert ours < 1.2 * error(least_squares(good, tau[[0, 2]], sigma))
     assert ours < 0.1 * error(least_squares(s.Y, tau, np.ones(3)))
 
@@ -106,7 +106,7 @@ def test_the_noise_of_every_joint_is_told(data: Data, kind: str) -> None:
     s = data(1, count=2000)
     sigma = np.array([0.5, 3.0, 0.02])
     tau = s.tau + sigma[:, None] * np.random.default_rng(3).normal(size=s.tau.shape)
-    np.testing.assert_allclose(estimate(s, tau, kind).noise, sigma, rtol=0.06)
+    np.testing.assert_allclose(estimate_of(s, tau, kind).noise, sigma, rtol=0.06)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -119,7 +119,7 @@ def test_friction_is_never_negative(data: Data, kind: str) -> None:
         frictionless[SIZE * len(s.model.bodies) :] = 0
         tau = s.Y @ frictionless
         tau += 0.3 * tau.std() * np.random.default_rng(seed).normal(size=tau.shape)
-        found.append(estimate(s, tau, kind).theta[SIZE * len(s.model.bodies) :])
+        found.append(estimate_of(s, tau, kind).theta[SIZE * len(s.model.bodies) :])
     friction = np.concatenate(found)
     assert (friction >= 0).all()
     assert np.count_nonzero(friction < 1e-5) > 4
@@ -136,8 +136,8 @@ def test_every_body_is_the_sum_of_parts_within_their_ellipsoids(data: Data, each
     """From a torque that is nothing but noise, so that the bodies lie on the boundary of what can be."""
     for seed in range(3):
         s = data(seed, count=60, each=each)
-        ours = estimate(s, s.noisy(3.0), "ellipsoid")
-        for i, (body, parts) in enumerate(zip(s.model.bodies, ours.parts, strict=True)):
+        ours = estimate_of(s, s.noisy(3.0), "ellipsoid")
+        for i, (body, parts) in enumerate(zip(s.model.bodies, ours.pieces, strict=True)):
             pi = ours.theta[SIZE * i : SIZE * (i + 1)]
             assert parts.shape == (each, SIZE)
             np.testing.assert_allclose(parts.sum(axis=0), pi, rtol=1e-12, atol=1e-15)
@@ -150,8 +150,8 @@ def test_a_body_with_mass_at_both_ends_needs_the_union(data: Data) -> None:
     s = data(5, each=2)
     tau, reduction = s.noisy(0.01), s.reduction(s.noisy(0.01))
     narrow = [replace(body, ellipsoids=body.ellipsoids[:1]) for body in s.model.bodies]
-    single = identify(s.linear, narrow, reduction, [SETS["ellipsoid"]] * 3, PRIOR)
-    assert single.certificate.objective > 1.5 * estimate(s, tau, "ellipsoid").certificate.objective
+    single = estimate(s.linear, narrow, reduction, [SETS["ellipsoid"]] * 3, PRIOR)
+    assert single.certificate.objective > 1.5 * estimate_of(s, tau, "ellipsoid").certificate.objective
 
 
 @pytest.mark.parametrize("regularization", [NONE, PRIOR], ids=["none", "euclidean"])
@@ -164,7 +164,7 @@ def test_what_the_data_do_not_tell_stays_at_the_prior(data: Data, regularization
         _, values, Vt = np.linalg.svd(rows, full_matrices=False)
         unseen = Vt[np.count_nonzero(values > 1e-9 * values[0]) :]
         assert len(unseen) > 5
-        ours = estimate(s, s.noisy(0.1), "none", regularization)
+        ours = estimate_of(s, s.noisy(0.1), "none", regularization)
         change = (ours.theta - s.linear.prior) / scale
         assert np.abs(change).max() > 0.1
         np.testing.assert_allclose(unseen @ change, 0, atol=1e-3 * np.abs(change).max())
@@ -176,7 +176,7 @@ def test_the_heavier_the_prior_the_nearer_the_estimate_to_it(data: Data) -> None
     tau = s.noisy(0.3)
     distances = []
     for weight in (1e-6, 1e-3, 1.0, 1e3, 1e8):
-        theta = estimate(s, tau, "none", Regularization(kind="euclidean", weight=weight)).theta
+        theta = estimate_of(s, tau, "none", Regularization(kind="euclidean", weight=weight)).theta
         distances.append(np.linalg.norm((theta - s.linear.prior) / scale))
     assert distances == sorted(distances, reverse=True)
     assert distances[-1] < 1e-3 * distances[0]

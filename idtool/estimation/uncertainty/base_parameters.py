@@ -20,15 +20,15 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.knowledge import Knowledge
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.robot.inertia import SIZE
 from idtool.robot.model import Model
 
 _RANK = 1e-5  # of a column: what the others leave of it by less is rounding, such as that of 1.5708 in a URDF
 _ZERO = 1e-5  # of a column, as a share of a combination: the same
 _SAMPLES, _DT = 1500, 0.02  # of a random motion [s]
-_TONES = 7  # a joint
-_FASTEST = 1.5  # Hz
+_TONES = 7  # per joint
+_HIGHEST_FREQUENCY = 1.5  # Hz
 _RANGE = {"revolute": 1.5, "prismatic": 0.5}  # rad or m, rms
 
 
@@ -62,30 +62,34 @@ def base_parameters(Y: Array, order: Indices) -> BaseParameters:
         All columns, those first after which combinations are to be called, shape (p,).
     """
     size = np.linalg.norm(Y, axis=0)
-    seen = np.flatnonzero(size > 0)
-    R = np.asarray(np.linalg.qr(Y[:, seen] / size[seen], mode="r")) if len(seen) else np.zeros((0, 0))
-    place = {int(k): i for i, k in enumerate(seen)}
+    nonzero = np.flatnonzero(size > 0)
+    R = np.asarray(np.linalg.qr(Y[:, nonzero] / size[nonzero], mode="r")) if len(nonzero) else np.zeros((0, 0))
+    column_of = {int(k): i for i, k in enumerate(nonzero)}
     Q: Array = np.zeros((len(R), 0))
     own: list[int] = []
-    for k in (int(k) for k in order if int(k) in place):
-        rest = R[:, place[k]]
+    for k in order.tolist():
+        if k not in column_of:
+            continue
+        rest = R[:, column_of[k]]
         for _ in range(2):  # once more: what the first projection leaves of a dependent column is rounding
             rest = rest - Q @ (Q.T @ rest)
-        left = float(np.linalg.norm(rest))
-        if left > _RANK:
-            Q = np.column_stack([Q, rest / left])
+        norm = float(np.linalg.norm(rest))
+        if norm > _RANK:
+            Q = np.column_stack([Q, rest / norm])
             own.append(k)
     own.sort()
     B = np.zeros((len(own), Y.shape[1]))
     if own:
-        shares = np.linalg.lstsq(R[:, [place[k] for k in own]], R, rcond=None)[0]
+        shares = np.linalg.lstsq(R[:, [column_of[k] for k in own]], R, rcond=None)[0]
         shares[np.abs(shares) < _ZERO] = 0.0
-        B[:, seen] = shares * size[seen] / size[own][:, None]
+        B[:, nonzero] = shares * size[nonzero] / size[own][:, None]
     return BaseParameters(np.array(own, dtype=np.intp), B)
 
 
-def structural_base(model: Model, equation: LinearModel, known: Knowledge | None = None) -> BaseParameters:
-    """The base parameters that the best of motions could tell.
+def structural_base_parameters(
+    model: Model, equation: LinearModel, equalities: EqualityConstraints | None = None
+) -> BaseParameters:
+    """The base parameters that the best of motions could determine.
 
     Parameters
     ----------
@@ -93,26 +97,28 @@ def structural_base(model: Model, equation: LinearModel, known: Knowledge | None
         The tree of bodies.
     equation
         The torque equation.
-    known
-        Of which only the copies count: a combination names the coefficients that they are copies of.
+    equalities
+        Only the copies count: a combination names the coefficients that they are copies of.
     """
     p = len(equation.coefficients)
-    known = known or Knowledge.none(p)
-    motion, factors = random_motion(model), []
+    equalities = equalities or EqualityConstraints.none(p)
+    motion = random_motion(model)
+    factors = []
     for columns, block in zip(equation.active(), equation.columns(motion), strict=True):
         R = np.linalg.qr(block[:-1].T, mode="r")
-        factors.append(np.zeros((len(R), p)))
-        factors[-1][:, columns] = R
+        factor = np.zeros((len(R), p))
+        factor[:, columns] = R
+        factors.append(factor)
     Y = np.concatenate(factors)
-    order = np.argsort(known.free < SIZE * len(model.bodies), kind="stable")  # friction bears its own name
-    base = base_parameters(felt(Y, equation, _RANK) @ known.K, order)
+    order = np.argsort(equalities.free < SIZE * len(model.bodies), kind="stable")  # friction bears its own name
+    base = base_parameters(without_rounding(Y, equation, _RANK) @ equalities.K, order)
     B = np.zeros((len(base), p))
-    B[:, known.free] = base.B
-    return BaseParameters(known.free[base.own], B)
+    B[:, equalities.free] = base.B
+    return BaseParameters(equalities.free[base.own], B)
 
 
-def felt(Y: Array, equation: LinearModel, rounding: float) -> Array:
-    """Rows, shape (rows, p), without what is rounding beside the rest of a body.
+def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
+    """Rows with zeros in columns that are rounding beside the other columns of their body, shape (rows, p).
 
     Parameters
     ----------
@@ -121,13 +127,14 @@ def felt(Y: Array, equation: LinearModel, rounding: float) -> Array:
     equation
         The torque equation.
     rounding
-        Effect of a parameter of typical size, relative to the body's largest, below which it is none.
+        Effect of a parameter of typical size, relative to the body's largest, below which it is zero.
     """
-    size = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
-    bodies = size[: len(size) // SIZE * SIZE].reshape(-1, SIZE)
-    small = np.zeros(len(size), dtype=bool)
-    small[: bodies.size] = ((bodies > 0) & (bodies < rounding * bodies.max(axis=1, keepdims=True))).ravel()
-    return np.where(small, 0.0, Y)
+    effect = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
+    by_body = effect[: len(effect) // SIZE * SIZE].reshape(-1, SIZE)
+    is_rounding = (by_body > 0) & (by_body < rounding * by_body.max(axis=1, keepdims=True))
+    zeroed = np.zeros(len(effect), dtype=bool)
+    zeroed[: by_body.size] = is_rounding.ravel()
+    return np.where(zeroed, 0.0, Y)
 
 
 def random_motion(model: Model, seed: int = 0) -> Motion:
@@ -136,7 +143,7 @@ def random_motion(model: Model, seed: int = 0) -> Motion:
     t: Array = _DT * np.arange(_SAMPLES, dtype=np.float64)
     nv = len(model.joints)
     size = np.array([_RANGE["prismatic" if joint.kind == "prismatic" else "revolute"] for joint in model.joints])
-    w = 2 * np.pi * rng.uniform(0.05, _FASTEST, (nv, _TONES, 1))
+    w = 2 * np.pi * rng.uniform(0.05, _HIGHEST_FREQUENCY, (nv, _TONES, 1))
     amplitude = size[:, None, None] * np.sqrt(2 / _TONES) * rng.uniform(0.5, 1.5, (nv, _TONES, 1))
     phase = w * t + rng.uniform(0, 2 * np.pi, (nv, _TONES, 1))
     q = (amplitude * np.sin(phase)).sum(axis=1) + rng.uniform(-1, 1, (nv, 1)) * size[:, None]

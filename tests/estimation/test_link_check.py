@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from paths import REAL
 from robots import joint, random_urdf, rotation
 from synthetic import point_parameters
+from triangles import triangle_margin
 from unreal_links import LINKS, WRONG, compiles, links_urdf, without_inertial
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.provenance import Source
-from idtool.estimation.problem.check import check, nearest_bodies, repaired
+from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.robot.config import Config, parse_config
-from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, triangle_margin
+from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia
 from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ Read = Callable[[str | bytes], Robot]
 
 
 def found(robot: Robot, **config: object) -> dict[str, tuple[str, ...]]:
-    return {c.body.name: c.violations for c in check(robot, parse_config(config, "robot.yaml"))}
+    return {c.body.name: c.violations for c in check_links(robot, parse_config(config, "robot.yaml"))}
 
 
 def test_every_link_with_an_inertial_is_judged(robot_of: Read) -> None:
@@ -51,7 +52,7 @@ def test_random_bodies_that_can_exist_are_not_complained_of(robot_of: Read) -> N
     for seed in range(10):
         robot = robot_of(random_urdf(np.random.default_rng(seed)))
         assert not any(found(robot).values())
-        assert nearest_bodies(check(robot, Config())) == {}
+        assert nearest_bodies(check_links(robot, Config())) == {}
         assert repaired(robot, {}) == robot.text
 
 
@@ -95,7 +96,7 @@ def test_bounds_of_a_link_that_is_not_there_are_an_error(robot_of: Read, key: st
 
 
 def repair(robot: Robot, **config: object) -> bytes:
-    return repaired(robot, nearest_bodies(check(robot, parse_config(config, "robot.yaml"))))
+    return repaired(robot, nearest_bodies(check_links(robot, parse_config(config, "robot.yaml"))))
 
 
 def test_only_what_cannot_be_is_written_anew(robot_of: Read) -> None:
@@ -146,7 +147,7 @@ def test_the_moments_move_least_in_the_pullback_metric(rng: np.random.Generator,
     sigma = axes @ np.diag([-share * spread[0], *spread[1:]]) @ axes.T
     pi = from_mass_com_inertia(1.2, rng.normal(size=3), 1.2 * (np.trace(sigma) * np.eye(3) - sigma))
     robot = Robot(Path("r.urdf"), b"", "a", {"a": pi}, {}, Source("URDF", "r.urdf", None))
-    nearest = nearest_bodies(check(robot, Config()))["a"]
+    nearest = nearest_bodies(check_links(robot, Config()))["a"]
     inertia = mass_com_inertia(nearest)[2]
     mu = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia) / 1.2
     np.testing.assert_allclose(mu[1:], spread[1:], rtol=1e-5)

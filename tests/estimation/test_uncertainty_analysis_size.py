@@ -12,8 +12,8 @@ from paths import SAMPLES
 
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import fit
-from idtool.estimation.uncertainty import Trust, scatter
-from idtool.estimation.uncertainty.uncertainty import Directions, Uncertainty
+from idtool.estimation.uncertainty import UncertaintyAnalysis, cluster_robust
+from idtool.estimation.uncertainty.standard_errors import Directions, Uncertainty
 from idtool.reporting.report import fit_report
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
@@ -44,7 +44,7 @@ def test_the_bootstrap_takes_little_more_than_the_blocks(shares: Array) -> None:
     """Its 400 draws at a time would take 44 MiB."""
     s = np.random.default_rng(1).normal(size=(BLOCKS, SEEN))
     rng = np.random.default_rng(2)
-    assert peak(lambda: scatter._bootstrap(shares, s, np.zeros((SEEN, SEEN)), rng)) < 12
+    assert peak(lambda: cluster_robust._bootstrap_covariance(shares, s, np.zeros((SEEN, SEEN)), rng)) < 12
 
 
 def test_degrees_of_freedom_are_satterthwaites(shares: Array) -> None:
@@ -55,7 +55,7 @@ def test_degrees_of_freedom_are_satterthwaites(shares: Array) -> None:
     found = Uncertainty(seen, np.ones(SEEN, dtype=bool), eye, shares)
     held = np.array([[row @ share @ row for share in shares] for row in rows])
     expected = held.sum(axis=1) ** 2 / np.square(held).sum(axis=1) - 1
-    np.testing.assert_allclose(found.freedom(rows), expected, rtol=1e-9)
+    np.testing.assert_allclose(found.degrees_of_freedom(rows), expected, rtol=1e-9)
 
 
 def test_a_report_asks_for_all_intervals_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,11 +65,13 @@ def test_a_report_asks_for_all_intervals_once(monkeypatch: pytest.MonkeyPatch) -
     )
     found = fit(experiment, lambda *_: None)
     count, asked = len(found.estimate.theta), []
-    interval = Trust.interval
-    monkeypatch.setattr(Trust, "interval", lambda self, rows: asked.append(len(rows)) or interval(self, rows))
+    interval = UncertaintyAnalysis.interval
+    monkeypatch.setattr(
+        UncertaintyAnalysis, "interval", lambda self, rows: asked.append(len(rows)) or interval(self, rows)
+    )
     report = fit_report(found).to_json()
     assert asked.count(count) == 1
-    half = found.uncertainty.of(np.eye(count)) * found.uncertainty.reach(np.eye(count))
+    half = found.uncertainty.of(np.eye(count)) * found.uncertainty.coverage_factor(np.eye(count))
     pairs = [pair for body in report["bodies"].values() for pair in body["interval"]]
     for pair, reach in zip(pairs, half, strict=False):
         assert (pair is None) == np.isinf(reach)

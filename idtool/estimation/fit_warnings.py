@@ -1,0 +1,159 @@
+"""Warnings about a fit: solver failures, implausible bodies, large torque errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.common.names import some
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.identification import Identification
+from idtool.estimation.problem.estimate import stuck_note, unfinished_note
+from idtool.estimation.problem.prior import moved_priors
+from idtool.robot.body import Body
+from idtool.robot.inertia import SIZE, is_realizable, pseudo_inertia
+
+_MASS_RATIO = 3.0  # to its mass in the prior, of a body that is too heavy or too light
+_TOTAL_MASS_CHANGE = 0.3  # relative to the prior's total mass
+_THIN = 0.1  # radius of gyration relative to the prior's, below which a body is a plate or a needle
+_RIM = 1e-3  # margin within a bounding ellipsoid, relative to the mass
+_ABSURD = 30.0  # the prior's torque error relative to the measured torque's spread
+_THIN_SHAPES = ("plate", "needle", "point")  # by how many axes a body has no extent along
+
+
+def fit_warnings(
+    experiment: Experiment, identification: Identification, evaluation: Evaluation, held_out: bool
+) -> list[str]:
+    """Warnings about an identified model, a plain sentence each.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    identification
+        The identification.
+    evaluation
+        Errors of the ``identified`` and the ``prior`` model.
+    held_out
+        True if these are on held-out data.
+    """
+    return [
+        *_solver_warnings(experiment, identification),
+        *_realizability_warnings(experiment, identification),
+        *_mass_warnings(experiment, identification),
+        *_shape_warnings(experiment, identification),
+        *_error_warnings(experiment, evaluation, identification, held_out),
+    ]
+
+
+def _solver_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+    """Solvers that failed or fell short."""
+    certificate = identification.estimate.certificate
+    if experiment.config.solver.name == "clarabel" != certificate.name:
+        yield f"Clarabel could not solve the problem as it was stated directly; {certificate.name} solved it"
+    if stuck := stuck_note(certificate):
+        yield stuck
+    if unfinished := unfinished_note(certificate):
+        yield unfinished
+
+
+def _realizability_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+    """Bodies that are not realizable."""
+    unreal = [body.name for body, pi in _bodies(identification) if not is_realizable(pi)]
+    if unreal:
+        yield f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them"
+    as_given = identification.prior is experiment.model.bodies
+    moved = moved_priors(experiment.equation, identification.prior, identification.regularization) if as_given else ()
+    if moved:
+        yield f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it"
+
+
+def _mass_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+    """Masses that differ from the prior's by more than is plausible."""
+    measured = experiment.config.known.total_mass
+    cure = "" if measured else "; weigh the robot and give known.total_mass"
+    prior = sum(float(body.pi[0]) for body in identification.prior)
+    total = sum(float(pi[0]) for _, pi in _bodies(identification))
+    if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
+        yield f"the total mass is {total:.3g} kg, in the prior {prior:.3g} kg: the logs seldom tell it{cure}"
+    changes = {}
+    for body, pi in _bodies(identification):
+        if body.pi[0] > 0 and not 1 / _MASS_RATIO < pi[0] / body.pi[0] < _MASS_RATIO:
+            changes[body.name] = f"{pi[0]:.3g} kg for {body.pi[0]:.3g}"
+    if changes:
+        masses = " and ".join(list(changes.values())[:2])
+        yield (
+            f"{some(list(changes))}: over three times heavier or lighter than in the prior ({masses}): the mass stands "
+            f"in for what the model lacks, such as rotors, springs or larger bounding ellipsoids{cure}"
+        )
+
+
+def _shape_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+    """Bodies with next to no extent along an axis, or at the rim of their bounding ellipsoid."""
+    has_default_prior = (
+        experiment.config.regularization.is_automatic and identification.regularization.kind == "entropic"
+    )
+    cure = "" if has_default_prior else "; leave regularization at its default, entropic and auto"
+    thin: dict[str, list[str]] = {}
+    for body, pi in _bodies(identification):
+        flat = int(np.count_nonzero(_gyration(pi) < _THIN * _gyration(body.pi)))
+        if flat:
+            thin.setdefault(_THIN_SHAPES[flat - 1], []).append(body.name)
+    for shape, names in thin.items():
+        yield (
+            f"{some(names)}: nearly a {shape}, as no real link is: the motion does not show the inertia about every "
+            f"axis; log one that turns the link about more axes (idtool excite){cure}"
+        )
+    at_rim = [
+        body.name for body, pi in _bodies(identification) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)
+    ]
+    if at_rim:
+        yield (
+            f"{some(at_rim)}: all mass lies at the rim of the bounding ellipsoid: it may be too small, or the mass "
+            "stands in for what the model lacks, such as rotors"
+        )
+
+
+def _bodies(identification: Identification) -> Iterator[tuple[Body, Array]]:
+    """Every body of the prior with its identified parameters, shape (10,)."""
+    for i, body in enumerate(identification.prior):
+        yield body, identification.estimate.theta[SIZE * i : SIZE * (i + 1)]
+
+
+def _gyration(pi: Array) -> Array:
+    """Radii of gyration along the principal axes, ascending, shape (3,) [m]; zero where no body can have them."""
+    if not pi[0] > 0:
+        return np.zeros(3)
+    J = pseudo_inertia(pi)
+    com = J[:3, 3] / J[3, 3]
+    covariance = J[:3, :3] / J[3, 3] - np.outer(com, com)
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
+
+
+def _is_at_rim(body: Body, pi: Array) -> bool:
+    """True if a body's mass can only lie at the surface of its one bounding ellipsoid (Thm 4)."""
+    if len(body.ellipsoids) != 1 or body.shapes:
+        return False
+    return bool(np.trace(pseudo_inertia(pi) @ body.ellipsoids[0].Q) < _RIM * pi[0])
+
+
+def _error_warnings(
+    experiment: Experiment, evaluation: Evaluation, identification: Identification, held_out: bool
+) -> Iterator[str]:
+    """Torque errors that no noise explains."""
+    joints = experiment.equation.joints
+    own = evaluation.errors["identified"].rms(joints)["overall"]
+    prior = evaluation.errors["prior"].rms(joints)["overall"]
+    spread = float(np.sqrt(np.mean(np.square(list(evaluation.spread.values())))))
+    if prior > _ABSURD * spread > 0 and identification.prior is experiment.model.bodies:
+        yield (
+            f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque: a unit in the "
+            "URDF or the configuration may be wrong"
+        )
+    if held_out and own > prior:
+        yield (
+            f"the identified model predicts what was held out worse than the URDF does ({own:.3g} against {prior:.3g})"
+        )

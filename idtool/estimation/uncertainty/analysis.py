@@ -1,0 +1,267 @@
+"""Uncertainty of a fit: standard errors, information source of each parameter, agreement between logs, prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.common.names import some
+from idtool.estimation.dataset.blocks import Blocks
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.identification import Identification
+from idtool.estimation.uncertainty.bias import BiasCheck, bias_check, paired_estimates
+from idtool.estimation.uncertainty.cluster_robust import (
+    FEWEST_CLUSTERS,
+    ClusterRobustEstimate,
+    cluster_robust_estimate,
+)
+from idtool.estimation.uncertainty.identifiability import Identifiability, identifiability
+from idtool.estimation.uncertainty.prediction import Prediction, prediction
+from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
+from idtool.estimation.uncertainty.standard_errors import Uncertainty
+from idtool.robot.inertia import SIZE
+
+UNCHECKED = "least squares is not checked for bias: the logs are long, or instruments cannot be had; see --method iv"
+_AGREEMENT = 1.5  # ratio of two standard errors of the same coefficient, above which they do not agree
+_UNKNOWN_SHARE = 0.01  # of the samples, above which a joint's prediction is warned of
+_TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True)
+class UncertaintyAnalysis:
+    """Uncertainty of a fit.
+
+    Attributes
+    ----------
+    theta
+        The fit's coefficients, shape (p,).
+    uncertainty
+        Standard errors of the coefficients.
+    cluster_robust
+        The estimate that they were computed from.
+    independent
+        Number of independent samples that the residual holds, by joint.
+    prediction
+        Standard errors of the torque, on the held-out data if there are any, else on the training data.
+    identifiability
+        Information source of each parameter; None: not asked for.
+    repeatability
+        The logs against each other; None for a single one, or where it was not asked for.
+    bias
+        Least squares beside instrumental variables; None where it was not asked for or would take long.
+    warnings
+        Plain sentences for the user.
+    """
+
+    theta: Array
+    uncertainty: Uncertainty
+    cluster_robust: ClusterRobustEstimate
+    independent: Mapping[str, float]
+    prediction: Prediction
+    identifiability: Identifiability | None
+    repeatability: Repeatability | None
+    bias: BiasCheck | None
+    warnings: tuple[str, ...]
+
+    def interval(self, rows: Array) -> Array:
+        """95 % intervals of combinations of the coefficients, shape (k, p) to (k, 2); infinite where not determined.
+
+        They cover the fit's value and the unregularized estimate's, since prior and constraints may hold the fit away
+        from what the data say: truth may be as far from either.
+        """
+        half_width = self.uncertainty.coverage_factor(rows) * self.uncertainty.of(rows)
+        unregularized = rows @ self.cluster_robust.theta
+        fitted = rows @ self.theta
+        low = np.minimum(unregularized, fitted) - half_width
+        high = np.maximum(unregularized, fitted) + half_width
+        return np.column_stack([low, high])
+
+    @cached_property
+    def intervals(self) -> Array:
+        """The 95 % interval of every coefficient, shape (p, 2); infinite where not determined."""
+        return self.interval(np.eye(len(self.theta)))
+
+    def pull(self, rows: Array) -> Array:
+        """Distance that prior and constraints hold combinations from the data's value, in standard errors, shape (k,).
+
+        Zero where the data do not determine them.
+        """
+        errors = self.uncertainty.of(rows)
+        distance = np.abs(rows @ (self.cluster_robust.theta - self.theta))
+        is_determined = np.isfinite(errors) & (errors > 0)
+        return np.where(is_determined, distance / np.maximum(errors, _TINY), 0.0)
+
+
+def uncertainty_analysis(
+    experiment: Experiment,
+    identification: Identification,
+    independent: Mapping[str, float],
+    progress: Progress,
+    thorough: bool,
+    common_error: Array | None = None,
+) -> UncertaintyAnalysis:
+    """Analyze the uncertainty of a fit.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    identification
+        Their identification.
+    independent
+        Number of independent samples that the residual holds, by joint.
+    progress
+        Told the stage and how far it has come.
+    thorough
+        If true, find the information source of each parameter, compare logs, and look for bias by noise.
+    common_error
+        Change of the coefficients by one standard error of what was fitted beforehand, shape (p,); None: nothing was.
+    """
+    equation, equalities = experiment.equation, experiment.equalities
+    estimate, data = identification.estimate, identification.data
+    is_instrumental = identification.two_stage is not None
+    rng = np.random.default_rng(experiment.config.seed)
+
+    pair = None
+    if is_instrumental or thorough:
+        pair = paired_estimates(experiment, identification, progress)
+    if pair is not None and is_instrumental:
+        robust = pair.iv
+    else:
+        robust = cluster_robust_estimate(equation, data, estimate.noise, estimate.theta, equalities, rng)
+
+    uncertainty = robust.uncertainty
+    if robust.bootstrap is None or robust.correlated_beyond_clusters:
+        uncertainty = _at_least_spectral(uncertainty, independent)
+    if common_error is not None:
+        uncertainty = uncertainty.with_common_error(common_error)
+
+    held_out = any(run.held_out for run in experiment.runs)
+    torque_errors = prediction(experiment, uncertainty, held_out, progress)
+
+    parameters = logs = bias = None
+    if thorough:
+        tell = partial(progress, "asking what each number rests on")
+        parameters = identifiability(
+            experiment.model, equation, equalities, identification.reduction, estimate, uncertainty, tell
+        )
+        if pair is not None:
+            bias = bias_check(pair, parameters.base)
+        if len(data) > 1:
+            progress("comparing logs", 0.0)
+            logs = repeatability(
+                equation,
+                data,
+                estimate.noise,
+                estimate.theta,
+                equalities,
+                parameters.base,
+                identification.theta_from,
+                rng,
+            )
+
+    warnings = (
+        *_cluster_warnings(robust, data),
+        *_repeatability_warnings(logs),
+        *_mass_warnings(parameters, experiment),
+        *_bias_warnings(bias, is_instrumental),
+        *([UNCHECKED] if thorough and pair is None else []),
+        *_prediction_warnings(torque_errors, equation.joints),
+    )
+    return UncertaintyAnalysis(
+        theta=estimate.theta,
+        uncertainty=uncertainty,
+        cluster_robust=robust,
+        independent=independent,
+        prediction=torque_errors,
+        identifiability=parameters,
+        repeatability=logs,
+        bias=bias,
+        warnings=warnings,
+    )
+
+
+def _at_least_spectral(uncertainty: Uncertainty, independent: Mapping[str, float]) -> Uncertainty:
+    """Standard errors no smaller than the residual's spectrum gives, where clusters are few or short."""
+    count = float(np.mean(list(independent.values())))
+    directions = uncertainty.directions
+    covariance = uncertainty.covariance_y
+    required = max(directions.independent / count, 1.0) if count else 1.0
+    inflation = float(np.trace(covariance)) * directions.independent_per_row / max(len(covariance), 1)
+    if not inflation:
+        return uncertainty
+    return replace(uncertainty, covariance_y=covariance * max(required / inflation, 1.0))
+
+
+def _cluster_warnings(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[str]:
+    if robust.bootstrap is None:
+        seconds = sum(len(log) * log.seconds for log in data)
+        few = f"{seconds:.2g} s are less than the {FEWEST_CLUSTERS} blocks it takes to see how the residual scatters"
+        return [f"{few}: standard errors follow from its spectrum alone; log for longer"]
+    warnings = []
+    if robust.correlated_beyond_clusters:
+        long = f"the residual is correlated for longer than the {robust.cluster_seconds:.2g} s"
+        advice = "standard errors may be too small; log for longer, or model what is missing"
+        warnings.append(f"{long} that a block can last here: {advice}")
+    ratio = robust.bootstrap_ratio
+    if ratio is not None and not 1 / _AGREEMENT < ratio < _AGREEMENT:
+        warnings.append(
+            f"resampled standard errors are {ratio:.2g} times the analytic ones: trust neither to a factor of two"
+        )
+    return warnings
+
+
+def _repeatability_warnings(logs: Repeatability | None) -> list[str]:
+    if logs is None:
+        return []
+    warnings = []
+    if logs.duplicates:
+        advice = f"leave out {some(logs.duplicates)}"
+        warnings.append(f"data that are given twice make intervals too short; {advice}")
+    if logs.agrees.all():
+        return warnings
+    count = int(np.count_nonzero(~logs.agrees))
+    differ = f"{count} of {len(logs.agrees)} base parameters differ between logs by more than their intervals"
+    if logs.outlier is not None:
+        return [*warnings, f"{differ}; the odd one out is {logs.logs[logs.outlier]}"]
+    return [*warnings, f"{differ}: intervals from these logs together are too short for them"]
+
+
+def _mass_warnings(parameters: Identifiability | None, experiment: Experiment) -> Iterator[str]:
+    """Masses that the torque does not tell, but a scale would."""
+    if parameters is None or experiment.config.known.total_mass is not None:
+        return
+    names = [body.name for body in experiment.model.bodies]
+    masses = parameters.sources[::SIZE]
+    unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
+    if unknown:
+        yield f"the torque does not tell the mass of {some(unknown)}: weigh what moves and give known.total_mass"
+
+
+def _bias_warnings(bias: BiasCheck | None, is_instrumental: bool) -> list[str]:
+    if bias is None:
+        return []
+    warnings = []
+    if bias.weak and not is_instrumental:  # instrumental variables have said so before
+        warnings.append(f"instruments are weak, so that least squares is not checked for bias: {some(bias.weak)}")
+    if not bias.differs.any():
+        return warnings
+    count = int(np.count_nonzero(bias.differs))
+    differ = f"{count} of {len(bias.differs)} base parameters differ between least squares and instrumental variables"
+    advice = ""
+    if not is_instrumental:
+        advice = ": noise in q and v biases them, or the model lacks something; see --method iv"
+    return [*warnings, f"{differ} by more than their intervals{advice}"]
+
+
+def _prediction_warnings(torque_errors: Prediction, joints: Sequence[str]) -> list[str]:
+    shares = zip(joints, torque_errors.unknown, strict=True)
+    unknown = [name for name, share in shares if share > _UNKNOWN_SHARE]
+    if not unknown:
+        return []
+    what = "moves as the fitted logs did not, in directions that their data do not determine"
+    return [f"held-out motion of {some(unknown)} {what}"]

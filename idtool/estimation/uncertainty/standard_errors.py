@@ -1,0 +1,239 @@
+"""Standard errors of the coefficients, and which of them the data determine at all.
+
+Letters: p coefficients theta, p' of them free; r directions that the data determine, theta = observable y +
+unobservable u, such that the information of all rows on y, in units of the joints' noise, is 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import stats
+from scipy.linalg import null_space
+
+from idtool.common.arrays import Array, Mask
+from idtool.common.linear_algebra import svd
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.uncertainty.base_parameters import without_rounding
+
+_RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
+_UNOBSERVABLE_SHARE = 1e-6  # of a coefficient, squared, that may lie in unobservable directions
+CONFIDENCE = 0.95  # of intervals
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Observable and unobservable directions of the coefficients.
+
+    Attributes
+    ----------
+    observable
+        Changes of theta by unit steps of y, shape (p, r).
+    unobservable
+        Changes of theta that change no row, shape (p, p' − r).
+    singular_values
+        Of the rows with columns scaled to norm one, shape (r,).
+    soft
+        Information of measured constraints on y, shape (r, r).
+    independent_per_row
+        Number of independent rows that a row is worth, mean over the joints.
+    independent
+        Number of independent rows, mean over the joints.
+    """
+
+    observable: Array
+    unobservable: Array
+    singular_values: Array
+    soft: Array
+    independent_per_row: float
+    independent: float
+
+    def determines(self, rows: Array) -> Mask:
+        """True for combinations of the coefficients that the data determine, shape (k, p) to (k,)."""
+        seen = np.square(rows @ self.observable * self.singular_values).sum(axis=1)
+        unseen = np.square(rows @ self.unobservable).sum(axis=1)
+        return np.asarray((unseen <= _UNOBSERVABLE_SHARE * (seen + unseen)) & (seen > 0))
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Uncertainty of the coefficients from the data alone, without prior and inequalities.
+
+    Attributes
+    ----------
+    directions
+        Observable and unobservable directions.
+    identifiable
+        True for coefficients that the data determine, shape (p,).
+    covariance_y
+        Covariance of the errors of y, shape (r, r).
+    cluster_information
+        Information on y of each of the B clusters of samples that the covariance was estimated from, shape (B, r, r);
+        none where it follows from the number of independent rows alone.
+    """
+
+    directions: Directions
+    identifiable: Mask
+    covariance_y: Array
+    cluster_information: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    @property
+    def standard_error(self) -> Array:
+        """Shape (p,), SI; infinite where the data do not determine the coefficient."""
+        return np.where(self.identifiable, self._errors(self.directions.observable), np.inf)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of theta, shape (p, p), SI; infinite on the diagonal where the data do not determine it."""
+        observable = self.directions.observable
+        covariance = observable @ self.covariance_y @ observable.T
+        covariance[~self.identifiable, ~self.identifiable] = np.inf
+        return np.asarray(covariance)
+
+    def with_common_error(self, change: Array) -> Uncertainty:
+        """The uncertainty with one more, independent error, by which all coefficients change together.
+
+        Parameters
+        ----------
+        change
+            By one standard error of it, shape (p,).
+        """
+        singular_values = self.directions.singular_values
+        directions = np.column_stack([self.directions.observable * singular_values, self.directions.unobservable])
+        size = np.abs(directions).max(axis=1, initial=np.finfo(float).tiny)
+        steps = np.linalg.lstsq(directions / size[:, None], change / size, rcond=None)[0]
+        y = steps[: len(singular_values)] * singular_values
+        return replace(self, covariance_y=self.covariance_y + np.outer(y, y))
+
+    def of(self, rows: Array) -> Array:
+        """Standard errors of combinations of the coefficients.
+
+        Parameters
+        ----------
+        rows
+            The combinations, shape (k, p).
+
+        Returns
+        -------
+        Shape (k,); infinite where the data do not determine the combination.
+        """
+        errors = self._errors(rows @ self.directions.observable)
+        return np.where(self.directions.determines(rows), errors, np.inf)
+
+    def degrees_of_freedom(self, rows: Array) -> Array:
+        """Degrees of freedom of the standard errors of combinations, shape (k, p) to (k,).
+
+        Clusters are few, and fewer where some of them hold most of the information on a combination: Satterthwaite's,
+        at least 1 (Bell & McCaffrey 2002). Infinite where the covariance was not estimated from clusters.
+        """
+        if not len(self.cluster_information):
+            return np.full(len(rows), np.inf)
+        in_y = rows @ self.directions.observable
+        shares = np.column_stack(
+            [np.einsum("ki,ki->k", in_y @ information, in_y) for information in self.cluster_information]
+        )
+        squares = np.square(shares).sum(axis=1)
+        effective_clusters = np.square(shares.sum(axis=1)) / np.where(squares > 0, squares, 1.0)
+        return np.asarray(np.maximum(effective_clusters - 1, 1.0))
+
+    def coverage_factor(self, rows: Array) -> Array:
+        """Half the width of the 95 % interval of combinations in standard errors, by Student's t; (k, p) to (k,)."""
+        return np.asarray(stats.t.ppf(0.5 + CONFIDENCE / 2, self.degrees_of_freedom(rows)))
+
+    def _errors(self, in_y: Array) -> Array:
+        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", in_y, self.covariance_y, in_y, optimize=True)))
+
+
+def observable_directions(
+    model: LinearModel, reduction: Reduction, noise: Array, equalities: EqualityConstraints
+) -> Directions:
+    """Directions of the coefficients that the data and the equality constraints determine, and the others.
+
+    Parameters
+    ----------
+    model
+        The torque equation.
+    reduction
+        The data.
+    noise
+        Residual noise of each joint [N·m or N], shape (nv,).
+    equalities
+        The equality constraints.
+    """
+    p = len(model.coefficients)
+    rows = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
+    independent = sum(factor.independent for factor in reduction) / len(reduction)
+    independent_per_row = independent / rows if independent else 1.0
+
+    soft = equalities.soft_rows()[:, :p] / np.sqrt(independent_per_row)  # each is one independent row
+    measured = without_rounding(np.concatenate(whitened_rows(model, reduction, noise)), model, _RANK)
+    W = np.concatenate([soft, measured]) @ equalities.K
+    size = np.linalg.norm(W, axis=0)
+    size[size == 0] = 1.0
+
+    exact = np.array([constraint.row @ equalities.K / size for constraint in equalities.hard]).reshape(-1, len(size))
+    N = null_space(exact) if len(exact) else np.eye(len(size))
+    _, s, Vt = svd(W / size @ N, full=True)
+    rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
+
+    directions = equalities.K @ (Vt @ N.T / size).T
+    observable = directions[:, :rank] / s[:rank]
+    soft_in_y = soft @ observable
+    return Directions(
+        observable, directions[:, rank:], s[:rank], soft_in_y.T @ soft_in_y, independent_per_row, independent
+    )
+
+
+def whitened_rows(model: LinearModel, reduction: Reduction, noise: Array) -> list[Array]:
+    """Each joint's regressor rows over all coefficients in units of its noise, without torque; shape (n_j, p) each."""
+    whitened = []
+    for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
+        rows = np.zeros((len(factor.R), len(model.coefficients)))
+        rows[:, columns] = factor.R[:, :-1] / sigma
+        whitened.append(rows)
+    return whitened
+
+
+def identifiable(directions: Directions, equalities: EqualityConstraints) -> Mask:
+    """True for coefficients that the data or exact constraints determine, shape (p,); copies as their originals."""
+    undetermined = ~directions.determines(np.eye(len(equalities.K))[equalities.free])
+    undetermined &= ~_known_exactly(equalities)
+    return np.asarray(~((equalities.K != 0) @ undetermined))
+
+
+def _known_exactly(equalities: EqualityConstraints) -> Mask:
+    """True for free coefficients that exact constraints fix, shape (p',)."""
+    if not equalities.hard:
+        return np.zeros(len(equalities.free), dtype=bool)
+    exact = np.array([constraint.row @ equalities.K for constraint in equalities.hard])
+    exact = exact / np.linalg.norm(exact, axis=1, keepdims=True)
+    return np.asarray(np.square(null_space(exact)).sum(axis=1) < _UNOBSERVABLE_SHARE)
+
+
+def least_squares_uncertainty(
+    model: LinearModel, reduction: Reduction, noise: Array, equalities: EqualityConstraints | None = None
+) -> Uncertainty:
+    """Uncertainty of weighted least squares with equality constraints, without prior and inequalities.
+
+    Filtered samples repeat each other, so rows count by how many independent ones they are worth. That holds where the
+    residual is white noise that went through the filter; `cluster_robust_estimate` takes its standard errors from the
+    residual itself.
+
+    Parameters
+    ----------
+    model
+        The torque equation.
+    reduction
+        The data.
+    noise
+        Residual noise of each joint [N·m or N], shape (nv,).
+    equalities
+        The equality constraints; default: none.
+    """
+    equalities = equalities or EqualityConstraints.none(len(model.coefficients))
+    directions = observable_directions(model, reduction, noise, equalities)
+    covariance_y = np.eye(len(directions.singular_values)) / directions.independent_per_row
+    return Uncertainty(directions, identifiable(directions, equalities), covariance_y)
