@@ -65,7 +65,7 @@ class Regularization(Record):
         return 0.0 if self.weight == "auto" else self.weight
 
     def with_weight(self, weight: float) -> Self:
-        """The same distance with this number as its weight; the factor of ``mass_precision`` stays as it is now."""
+        """Itself with a number as its weight; the factor of ``mass_precision`` stays as it is now."""
         return self.model_copy(update={"weight": weight, "mass_precision": self.masses_known_better})
 
     def or_weak(self) -> Regularization:
