@@ -29,6 +29,7 @@ from paths import SHARED
 
 from idtool import __version__
 from idtool.cli import app
+from idtool.reporting.figures import figure
 
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 CONTRACT = SHARED / "contract.md"
@@ -73,11 +74,11 @@ def test_a_study_says_what_it_found_in_tables(studied: Any) -> None:
     report, words = studied.json, studied.err.split()
     assert {*report["sets"], *report["estimators"], *report["learning"]["curves"]} <= set(words)
     for row in (*report["sets"].values(), *report["estimators"].values()):
-        assert f"{row['rms']['validation']['overall']:.4g}" in words
+        assert figure(row["rms"]["validation"]["overall"]) in words
     for count in report["learning"]["counts"]:
         assert re.search(rf"^{count} ", studied.err, re.MULTILINE)
     for seconds in report["adaptation"]["time_to_10_percent"].values():
-        assert "not reached" in studied.err if seconds is None else f"{seconds:.4g}" in words
+        assert "not reached" in studied.err if seconds is None else figure(seconds) in words
 
 
 def test_the_page_of_a_study(folder: Path, studied: Any) -> None:
