@@ -34,8 +34,8 @@ def print_steps(urdf: Path, log: Path) -> None:
     clock = [time.perf_counter()]
     from idtool.estimation.dataset.experiment import prepare
     from idtool.estimation.fit import fit
+    from idtool.reporting.fit_report import fit_report
     from idtool.reporting.pages import fit_page
-    from idtool.reporting.report import fit_report
     from idtool.robot.config import read_config
     from idtool.robot.urdf.reading import read_robot
 

@@ -18,7 +18,7 @@ from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.diagnosis_words import on
 from idtool.reporting.figures import figure
-from idtool.reporting.report import model_config
+from idtool.reporting.fit_report import model_config
 from idtool.reporting.results.diagnosis import DiagnosisReport
 
 if TYPE_CHECKING:

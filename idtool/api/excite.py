@@ -23,7 +23,7 @@ from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
 from idtool.excitation.criteria import Criterion
-from idtool.excitation.design import Design, Logged, Wishes, design
+from idtool.excitation.design import Design, DesignOptions, Logged, design
 from idtool.excitation.task import Task, make_task
 from idtool.reporting.excitation_report import excitation_report
 from idtool.reporting.figures import figure
@@ -149,7 +149,7 @@ def excite(
     tell = progress or silent
     _check(criterion, duration, rate, margin, clearance, max_frequency)
     model = as_model(model)
-    wishes = Wishes(
+    wishes = DesignOptions(
         pattern=pattern,
         seconds=duration,
         slow=slow,

@@ -20,7 +20,7 @@ from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as run_fit
 from idtool.estimation.identification import Method
 from idtool.reporting.figures import figure
-from idtool.reporting.report import fit_report, model_config
+from idtool.reporting.fit_report import fit_report, model_config
 from idtool.reporting.results.fit import FitReport
 
 Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]  # what the prior and the identified model leave

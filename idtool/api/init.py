@@ -14,7 +14,7 @@ from idtool.common.names import stem
 from idtool.common.outputs import OutputError, write_all
 from idtool.common.safe_yaml import read_yaml
 from idtool.data.description import robot_and_logs
-from idtool.reporting.results.setup import InitReport, StartErrors, TodoItem, TrialReport
+from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, TrialReport
 from idtool.setup import Start, start
 
 
@@ -99,7 +99,7 @@ def init(
         rms=None if found.rms is None else StartErrors(**found.rms),
         trials=[TrialReport(**asdict(trial)) for trial in found.trials],
         found=found.found,
-        left=[TodoItem(**asdict(item)) for item in found.left],
+        left=[TodoReport(**asdict(item)) for item in found.left],
         needed=[item.key for item in found.needed],
         warnings=found.warnings,
         next=_next(found, place, [Path(urdf), *given], place.resolve() == beside.resolve()),

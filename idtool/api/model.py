@@ -15,7 +15,7 @@ from idtool.common.names import some, stem
 from idtool.data.description import robot_and_logs
 from idtool.data.logs import read_log
 from idtool.estimation.fit import Fit
-from idtool.reporting.report import joint_dynamics, model_config
+from idtool.reporting.fit_report import joint_dynamics, model_config
 from idtool.reporting.results.base import ReadOnly
 from idtool.robot.config import Config, parse_config, read_config
 from idtool.robot.model import Model as Tree

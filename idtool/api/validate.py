@@ -19,7 +19,7 @@ from idtool.estimation.dataset.experiment import Experiment, coefficients_of, so
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notes
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.reporting.figures import figure
-from idtool.reporting.report import validation_report
+from idtool.reporting.fit_report import validation_report
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.simulation_report import simulation_report
 from idtool.robot.model import Model as RobotModel

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.diagnosis.course import pieces
+from idtool.diagnosis.residual_series import pieces
 from idtool.diagnosis.robust import robust
 from idtool.estimation.dataset.experiment import Experiment, Progress
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idtool.diagnosis.contest import SURE, candidate, share
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.floor import Floor, noise_floor
-from idtool.diagnosis.ground import Ground, ground
 from idtool.diagnosis.level import level
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.localization import localize_residual, residual_maps, unexplained
+from idtool.diagnosis.model_selection import SURE, candidate, share
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict, Where
 from idtool.diagnosis.rounds import APART, Added, Search
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unknown import UNKNOWN, unnamed
-from idtool.diagnosis.where import located, residual_maps, unexplained
 from idtool.diagnosis.words import aside, doubted, sentence, separating
 from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.command_delay import with_delay
@@ -138,7 +138,7 @@ def _steps(search: Search, first: Fit, last: Fit, simulated: bool) -> list[Step]
     for k, one in enumerate(search.named):
         found = _so_far(search, k + 1, last)
         after = level(found.experiment, found.estimate.theta, simulated, search.progress)
-        where = located(experiment, theta, found.experiment, found.estimate.theta, search.progress)
+        where = localize_residual(experiment, theta, found.experiment, found.estimate.theta, search.progress)
         values, errors = _parameters(one, search)
         alike = tuple(candidate(c, one.choice.here) for c in one.choice.equals)
         step = Step(
@@ -162,11 +162,11 @@ def _steps(search: Search, first: Fit, last: Fit, simulated: bool) -> list[Step]
     return steps
 
 
-def _so_far(search: Search, count: int, last: Fit) -> Ground | Fit:
+def _so_far(search: Search, count: int, last: Fit) -> LinearizedFit | Fit:
     """The model with the effects that were found first; with all of them, where those alone cannot be fitted."""
     experiment = with_effects(search.here.experiment, search.entries(count), search.here.theta)
     try:
-        return ground(experiment, search.progress)
+        return linearize_fit(experiment, search.progress)
     except FAILURES:
         return last
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.lines import density, ripple
 from idtool.diagnosis.records import Residual
+from idtool.diagnosis.residual_series import ResidualSeries, series
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 _BINS = 60
@@ -30,12 +30,12 @@ def residual_maps(experiment: Experiment, theta: Array, progress: Progress) -> d
     progress
         Told how far it has come.
     """
-    found = course(experiment, [(experiment.equation, theta)], progress, "mapping what is left")
+    found = series(experiment, [(experiment.equation, theta)], progress, "mapping what is left")
     joints = experiment.equation.joints
     return {name: _residual(found, j, experiment.band_hz) for j, name in enumerate(joints)}
 
 
-def _residual(found: Course, j: int, band: float) -> Residual:
+def _residual(found: ResidualSeries, j: int, band: float) -> Residual:
     kept, left = found.kept[j], found.left[0, j]
     x, q, v = left[kept], found.q[j, kept], found.v[j, kept]
     views = {

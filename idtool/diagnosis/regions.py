@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
-from idtool.diagnosis.course import Course
 from idtool.diagnosis.lines import density, ripple
+from idtool.diagnosis.residual_series import ResidualSeries
 
 _MOST = 0.3  # by which the share of energy exceeds that of time, or the region says nothing
 _HOLDS = 0.5  # of the energy, at least
@@ -55,7 +55,7 @@ class Scene:
         Whether there is one log, which begins and ends once.
     """
 
-    course: Course
+    series: ResidualSeries
     joint: int
     names: tuple[str, ...]
     forces: tuple[bool, ...]
@@ -99,7 +99,7 @@ def in_words(scene: Scene, windows: Sequence[tuple[float, float]]) -> str:
     windows
         Stretches of time in which most of it lies [s].
     """
-    kept = scene.course.kept[scene.joint]
+    kept = scene.series.kept[scene.joint]
     found = [*_bounded(scene, kept), *_timed(scene, kept, windows), *_lines(scene, kept)]
     best = max(found, key=lambda region: region.score, default=None)
     if best is None or best.score < _MOST:
@@ -116,19 +116,19 @@ def in_words(scene: Scene, windows: Sequence[tuple[float, float]]) -> str:
 
 def _bounded(scene: Scene, among: Mask) -> Iterator[Region]:
     """Regions bounded in one variable of state."""
-    course, j = scene.course, scene.joint
+    series, j = scene.series, scene.joint
     q, v, a, tau = _units(scene.forces[j])
     by = f" of {scene.names[j]}" if scene.several else ""
-    speed = np.abs(course.v[j])
+    speed = np.abs(series.v[j])
     yield from _one(scene, among, "speed", speed, f"below {{:.2g}} {v}{by}", f"above {{:.2g}} {v}{by}")
-    yield from _one(scene, among, "torque", np.abs(course.tau[j]), "", f"at torques above {{:.2g}} {tau}{by}")
-    yield from _one(scene, among, "acceleration", np.abs(course.a[j]), "", f"at accelerations above {{:.2g}} {a}{by}")
+    yield from _one(scene, among, "torque", np.abs(series.tau[j]), "", f"at torques above {{:.2g}} {tau}{by}")
+    yield from _one(scene, among, "acceleration", np.abs(series.a[j]), "", f"at accelerations above {{:.2g}} {a}{by}")
     after = f"in the first {{:.2g}} {q} after reversals{by}"
-    yield from _one(scene, among, "reversal", since_reversal(course, j, float(scene.still[j])), after, "")
+    yield from _one(scene, among, "reversal", since_reversal(series, j, float(scene.still[j])), after, "")
     yield from _position(scene, among, f"{q}{by}")
     for k in (k for k in range(len(scene.names)) if k != j):
         moves = f"while {scene.names[k]} moves, above {{:.2g}} {_units(scene.forces[k])[1]}"
-        yield from _one(scene, among, f"speed of {scene.names[k]}", np.abs(course.v[k]), "", moves)
+        yield from _one(scene, among, f"speed of {scene.names[k]}", np.abs(series.v[k]), "", moves)
 
 
 def _units(force: bool) -> tuple[str, str, str, str]:
@@ -149,7 +149,7 @@ def _one(scene: Scene, among: Mask, kind: str, x: Array, below: str, above: str)
 
 def _position(scene: Scene, among: Mask, unit: str) -> Iterator[Region]:
     """Regions bounded in position, by one or two bounds."""
-    q = scene.course.q[scene.joint]
+    q = scene.series.q[scene.joint]
     yield from _one(scene, among, "position", q, f"below {{:.2g}} {unit}", f"above {{:.2g}} {unit}")
     ordered = _Ordered.of(q, scene, among)
     if ordered is None:
@@ -190,7 +190,7 @@ class _Ordered:
 
     @classmethod
     def of(cls, values: Array, scene: Scene, among: Mask) -> _Ordered | None:
-        energy, time = scene.energy[among], scene.course.step[among]
+        energy, time = scene.energy[among], scene.series.step[among]
         if energy.sum() <= 0:
             return None
         order = np.argsort(values[among], kind="stable")
@@ -220,14 +220,14 @@ class _Ordered:
 
 def _timed(scene: Scene, among: Mask, windows: Sequence[tuple[float, float]]) -> Iterator[Region]:
     """Parts of the log: its windows, and its start or end if these say next to as much."""
-    course, energy, time = scene.course, scene.energy, scene.course.step
+    series, energy, time = scene.series, scene.energy, scene.series.step
     score = -np.inf
     if windows:
-        within = among & inside(course.t, windows)
+        within = among & inside(series.t, windows)
         score = float(energy[within].sum() / energy[among].sum() - time[within].sum() / time[among].sum())
         yield Region(min(score, 1.0) - _WINDOW * len(windows), "windows", _in_stretches(windows), within)
     if scene.one_log:
-        ends = _one(scene, among, "time", course.t, *_EARLY_LATE)
+        ends = _one(scene, among, "time", series.t, *_EARLY_LATE)
         yield from (region for region in ends if region.score > score - _TWO_BOUNDS)
 
 
@@ -242,32 +242,32 @@ def inside(t: Array, windows: Sequence[tuple[float, float]]) -> Mask:
 
 def _lines(scene: Scene, kept: Mask) -> Iterator[Region]:
     """Lines of a spectrum in time that the motion has not, and in angle."""
-    course, j = scene.course, scene.joint
-    total = float(scene.energy[kept].sum() / course.step[kept].sum())
+    series, j = scene.series, scene.joint
+    total = float(scene.energy[kept].sum() / series.step[kept].sum())
     if total <= 0:
         return
-    step, by = course.step, f" of {scene.names[j]}" if scene.several else ""
-    f, power = density(scene.torque, kept, step, course.stretches, scene.band)
-    motion = (density(x[j], kept, step, course.stretches, scene.band)[1] for x in (course.tau, course.v, course.a))
+    step, by = series.step, f" of {scene.names[j]}" if scene.several else ""
+    f, power = density(scene.torque, kept, step, series.stretches, scene.band)
+    motion = (density(x[j], kept, step, series.stretches, scene.band)[1] for x in (series.tau, series.v, series.a))
     if len(f) > 2 * _LINE and power.any():
         k = int(np.argmax(power))
         line = slice(max(k - _LINE, 0), k + _LINE + 1)
         share = min(power[line].sum() * (f[1] - f[0]) / total, 1.0)
         share -= max(moved[line].sum() / max(moved.sum(), 1e-300) for moved in motion)
         yield Region(share, "frequency", f"at {f[line] @ power[line] / power[line].sum():.2g} Hz{by}", kept)
-    n, amplitude = ripple(scene.torque[kept], course.q[j, kept], course.v[j, kept], scene.band)
-    seen = n >= _PERIODS * 2 * np.pi / max(float(np.ptp(course.q[j, kept])), 1e-12)
+    n, amplitude = ripple(scene.torque[kept], series.q[j, kept], series.v[j, kept], scene.band)
+    seen = n >= _PERIODS * 2 * np.pi / max(float(np.ptp(series.q[j, kept])), 1e-12)
     if seen.any():
         k = int(np.argmax(np.where(seen, amplitude, 0.0)))
         turn = "per 2π m" if scene.forces[j] else "per turn"
         yield Region(min(amplitude[k] ** 2 / 2 / total, 1.0), "angle", f"{n[k]:.3g} periods {turn}{by}", kept)
 
 
-def since_reversal(course: Course, j: int, still: float) -> Array:
+def since_reversal(series: ResidualSeries, j: int, still: float) -> Array:
     """Way of a joint since it last changed its direction [rad or m], shape (n,); infinite where it has not yet."""
-    way = np.full(len(course.t), np.inf)
-    for part in course.stretches:
-        q, v = course.q[j, part], course.v[j, part]
+    way = np.full(len(series.t), np.inf)
+    for part in series.stretches:
+        q, v = series.q[j, part], series.v[j, part]
         moving = np.flatnonzero(np.abs(v) > still)
         turned = moving[1:][np.diff(np.sign(v[moving])) != 0]
         if len(turned):

@@ -13,12 +13,22 @@ from typing import Any
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.contest import WORTH, Choice, Contender, Place, candidate, is_answer, place_of, saved, worthwhile
-from idtool.diagnosis.ground import ground
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.localization import bursts
+from idtool.diagnosis.model_selection import (
+    WORTH,
+    FittedCandidate,
+    Place,
+    SelectionStep,
+    candidate,
+    is_answer,
+    place_of,
+    saved,
+    worthwhile,
+)
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.search import DETERMINED, assumed, searched, unfitted
 from idtool.diagnosis.trial import FAILURES, Key, tried, value_of, with_effects
-from idtool.diagnosis.where import bursts
 from idtool.diagnosis.words import superseded
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.time_delay import MIN_DELAY_SAMPLES, TimeDelay
@@ -50,7 +60,7 @@ class Added:
     """
 
     entry: EffectEntry
-    choice: Choice
+    choice: SelectionStep
     chosen: Candidate
     errors: dict[str, float] = field(default_factory=dict)
 
@@ -89,14 +99,14 @@ class Search:
         self._effects, self._most, self.progress = effects, most, progress
         self.added: list[Added] = []
         self.removed: list[str] = []
-        self.last: Choice | None = None
+        self.last: SelectionStep | None = None
         self.rounded: tuple[str, ...] = ()
         self.failed: dict[tuple[str, str], str] = {}
         self._skipped: set[Place] = set()
         self._plain = experiment.config.effects
         self._least = MIN_DELAY_SAMPLES * max(run.signals.log.dt for run in experiment.runs)
         self._within: tuple[EffectEntry, ...] = ()
-        self.here = ground(experiment, progress)
+        self.here = linearize_fit(experiment, progress)
         self._settled([])
         self.first = self.here
 
@@ -145,13 +155,13 @@ class Search:
 
     def _apart(self, apart: float) -> None:
         """Look at rows so far from reversals [s]."""
-        self.here = ground(self.here.experiment, self.progress, apart=apart)
+        self.here = linearize_fit(self.here.experiment, self.progress, apart=apart)
         self._settled([one.entry for one in self.added])
 
     def _quieter(self) -> tuple[str, ...]:
         """Joints of which the rows away from reversals tell far more; none where those of another tell less."""
         try:
-            away = ground(self.here.experiment, self.progress, apart=APART)
+            away = linearize_fit(self.here.experiment, self.progress, apart=APART)
         except FAILURES:
             return ()
         told, told_away = (one.rows.sum(axis=0) / np.square(one.noise) for one in (self.here, away))
@@ -187,7 +197,7 @@ class Search:
             return ()
         return bursts(self.here.experiment, self.here.estimate.theta, self.progress)
 
-    def _add(self, choice: Choice, winner: Contender) -> Exception | None:
+    def _add(self, choice: SelectionStep, winner: FittedCandidate) -> Exception | None:
         """Add an effect; why it could not be, if so."""
         self.added.append(Added(winner.trial.entries[-1], choice, candidate(winner, self.here)))
         failure = self._settled([one.entry for one in self.added])
@@ -195,7 +205,7 @@ class Search:
             self.added.pop()
         return failure
 
-    def _skip(self, one: Contender, failure: Exception) -> None:
+    def _skip(self, one: FittedCandidate, failure: Exception) -> None:
         """Try a candidate no more."""
         self._skipped.add(place_of(one.found.probe))
         chosen = candidate(one, self.here)
@@ -236,12 +246,12 @@ class Search:
         """Fit with other effects beside those of the configuration; standard errors of their shape values."""
         first = len(self._plain)
         experiment = with_effects(self.here.experiment, [*self._plain, *entries], self.here.theta)
-        self.here = ground(experiment, self.progress, apart=self.here.apart)
+        self.here = linearize_fit(experiment, self.progress, apart=self.here.apart)
         moving = range(first, first + len(entries))
         if not entries:
             return {}
         trial = tried(self.here, experiment.config.effects, moving, self.progress, _POLISHES)
-        self.here = trial.ground
+        self.here = trial.linearized
         return trial.errors
 
     def _prune(self) -> None:
@@ -271,9 +281,9 @@ class Search:
         now, theta = self.here, self.here.theta
         try:
             if now.apart != one.choice.here.apart:
-                now = ground(now.experiment, self.progress, apart=one.choice.here.apart)
-            without = ground(with_effects(now.experiment, others, theta), self.progress, now, own_rows=True)
-            here = ground(now.experiment, self.progress, without)
+                now = linearize_fit(now.experiment, self.progress, apart=one.choice.here.apart)
+            without = linearize_fit(with_effects(now.experiment, others, theta), self.progress, now, own_rows=True)
+            here = linearize_fit(now.experiment, self.progress, without)
         except FAILURES:  # nothing speaks against it
             return True
         gain, of = float(saved(without, here).sum()), one.chosen

@@ -1,4 +1,4 @@
-"""Probes against a `Ground`: which of them explain, on blocks of time that they were not fitted to, what it leaves.
+"""Screening of probes: which of them explain a `LinearizedFit`'s residual on blocks of time they were not fitted to.
 
 With the model's rows Q (n, r) by y and the probe's columns C (n, k), what is solved for every block left out is
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch
-from idtool.diagnosis.ground import Ground
+from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Progress, tracked
@@ -102,13 +102,13 @@ class _Sums:
 
 
 def screened(
-    ground: Ground, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
+    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
 ) -> list[Found]:
     """Try probes.
 
     Parameters
     ----------
-    ground
+    linearized
         What they are to explain.
     probes
         The hypotheses.
@@ -117,26 +117,26 @@ def screened(
     stage
         What to call it.
     """
-    size = ground.folds * ground.ways.shape[1]
+    size = linearized.folds * linearized.ways.shape[1]
     found: list[Found] = []
     some: list[Probe] = []
     for probe in probes:
         some.append(probe)
         if size * sum(p.coefficient_count for p in some) > _MEMORY:
-            found += _judged(ground, some, _summed(ground, some, progress, stage))
+            found += _judged(linearized, some, _summed(linearized, some, progress, stage))
             some = []
-    return found + (_judged(ground, some, _summed(ground, some, progress, stage)) if some else [])
+    return found + (_judged(linearized, some, _summed(linearized, some, progress, stage)) if some else [])
 
 
-def _summed(ground: Ground, probes: Sequence[Probe], progress: Progress, stage: str) -> _Sums:
+def _summed(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> _Sums:
     starts = np.cumsum([0, *(probe.coefficient_count for probe in probes)])
     most = max(probe.coefficient_count for probe in probes)
-    F, r, K = ground.folds, ground.ways.shape[1], int(starts[-1])
+    F, r, K = linearized.folds, linearized.ways.shape[1], int(starts[-1])
     sums = _Sums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, most)))
-    for batch, present, folds in along(ground, progress, stage):
-        Q, e, kept = _rows(ground, batch, present)
+    for batch, present, folds in along(linearized, progress, stage):
+        Q, e, kept = _rows(linearized, batch, present)
         for joint, index, X in _columns(probes, starts, batch, present):
-            own = X / ground.noise[joint] * kept[joint]
+            own = X / linearized.noise[joint] * kept[joint]
             beside = [_beside(own, index, starts, d) for d in range(most)]
             for f in np.unique(folds):
                 part = folds == f
@@ -157,28 +157,32 @@ def _beside(X: Array, index: Indices, starts: Indices, d: int) -> Array:
     return np.asarray(X[np.minimum(at, len(index) - 1)] * there[:, None])
 
 
-def along(ground: Ground, progress: Progress, stage: str) -> Iterator[tuple[Batch, LinearizedModel, Indices]]:
+def along(
+    linearized: LinearizedFit, progress: Progress, stage: str
+) -> Iterator[tuple[Batch, LinearizedModel, Indices]]:
     """The training data: batches, the model along each, and the block that each filtered sample is in."""
     first = 0
-    for run in (run for run in ground.experiment.runs if run.train):
+    for run in (run for run in linearized.experiment.runs if run.train):
         row = 0
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
-            present = LinearizedModel(ground.experiment.equation, ground.theta, batch.motion)
+            present = LinearizedModel(linearized.experiment.equation, linearized.theta, batch.motion)
             count = len(batch.t)
-            yield batch, present, first + (row + np.arange(count)) // ground.length
+            yield batch, present, first + (row + np.arange(count)) // linearized.length
             row += count
-        first += -(-row // ground.length)
+        first += -(-row // linearized.length)
 
 
-def _rows(ground: Ground, batch: Batch, present: LinearizedModel) -> tuple[list[Array], list[Array], list[Array]]:
+def _rows(
+    linearized: LinearizedFit, batch: Batch, present: LinearizedModel
+) -> tuple[list[Array], list[Array], list[Array]]:
     """By joint: the model's rows by y, (r, n), the residual, (n,), and which samples count as 1, (n,)."""
     Q, e, kept = [], [], []
-    active = ground.experiment.equation.active()
-    keep = ground.experiment.equation.clean_samples(batch, ground.apart)
+    active = linearized.experiment.equation.active()
+    keep = linearized.experiment.equation.clean_samples(batch, linearized.apart)
     for j, (own, columns) in enumerate(zip(active, present.columns, strict=True)):
-        block = batch.filter(columns) * keep[j] / ground.noise[j]
-        Q.append(ground.ways[own].T @ block[:-1])
-        e.append(block[-1] - ground.theta[own] @ block[:-1])
+        block = batch.filter(columns) * keep[j] / linearized.noise[j]
+        Q.append(linearized.ways[own].T @ block[:-1])
+        e.append(block[-1] - linearized.theta[own] @ block[:-1])
         kept.append(keep[j].astype(float))
     return Q, e, kept
 
@@ -203,28 +207,28 @@ def _filtered(some: list[tuple[int, Array]], batch: Batch) -> tuple[Indices, Arr
     return index, batch.filter(np.concatenate([rows for _, rows in some]))
 
 
-def _judged(ground: Ground, probes: Sequence[Probe], sums: _Sums) -> list[Found]:
+def _judged(linearized: LinearizedFit, probes: Sequence[Probe], sums: _Sums) -> list[Found]:
     starts = np.cumsum([0, *(probe.coefficient_count for probe in probes)])
     found: dict[int, Found] = {}
     for k in {probe.coefficient_count for probe in probes}:
         which = [i for i, probe in enumerate(probes) if probe.coefficient_count == k]
         index = np.array([np.arange(starts[i], starts[i] + k) for i in which])  # (probes of that size, k)
-        for i, one in zip(which, _of_size(ground, [probes[i] for i in which], index, sums), strict=True):
+        for i, one in zip(which, _of_size(linearized, [probes[i] for i in which], index, sums), strict=True):
             found[i] = one
     return [found[i] for i in range(len(probes))]
 
 
-def _of_size(ground: Ground, probes: Sequence[Probe], index: Indices, sums: _Sums) -> list[Found]:
+def _of_size(linearized: LinearizedFit, probes: Sequence[Probe], index: Indices, sums: _Sums) -> list[Found]:
     """The probes of k coefficients each."""
-    F = ground.folds
+    F = linearized.folds
     local = [i for i, probe in enumerate(probes) if probe.is_local]
     parts = sums.P[:, :, index], sums.h[:, index], sums.C[:, index, : index.shape[1]]  # (F, r, i, k), (F, i, k), …
     P, h, C = (x.sum(axis=0) for x in parts)
-    whole = ground.B.sum(axis=0) + ground.held
+    whole = linearized.B.sum(axis=0) + linearized.held
     c, _, S = _solved(whole, P, h, C, np.zeros(len(whole)))
     left, gains = np.empty((F, *c.shape)), np.empty((F, len(c)))
     for f in range(F):
-        y0, B = ground.without[f], ground.B[f]
+        y0, B = linearized.without[f], linearized.B[f]
         Pf, hf, Cf = (x[f] for x in parts)
         cf, X, _ = _solved(whole - B, P - Pf, h - hf, C - Cf, y0)
         cf = np.where(_allowed(probes, cf)[:, None], cf, 0.0)
@@ -234,7 +238,7 @@ def _of_size(ground: Ground, probes: Sequence[Probe], index: Indices, sums: _Sum
         of_c = hf - np.einsum("rik,r->ik", Pf, y0)
         along = np.einsum("rik,ik->ri", Pf, cf)
         gains[f] = (
-            2 * (dy * (ground.g[f] - B @ y0)[:, None]).sum(axis=0) + 2 * (cf * of_c).sum(axis=1)
+            2 * (dy * (linearized.g[f] - B @ y0)[:, None]).sum(axis=0) + 2 * (cf * of_c).sum(axis=1)
             - (dy * (B @ dy)).sum(axis=0) - 2 * (dy * along).sum(axis=0)
             - np.einsum("ik,ikl,il->i", cf, Cf, cf)
         )  # fmt: skip

@@ -8,8 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.contest import SURE, WORTH, Choice, Contender, Place, chosen, is_answer, place_of, recorded, saved
-from idtool.diagnosis.ground import Ground, held_out
+from idtool.diagnosis.linearized_fit import LinearizedFit, held_out
+from idtool.diagnosis.model_selection import (
+    SURE,
+    WORTH,
+    FittedCandidate,
+    Place,
+    SelectionStep,
+    chosen,
+    is_answer,
+    place_of,
+    recorded,
+    saved,
+)
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
@@ -33,14 +44,14 @@ _FINE = 7  # values between neighbours in a finer search
 
 
 def searched(
-    here: Ground,
-    first: Ground,
+    here: LinearizedFit,
+    first: LinearizedFit,
     progress: Progress,
     effects: Sequence[str] | None,
     bursts: tuple[tuple[float, float], ...] = (),
     worth: float = WORTH,
     skipped: Container[Place] = (),
-) -> Choice:
+) -> SelectionStep:
     """Look for the effect that explains most of what a model leaves.
 
     Parameters
@@ -67,7 +78,7 @@ def searched(
     contenders = sorted(best.values(), key=lambda one: -one.gain)[:_CONTENDERS]
     best |= _best(screened(here, list(_finer(contenders, found)), progress, "looking closer"), best)
     ranked = sorted(best.values(), key=lambda one: -one.gain)
-    fitted: list[Contender] = []
+    fitted: list[FittedCandidate] = []
     rejected: list[Candidate] = []
     failed: list[Candidate] = []
     for one in ranked[:_FINALISTS]:
@@ -88,8 +99,8 @@ def searched(
 
 
 def assumed(
-    here: Ground, progress: Progress, effect: str, on: str | None, bursts: tuple[tuple[float, float], ...] = ()
-) -> Choice:
+    here: LinearizedFit, progress: Progress, effect: str, on: str | None, bursts: tuple[tuple[float, float], ...] = ()
+) -> SelectionStep:
     """An effect where it can be at all, and there where it explains most, whatever it explains.
 
     Parameters
@@ -114,10 +125,10 @@ def assumed(
         except FAILURES:
             continue
         break
-    return Choice(here, winner, (), (), (), _inflation(here, found))
+    return SelectionStep(here, winner, (), (), (), _inflation(here, found))
 
 
-def _probes(here: Ground, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...]) -> list[Probe]:
+def _probes(here: LinearizedFit, effects: Sequence[str] | None, bursts: tuple[tuple[float, float], ...]) -> list[Probe]:
     """All hypotheses."""
     seen = survey(here, bursts, is_fixed(here.experiment))
     kinds = {id: kind for id, kind in effect_types().items() if effects is None or id in effects or not kind.reportable}
@@ -132,7 +143,7 @@ def _waits(probe: Probe, upon: Sequence[str], seen: DataSummary) -> bool:
     return bool(upon) and not any(seen.has_effect(effect, probe.subject[1]) for effect in upon)
 
 
-def _inflation(here: Ground, found: Iterable[Found]) -> float:
+def _inflation(here: LinearizedFit, found: Iterable[Found]) -> float:
     """The median over all that was tried, at least that of white noise through the filter."""
     redundancy = here.experiment.runs[0].signals.low_pass.redundancy
     seen = [one.inflation for one in found if np.isfinite(one.inflation) and one.inflation > 0]
@@ -165,13 +176,13 @@ def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Prob
                 yield one.probe.at({**one.probe.nonlinear_values, name: float(value)})
 
 
-def _fitted(here: Ground, one: Found, progress: Progress) -> Contender:
+def _fitted(here: LinearizedFit, one: Found, progress: Progress) -> FittedCandidate:
     """A candidate in the model; raises as `tried`, and where no such effect can be."""
     if one.entry is None:
         raise ConfigError("effects", "it is beyond what such an effect can be")
     entries = (*here.experiment.config.effects, one.entry)
     trial = tried(here, entries, [len(entries) - 1], progress)
-    return Contender(one, trial, saved(here, trial.ground))
+    return FittedCandidate(one, trial, saved(here, trial.linearized))
 
 
 def unfitted(failure: Exception) -> str:
@@ -179,7 +190,7 @@ def unfitted(failure: Exception) -> str:
     return f"cannot be fitted together with the rest of the model: {reason_of(failure)}"
 
 
-def _against(one: Contender, here: Ground, first: Ground) -> str:
+def _against(one: FittedCandidate, here: LinearizedFit, first: LinearizedFit) -> str:
     """Why what was fitted is no explanation; nothing where it may be one."""
     if not _stands(one.trial, here):
         return "is held at its bound, or beyond what it can be, the rest of the model being fitted with it"
@@ -187,11 +198,11 @@ def _against(one: Contender, here: Ground, first: Ground) -> str:
         return f"its {loose} is not determined by the data"
     if -np.minimum(one.gains, 0).sum() > _HARMS * np.maximum(one.gains, 0).sum():
         return "helps in some stretches of the log and harms in others"
-    own, joint = one.trial.ground.experiment.equation, one.found.probe.joint
+    own, joint = one.trial.linearized.experiment.equation, one.found.probe.joint
     on = [joint is None or name == joint for name in own.joints]
-    if held_out(one.trial.ground, own)[on].sum() > _WORSE * held_out(here, own)[on].sum():  # none where nothing was
+    if held_out(one.trial.linearized, own)[on].sum() > _WORSE * held_out(here, own)[on].sum():  # none where nothing was
         return "makes the held-out data worse"
-    if not _matters(one.trial.ground, here, first):
+    if not _matters(one.trial.linearized, here, first):
         return "explains less than what was found before is uncertain by, or next to nothing of the torque"
     return ""
 
@@ -215,15 +226,15 @@ def _loose(trial: Trial) -> str:
     return ""
 
 
-def _stands(trial: Trial, here: Ground) -> bool:
+def _stands(trial: Trial, here: LinearizedFit) -> bool:
     """Whether, fitted whole, a coefficient of the effect is within its bounds, and not held there."""
     keys = {c.key for c in here.experiment.equation.coefficients}
-    equation, theta = trial.ground.experiment.equation, trial.ground.estimate.theta
+    equation, theta = trial.linearized.experiment.equation, trial.linearized.estimate.theta
     new = [(c, x) for c, x in zip(equation.coefficients, theta, strict=True) if c.key not in keys]
     return not new or (any(x > c.lower + 1e-9 for c, x in new) and all(x < c.upper for c, x in new))
 
 
-def _matters(there: Ground, here: Ground, first: Ground) -> bool:
+def _matters(there: LinearizedFit, here: LinearizedFit, first: LinearizedFit) -> bool:
     """Whether on some joint a model saves more than a small share of what there was to explain at first.
 
     A strong effect that is known to a hundredth leaves a hundredth of itself, which is no effect of its own.

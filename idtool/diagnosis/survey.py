@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from idtool.diagnosis.ground import Ground
+from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.effects import NamedEffect
 from idtool.dynamics.effects.data_summary import DataSummary
 
 
-def survey(ground: Ground, bursts: tuple[tuple[float, float], ...] = (), fixed: bool = False) -> DataSummary:
+def survey(linearized: LinearizedFit, bursts: tuple[tuple[float, float], ...] = (), fixed: bool = False) -> DataSummary:
     """What was logged.
 
     Parameters
     ----------
-    ground
+    linearized
         The model and its data.
     bursts
         Stretches of time in which the residual is out of the ordinary [s].
     fixed
         Whether the URDF's inertia is taken as true.
     """
-    experiment = ground.experiment
+    experiment = linearized.experiment
     low, high, torque = (np.full(len(experiment.equation.joints), x) for x in (np.inf, -np.inf, 0.0))
     squares, count, seconds, still = np.zeros_like(torque), 0, 0.0, np.zeros_like(torque)
     for run in (run for run in experiment.runs if run.train):

@@ -15,7 +15,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import IdtoolError
 from idtool.data.signals import Motion
-from idtool.diagnosis.ground import Ground, ground
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.screen import screened
 from idtool.diagnosis.survey import survey
 from idtool.dynamics.effects import build_effects, effect_types
@@ -52,7 +52,7 @@ class Trial:
 
     Attributes
     ----------
-    ground
+    linearized
         What it leaves.
     errors
         Standard errors of the shape values, by place in the configuration's effects and name.
@@ -60,14 +60,14 @@ class Trial:
         Within which shape values were moved, by the same.
     """
 
-    ground: Ground
+    linearized: LinearizedFit
     errors: Mapping[Key, float]
     ranges: Mapping[Key, tuple[float, float]]
 
     @property
     def entries(self) -> tuple[EffectEntry, ...]:
         """The configuration's effects."""
-        return self.ground.experiment.config.effects
+        return self.linearized.experiment.config.effects
 
 
 def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: Array | None = None) -> Experiment:
@@ -112,7 +112,7 @@ def is_fixed(experiment: Experiment) -> bool:
 
 
 def tried(
-    before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, steps: int = 1
+    before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, steps: int = 1
 ) -> Trial:
     """A model with other effects, fitted with the same weights.
 
@@ -134,7 +134,7 @@ def tried(
     IdtoolError, LinAlgError
         If it cannot be fitted; see `FAILURES`.
     """
-    here = ground(with_effects(before.experiment, entries, before.theta), progress, before)
+    here = linearize_fit(with_effects(before.experiment, entries, before.theta), progress, before)
     errors: dict[Key, float] = {}
     ranges = _ranges(before, entries, moving)
     for i in moving:
@@ -155,7 +155,9 @@ def tried(
     return Trial(here, errors, ranges)
 
 
-def _ranges(before: Ground, entries: Sequence[EffectEntry], moving: Sequence[int]) -> dict[Key, tuple[float, float]]:
+def _ranges(
+    before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int]
+) -> dict[Key, tuple[float, float]]:
     """Those about all values that a search tries, of parameters that are sizes."""
     seen, found = survey(before), {}
     for i in moving:
@@ -195,8 +197,8 @@ def _with(entry: EffectEntry, name: str, value: float) -> EffectEntry:
 
 
 def _step(
-    here: Ground, names: Sequence[Key], ranges: Mapping[Key, tuple[float, float]], progress: Progress
-) -> tuple[Ground | None, dict[Key, float]]:
+    here: LinearizedFit, names: Sequence[Key], ranges: Mapping[Key, tuple[float, float]], progress: Progress
+) -> tuple[LinearizedFit | None, dict[Key, float]]:
     """One step of all shape values together, half of it, or none; and their standard errors."""
     entries = list(here.experiment.config.effects)
     values = [float(value_of(entries[i], name)) for i, name in names]  # type: ignore[arg-type]
@@ -215,7 +217,7 @@ def _step(
             moved = np.clip(value + limited, *ranges.get((i, name), (-np.inf, np.inf)))
             changed[i] = _with(changed[i], name, float(moved))
         try:
-            there = ground(with_effects(here.experiment, changed, here.theta), progress, here)
+            there = linearize_fit(with_effects(here.experiment, changed, here.theta), progress, here)
         except FAILURES:
             continue
         if there.left().sum() < here.left().sum():
@@ -223,11 +225,11 @@ def _step(
     return None, errors
 
 
-def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Ground, float]:
+def _scanned(here: LinearizedFit, i: int, name: str, progress: Progress) -> tuple[LinearizedFit, float]:
     """The value about the present one that explains most, how far it may be off, and the model with it."""
     entries = list(here.experiment.config.effects)
     entry, others = entries[i], [*entries[:i], *entries[i + 1 :]]
-    without = ground(with_effects(here.experiment, others, here.theta), progress, here, own_rows=True)
+    without = linearize_fit(with_effects(here.experiment, others, here.theta), progress, here, own_rows=True)
     kind, seen = effect_types()[entry.effect], survey(without)
     joint = here.experiment.equation.joints.index(str(entry.joint))
     values = [ratio * float(value_of(entry, name)) for ratio in _SCAN]  # type: ignore[arg-type]
@@ -239,7 +241,7 @@ def _scanned(here: Ground, i: int, name: str, progress: Progress) -> tuple[Groun
     alike = [value for value, gain in zip(values, gains, strict=True) if gain >= near]
     entries[i] = _with(entry, name, best)
     error = max(max(alike) - min(alike), best * (_SCAN[1] / _SCAN[0] - 1)) / 2
-    return ground(with_effects(here.experiment, entries, here.theta), progress, here), error
+    return linearize_fit(with_effects(here.experiment, entries, here.theta), progress, here), error
 
 
 def _is_positive(effect: str, name: str) -> bool:
@@ -247,7 +249,7 @@ def _is_positive(effect: str, name: str) -> bool:
     return any(one.name == name and one.positive for one in held)
 
 
-def _difference(here: Ground, names: Sequence[Key], values: Sequence[float], steps: Sequence[float]) -> Probe:
+def _difference(here: LinearizedFit, names: Sequence[Key], values: Sequence[float], steps: Sequence[float]) -> Probe:
     """The change of the residual with shape values, as a probe."""
     others = []
     for (i, name), value, step in zip(names, values, steps, strict=True):

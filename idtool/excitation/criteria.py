@@ -39,7 +39,7 @@ _ALONE = 1e-6  # of a coefficient: less of it, or of a combination, is rounding
 
 
 @dataclass(frozen=True)
-class Aim:
+class DesignCriterion:
     """A criterion, and which base parameters it is for.
 
     Attributes

@@ -44,7 +44,7 @@ _REPAIRS, _WATCHED = 4, 300  # of collisions between coarse samples, and instant
 
 
 @dataclass(frozen=True)
-class Wishes:
+class DesignOptions:
     """What a user may choose of a trajectory.
 
     Attributes
@@ -127,7 +127,7 @@ class Logged:
     noise: Array
 
 
-def design(task: Task, config: Config, wishes: Wishes, logged: Logged | None, progress: Progress) -> Design:
+def design(task: Task, config: Config, wishes: DesignOptions, logged: Logged | None, progress: Progress) -> Design:
     """Find a trajectory.
 
     Parameters
@@ -205,7 +205,9 @@ def highest_frequency(task: Task, config: Config) -> float:
     return float(min(_ABOVE_CORNER * corner.max(), _BELOW_BAND * band))
 
 
-def _for_friction(task: Task, wishes: Wishes, home: Array, rng: np.random.Generator) -> tuple[tuple[Part, ...], float]:
+def _for_friction(
+    task: Task, wishes: DesignOptions, home: Array, rng: np.random.Generator
+) -> tuple[tuple[Part, ...], float]:
     """Slow sweeps and standstill, and how many seconds are left."""
     if not 0 <= wishes.slow < 1:
         raise ConfigError("--slow", f"{wishes.slow:g} is no share; give a number from 0 to below 1")

@@ -18,7 +18,7 @@ from idtool.data.signals import Motion, default_cutoff
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
-from idtool.excitation.criteria import Aim, BaseColumns, Criterion, favoured, sizes
+from idtool.excitation.criteria import BaseColumns, Criterion, DesignCriterion, favoured, sizes
 from idtool.excitation.limits import Limits, limits_of
 from idtool.excitation.patterns import Fourier, Samples, Setting
 from idtool.robot.collision import SelfCollision
@@ -71,7 +71,7 @@ class Task:
     noise_assumed: tuple[str, ...]
     rate: float
     independent: float
-    aim: Aim
+    aim: DesignCriterion
 
     def blocks(self, samples: Samples, t: Array, still: Array) -> list[Array]:
         """Columns of each joint's equation, less what takes no coefficient in the last, (m_j + 1, N)."""
@@ -161,7 +161,7 @@ def make_task(
         noise_assumed=assumed,
         rate=rate,
         independent=_independent(config, rate),
-        aim=Aim(criterion, favoured(favour, base, equation)),
+        aim=DesignCriterion(criterion, favoured(favour, base, equation)),
     )
 
 

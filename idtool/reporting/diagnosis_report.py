@@ -11,7 +11,7 @@ import numpy as np
 
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step
 from idtool.reporting.diagnosis_words import next_steps, summary
-from idtool.reporting.report import fit_report
+from idtool.reporting.fit_report import fit_report
 from idtool.reporting.results.diagnosis import (
     CandidateReport,
     DataFault,

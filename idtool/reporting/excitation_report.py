@@ -28,7 +28,7 @@ from idtool.reporting.results.excitation import (
     LimitUtilization,
     MotionPart,
 )
-from idtool.reporting.trust_report import combination_name, quantity, terms_report
+from idtool.reporting.uncertainty_report import combination_name, quantity, terms_report
 from idtool.robot.inertia import SIZE
 
 _CURVE = 500  # instants of each curve

@@ -1,6 +1,6 @@
 """A first configuration: all that URDF and logs tell, each piece with a word on where it came from."""
 
-from idtool.setup.records import Left, Section, Start, Trial
+from idtool.setup.records import Section, Start, TodoItem, Trial
 from idtool.setup.start import start
 
-__all__ = ["Left", "Section", "Start", "Trial", "start"]
+__all__ = ["Section", "Start", "TodoItem", "Trial", "start"]

@@ -17,8 +17,8 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Joint, Robot
-from idtool.setup.doubts import doubts
-from idtool.setup.seen import Seen, find_topic, see
+from idtool.setup.loaded_log import LoadedLog, find_topic, see
+from idtool.setup.log_warnings import doubts
 
 _LEAST_BAND = 5.0  # Hz: below it, friction at reversals is blurred into everything else
 # Torque that is computed from a command holds kp times the noise of q, which at ω looks like an inertia of kp / ω².
@@ -135,7 +135,7 @@ def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progr
     )
 
 
-def _unfit(robot: Robot, given: Config, seen: Sequence[Seen]) -> dict[str, str | None]:
+def _unfit(robot: Robot, given: Config, seen: Sequence[LoadedLog]) -> dict[str, str | None]:
     """Why an actuated joint cannot be identified, by joint; None where it can."""
     logged = [name for name in seen[0].inspection.joints if all(name in one.inspection.joints for one in seen)]
     # refuses logs of another robot, and a joint that is not there
@@ -152,7 +152,7 @@ def _unfit(robot: Robot, given: Config, seen: Sequence[Seen]) -> dict[str, str |
     return found
 
 
-def _why_not(joint: str, seen: Sequence[Seen]) -> str | None:
+def _why_not(joint: str, seen: Sequence[LoadedLog]) -> str | None:
     """Why a joint that is in every log cannot be identified; None where it can."""
     if not all("q" in one.signals(joint) for one in seen):
         return "has no position in some log"
@@ -162,11 +162,11 @@ def _why_not(joint: str, seen: Sequence[Seen]) -> str | None:
     return f"has neither torque nor position command in {some(lacking)}" if lacking else None
 
 
-def _moves(joint: str, seen: Sequence[Seen]) -> bool:
+def _moves(joint: str, seen: Sequence[LoadedLog]) -> bool:
     return any(one.moves(joint) for one in seen)
 
 
-def _lacking_torque(joint: str, seen: Sequence[Seen]) -> list[str]:
+def _lacking_torque(joint: str, seen: Sequence[LoadedLog]) -> list[str]:
     """The logs in which a joint that moves has neither torque nor position command."""
     if not _moves(joint, seen):
         return []
@@ -174,11 +174,11 @@ def _lacking_torque(joint: str, seen: Sequence[Seen]) -> list[str]:
     return [one.log.path.name for one in within if not {"tau", "qcmd"} & one.signals(joint)]
 
 
-def _is_commanded(joint: str, seen: Seen) -> bool:
+def _is_commanded(joint: str, seen: LoadedLog) -> bool:
     return "qcmd" in seen.signals(joint) and "tau" not in seen.signals(joint)
 
 
-def _why_none(unfit: Mapping[str, str | None], untold: Mapping[str, str], seen: Sequence[Seen]) -> str:
+def _why_none(unfit: Mapping[str, str | None], untold: Mapping[str, str], seen: Sequence[LoadedLog]) -> str:
     """That no joint can be identified, and what would help."""
     reasons = {name: why or "left out of joints" for name, why in unfit.items()}
     said = "; ".join(f"{why}: {some(_keys(reasons, why))}" for why in dict.fromkeys(reasons.values()))
@@ -193,7 +193,7 @@ def _keys(reasons: Mapping[str, str], reason: str) -> list[str]:
     return [name for name, why in reasons.items() if why == reason]
 
 
-def _resting(joint: Joint, seen: Sequence[Seen]) -> float:
+def _resting(joint: Joint, seen: Sequence[LoadedLog]) -> float:
     """Where a joint is held: where the logs have it, else at zero or the limit next to it [rad or m]."""
     logged = [one.middle[joint.name] for one in seen if joint.name in one.middle]
     if logged:
@@ -201,7 +201,7 @@ def _resting(joint: Joint, seen: Sequence[Seen]) -> float:
     return float(min(max(0.0, joint.lower), max(joint.upper, joint.lower)))
 
 
-def _motion(seen: Seen, joints: Sequence[str]) -> float:
+def _motion(seen: LoadedLog, joints: Sequence[str]) -> float:
     """Frequency below which the joints' velocities lie [Hz]."""
     bands = (seen.inspection.joints[name].band_hz for name in joints)
     return max((band for band in bands if band is not None), default=0.0)

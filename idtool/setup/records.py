@@ -60,7 +60,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Left:
+class TodoItem:
     """One thing that a person has to fill in.
 
     Attributes
@@ -106,13 +106,13 @@ class Start:
     data: Mapping[str, Any]
     text: str
     found: tuple[str, ...]
-    left: tuple[Left, ...]
+    left: tuple[TodoItem, ...]
     trials: tuple[Trial, ...]
     rms: Mapping[str, Mapping[str, float]] | None
     band_hz: float
     warnings: tuple[str, ...]
 
     @property
-    def needed(self) -> tuple[Left, ...]:
+    def needed(self) -> tuple[TodoItem, ...]:
         """What `idtool fit` cannot do without."""
         return tuple(left for left in self.left if left.needed)

@@ -7,8 +7,8 @@ from typing import Any
 from idtool.common.names import some
 from idtool.robot.config import Config
 from idtool.setup.draft import Draft
+from idtool.setup.loaded_log import MOST
 from idtool.setup.records import Section, Trial
-from idtool.setup.seen import MOST
 from idtool.setup.trials import HOLDOUT
 
 HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MOST} samples, where there are more)"

@@ -18,9 +18,9 @@ from idtool.setup.bounds import find_bounds, search_paths
 from idtool.setup.draft import Draft
 from idtool.setup.gears import gear_ratios, rotor_links
 from idtool.setup.recorded import recorded
-from idtool.setup.records import Left, Section, Start
+from idtool.setup.records import Section, Start, TodoItem
 from idtool.setup.text import one_line, written
-from idtool.setup.trials import Workshop, try_out
+from idtool.setup.trials import TrialRunner, try_out
 
 _SECTIONS: Mapping[str, Callable[[Draft], Section | None]] = {
     "joints": sections.joints,
@@ -112,7 +112,7 @@ def _tried(draft: Draft, model: Model, progress: Progress) -> Draft:
     rotors = [body.ratios for body in model.bodies if body.kind == "rotor"]
     spinning = {name for j, name in enumerate(model.names) if any(ratios[j] for ratios in rotors)}
     without = [] if "effects" in draft.given else [name for name in draft.joints if name not in spinning]
-    shop = Workshop(draft.robot, data, draft.recorded.logs, progress)
+    shop = TrialRunner(draft.robot, data, draft.recorded.logs, progress)
     # a controller's torque is its own, in time with its command
     late = not draft.recorded.commanded and "effects" not in draft.given
     try:
@@ -172,26 +172,26 @@ def _found(draft: Draft) -> list[str]:
     return lines
 
 
-def _left(draft: Draft) -> list[Left]:
+def _left(draft: Draft) -> list[TodoItem]:
     """What is left to fill in."""
     left = []
     if draft.ungained:
-        left.append(Left("controller", f"kp and kd of {some(draft.ungained)}: no torque was logged", True))
+        left.append(TodoItem("controller", f"kp and kd of {some(draft.ungained)}: no torque was logged", True))
     elif draft.untried:
-        left.append(Left("friction, effects", f"nothing was tried, as {draft.untried}"))
+        left.append(TodoItem("friction, effects", f"nothing was tried, as {draft.untried}"))
     if untold := draft.recorded.untold:
         named = some([f"tau_{name} (not in {log})" for name, log in untold.items()])
-        left.append(Left("log.columns", f"the torque of joints that move, or log their command: {named}"))
+        left.append(TodoItem("log.columns", f"the torque of joints that move, or log their command: {named}"))
     if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.found:
         left += _unbounded(draft)
     if "rotors" not in draft.given:
-        left.append(Left("rotors", "mass, inertia and gear ratio, where the joints are geared"))
+        left.append(TodoItem("rotors", "mass, inertia and gear ratio, where the joints are geared"))
     if "total_mass" not in draft.given.get("known", {}):
-        left.append(Left("known.total_mass", "what moves, on a scale: torque alone seldom tells it"))
+        left.append(TodoItem("known.total_mass", "what moves, on a scale: torque alone seldom tells it"))
     return left
 
 
-def _unbounded(draft: Draft) -> list[Left]:
+def _unbounded(draft: Draft) -> list[TodoItem]:
     bounds = draft.bounds
     if not bounds.missing:
         return []
@@ -201,4 +201,4 @@ def _unbounded(draft: Draft) -> list[Left]:
         which = "their meshes" if len(bounds.unread) == len(bounds.missing) else f"meshes of {some(bounds.unread)}"
         what += f"; {which} could not be read ({shown(first)}: {one_line(bounds.missing[first])}); they were "
         what += search_paths(draft.robot)
-    return [Left("bounding_ellipsoids", what)]
+    return [TodoItem("bounding_ellipsoids", what)]

@@ -20,8 +20,8 @@ from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
 from idtool.robot.config import Config, parse_config
 from idtool.robot.urdf.reading import Robot
-from idtool.setup.bench import Bench, Verdict
 from idtool.setup.records import Trial
+from idtool.setup.trial_evaluator import TrialEvaluator, Verdict
 
 HOLDOUT = 0.3  # share at the end of every log
 _WORTH = 0.02  # share by which held-out RMS must fall: less is no reason for another parameter
@@ -68,21 +68,21 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Terms:
+class TrialTerms:
     """What a variant has beside rigid bodies, viscous and Coulomb friction: joints by term, and the delay [s]."""
 
     offsets: tuple[str, ...] = ()
     rotors: tuple[str, ...] = ()
     delay: float = 0.0
 
-    def without(self, effect: str, joint: str) -> Terms:
+    def without(self, effect: str, joint: str) -> TrialTerms:
         """The same less one term of a joint."""
         if effect == "torque_offset":
             return replace(self, offsets=tuple(name for name in self.offsets if name != joint))
         return replace(self, rotors=tuple(name for name in self.rotors if name != joint))
 
 
-class Workshop:
+class TrialRunner:
     """Variants of a configuration on some logs.
 
     Parameters
@@ -101,7 +101,7 @@ class Workshop:
         self.robot, self.data, self.logs, self.progress = robot, data, logs, progress
         self.joints: list[str] = list(data["joints"])
 
-    def config(self, terms: Terms) -> Config:
+    def config(self, terms: TrialTerms) -> Config:
         """A variant."""
         data, offsets, rotors, delay = dict(self.data), terms.offsets, terms.rotors, terms.delay
         if offsets:
@@ -113,13 +113,13 @@ class Workshop:
             data["effects"] = [*data.get("effects", ()), *entries]
         return parse_config(data, "trial")
 
-    def bench(self, config: Config) -> Bench:
+    def bench(self, config: Config) -> TrialEvaluator:
         """A variant's logs, reduced."""
         experiment, _, _ = with_delay(prepare(self.robot, config, self.logs, holdout=HOLDOUT), self.progress)
-        return Bench(experiment, self.progress)
+        return TrialEvaluator(experiment, self.progress)
 
 
-def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) -> Found:
+def try_out(shop: TrialRunner, offsets: bool, rotors: Sequence[str], delays: bool) -> Found:
     """Try what the data may show.
 
     Parameters
@@ -138,16 +138,16 @@ def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) 
     IdtoolError
         If the logs cannot be used, or a problem could not be solved.
     """
-    terms = Terms(tuple(shop.joints) if offsets else (), tuple(rotors))
+    terms = TrialTerms(tuple(shop.joints) if offsets else (), tuple(rotors))
     bench = shop.bench(shop.config(terms))
-    base, full = bench.judge(shop.config(Terms())), bench.judge(shop.config(terms))
+    base, full = bench.judge(shop.config(TrialTerms())), bench.judge(shop.config(terms))
     trials: list[Trial] = []
     if delays:
         terms, trials, bench = _delay(shop, terms, bench, full)
     kept, more = _pruned(shop, terms, bench)
-    plain, last = (bench.judge(shop.config(variant)) for variant in (Terms(delay=kept.delay), kept))
+    plain, last = (bench.judge(shop.config(variant)) for variant in (TrialTerms(delay=kept.delay), kept))
     if last.rms() > plain.rms():
-        kept, last, more = Terms(delay=kept.delay), plain, [replace(trial, kept=False) for trial in more]
+        kept, last, more = TrialTerms(delay=kept.delay), plain, [replace(trial, kept=False) for trial in more]
     return Found(
         offsets=kept.offsets,
         inertia={j: last.values["rotor_inertia", j] for j in kept.rotors},
@@ -160,7 +160,7 @@ def try_out(shop: Workshop, offsets: bool, rotors: Sequence[str], delays: bool) 
 
 
 def _doubts(
-    joints: Sequence[str], bench: Bench, trials: Sequence[Trial], base: Verdict, last: Verdict
+    joints: Sequence[str], bench: TrialEvaluator, trials: Sequence[Trial], base: Verdict, last: Verdict
 ) -> Iterator[str]:
     """What speaks against what was found."""
     for trial in trials:
@@ -178,7 +178,7 @@ def _doubts(
         yield f"what was found makes the held-out error larger of {some(worse)}: {meaning}"
 
 
-def _pruned(shop: Workshop, terms: Terms, bench: Bench) -> tuple[Terms, list[Trial]]:
+def _pruned(shop: TrialRunner, terms: TrialTerms, bench: TrialEvaluator) -> tuple[TrialTerms, list[Trial]]:
     """The terms without those that the held-out torque of their joint does not need, left out one after the other."""
     trials: list[Trial] = []
     full, most = bench.judge(shop.config(terms)), (_ODD * np.sqrt(bench.torque())).tolist()
@@ -200,7 +200,9 @@ def _pruned(shop: Workshop, terms: Terms, bench: Bench) -> tuple[Terms, list[Tri
     return terms, trials
 
 
-def _delay(shop: Workshop, terms: Terms, first: Bench, full: Verdict) -> tuple[Terms, list[Trial], Bench]:
+def _delay(
+    shop: TrialRunner, terms: TrialTerms, first: TrialEvaluator, full: Verdict
+) -> tuple[TrialTerms, list[Trial], TrialEvaluator]:
     """The delay at which the training error is least, where the held-out error says so too."""
     known = {0.0: (first, full)}
 

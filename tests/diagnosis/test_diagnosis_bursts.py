@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from disturbed import Array, Hidden, after_reversals, contact, experiment_of, motion, nothing, on, quiet
 
-from idtool.diagnosis.ground import ground
-from idtool.diagnosis.where import bursts
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.localization import bursts
 
 WINDOWS = ((2.113, 4.207), (6.551, 7.009), (10.204, 14.498))
 
@@ -19,7 +19,7 @@ def test_contacts_are_found_although_the_model_is_fitted_to_them(tmp_path: Path)
     rows = np.abs(motion()[0] - 9.0) > 0.3
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), rows=rows, friction=friction)
-    np.testing.assert_allclose(bursts(experiment, ground(experiment, quiet).theta, quiet), WINDOWS, atol=0.01)
+    np.testing.assert_allclose(bursts(experiment, linearize_fit(experiment, quiet).theta, quiet), WINDOWS, atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -115,10 +115,10 @@ def test_an_effect_that_only_the_last_fit_cannot_have_is_left_out(
 def test_a_step_whose_own_model_cannot_be_fitted_has_the_errors_of_the_whole(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def ground(experiment: Experiment, *others: Any) -> Any:
+    def linearize_fit(experiment: Experiment, *others: Any) -> Any:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(module, "ground", ground)
+    monkeypatch.setattr(module, "linearize_fit", linearize_fit)
     found = diagnosed(arm)
     assert named(found) == {SPRING, OFFSET}
     for step in found.steps:
@@ -132,14 +132,14 @@ def test_an_effect_without_which_the_rest_cannot_be_fitted_stays(
     search = Search(arm, EFFECTS, 3, quiet)
     for effect, joint in (SPRING, OFFSET):
         search.assume(effect, joint)
-    inner, before = rounds.ground, search.here
+    inner, before = rounds.linearize_fit, search.here
 
-    def ground(experiment: Experiment, *others: Any, **options: Any) -> Any:
+    def linearize_fit(experiment: Experiment, *others: Any, **options: Any) -> Any:
         if not any(entry.effect == ParallelSpring.id for entry in experiment.config.effects):
             raise ConfigError("effects", REASON)
         return inner(experiment, *others, **options)
 
-    monkeypatch.setattr(rounds, "ground", ground)
+    monkeypatch.setattr(rounds, "linearize_fit", linearize_fit)
     search._prune()
     assert search.here is before
     monkeypatch.setattr(Search, "_needed", lambda self, one, others: False)

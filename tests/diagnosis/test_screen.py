@@ -15,7 +15,7 @@ from spatial_arm import experiment, written
 
 from idtool.data.signals import Motion
 from idtool.diagnosis import screen
-from idtool.diagnosis.ground import Ground, ground
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.survey import survey
 from idtool.dynamics.effects import effect_types
@@ -41,7 +41,7 @@ CONFIG: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Ground:
+def here(tmp_path_factory: pytest.TempPathFactory) -> LinearizedFit:
     """An arm with friction, a spring on its lift, and torque that comes late."""
     log = imposed(6.0)
     log = with_torque(log, 0, 1.2 * np.sign(log["v"][:, 0]) + 1.0 * log["v"][:, 0])
@@ -50,16 +50,16 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Ground:
     late = [np.interp(log["t"] - LATE, log["t"], row) for row in log["tau"].T]
     log = with_noise({**log, "tau": np.array(late).T}, 0.05)
     tried = experiment(*written(tmp_path_factory.mktemp("arm"), log), fitted=True, **CONFIG)
-    return ground(tried, silent)
+    return linearize_fit(tried, silent)
 
 
 @pytest.fixture(scope="module")
-def rows(here: Ground) -> Stacked:
+def rows(here: LinearizedFit) -> Stacked:
     """Its rows."""
     return stacked(here.experiment, here.noise, here.length)
 
 
-def appended(here: Ground, probe: Probe) -> list[Array]:
+def appended(here: LinearizedFit, probe: Probe) -> list[Array]:
     """A probe's columns beside `rows`."""
     found: list[Array] = []
     for batch in (batch for run in here.experiment.runs for batch in run.signals.batches(run.train)):
@@ -87,13 +87,13 @@ def waves(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     return {1: np.sin(np.outer([3, 5, 7, 9], motion.q[1]))}
 
 
-def of(here: Ground, effect: str, joint: int | None) -> Probe:
+def of(here: LinearizedFit, effect: str, joint: int | None) -> Probe:
     """An effect's first probe, on a joint or on all."""
     name = None if joint is None else here.experiment.equation.joints[joint]
     return next(probe for probe in effect_types()[effect].probes(survey(here)) if probe.joint == name)
 
 
-def probes(here: Ground) -> list[Probe]:
+def probes(here: LinearizedFit) -> list[Probe]:
     """Of all sizes and on several joints, some with shape values."""
     found = [made(bump), of(here, "parallel_spring", 1), made(waves, 4), of(here, "time_delay", None)]
     return [*found, of(here, "time_delay", 2), of(here, "stribeck_friction", 0), of(here, "parallel_spring", 0)]
@@ -114,7 +114,7 @@ def assert_same(found: Found, expected: Found, rtol: float = 1e-9) -> None:
 
 
 @pytest.mark.parametrize("index", range(7))
-def test_a_probe_is_least_squares_with_its_columns(here: Ground, rows: Stacked, index: int) -> None:
+def test_a_probe_is_least_squares_with_its_columns(here: LinearizedFit, rows: Stacked, index: int) -> None:
     """Gains and coefficients, their jackknife covariance, and the information that the model's columns leave."""
     probe = free(probes(here)[index])
     (found,) = screened(here, [probe], silent)
@@ -140,7 +140,7 @@ def test_several_logs_are_one_row_of_blocks(tmp_path: Path) -> None:
     logs = [with_noise(imposed(seconds, seed=seed), 0.3, seed) for seed, seconds in enumerate((2.3, 4.0))]
     paths = [written(tmp_path / str(i), log) for i, log in enumerate(logs)]
     config = parse_config({**CONFIG, "friction": {"viscous": False, "coulomb": False}}, "")
-    both = ground(prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0), silent)
+    both = linearize_fit(prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0), silent)
     rows = stacked(both.experiment, both.noise, both.length)
     (found,) = screened(both, [made(bump)], silent)
     gains = rows.left()[0] - rows.left(*appended(both, made(bump)))[0]
@@ -148,7 +148,7 @@ def test_several_logs_are_one_row_of_blocks(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.gains, gains, rtol=0, atol=2e-3 * np.abs(gains).max())
 
 
-def test_what_is_there_is_found_to_its_size(here: Ground) -> None:
+def test_what_is_there_is_found_to_its_size(here: LinearizedFit) -> None:
     """The spring with what else is there; the delay, most of what is left."""
     spring, late = screened(here, [of(here, "parallel_spring", 1), of(here, "time_delay", None)], silent)
     assert spring.allowed
@@ -175,7 +175,7 @@ def twice(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     return {1: np.stack([new, -2 * new, motion.v[1], 0 * new])}
 
 
-def test_what_the_model_can_make_itself_says_nothing(here: Ground) -> None:
+def test_what_the_model_can_make_itself_says_nothing(here: LinearizedFit) -> None:
     found = screened(here, [made(viscous), made(twice, 4), made(lambda m, p: {1: np.cos(3 * m.q[1])[None]})], silent)
     said, several, alone = found
     np.testing.assert_array_equal(said.c, 0)
@@ -185,7 +185,7 @@ def test_what_the_model_can_make_itself_says_nothing(here: Ground) -> None:
     assert several.c[3] == 0
 
 
-def test_what_physics_forbids_explains_nothing(here: Ground) -> None:
+def test_what_physics_forbids_explains_nothing(here: LinearizedFit) -> None:
     """A spring with its sign turned round would have the same gain."""
     probe = of(here, "parallel_spring", 1)
     turned = replace(probe, columns=lambda m, p: {j: -x for j, x in probe.columns(m, p).items()})
@@ -199,7 +199,7 @@ def test_what_physics_forbids_explains_nothing(here: Ground) -> None:
     assert not replace(free_of_bounds, probe=replace(turned, lower=(), to_entry=lambda c, information: None)).allowed
 
 
-def test_what_acts_in_its_own_time_is_fitted_to_that(here: Ground) -> None:
+def test_what_acts_in_its_own_time_is_fitted_to_that(here: LinearizedFit) -> None:
     """A column in one block alone: other blocks know nothing of it, and only one that is local is believed."""
     begin, end = (here.length * k * 6e-3 + 0.1 for k in (4, 5))
 
@@ -212,7 +212,7 @@ def test_what_acts_in_its_own_time_is_fitted_to_that(here: Ground) -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), [("_MEMORY", 1.0), ("_MEMORY", 3000.0), ("_AT_ONCE", 1)])
-def test_however_many_at_once(here: Ground, monkeypatch: pytest.MonkeyPatch, name: str, value: float) -> None:
+def test_however_many_at_once(here: LinearizedFit, monkeypatch: pytest.MonkeyPatch, name: str, value: float) -> None:
     every = probes(here)
     expected = screened(here, every, silent)
     calls: list[Sequence[Probe]] = []

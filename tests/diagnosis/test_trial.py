@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spatial_arm import experiment, written
 
 from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.ground import Ground, ground
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of, with_effects, with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
@@ -41,13 +41,13 @@ def log() -> Log:
     return with_torque(plain, 0, friction + STIFFNESS * np.maximum(q - STOP, 0))
 
 
-def grounded(folder: Path, log: Log, seed: int = 0, **config: Any) -> Ground:
+def grounded(folder: Path, log: Log, seed: int = 0, **config: Any) -> LinearizedFit:
     """A fit of the pendulum without the effects."""
     paths = written(folder, with_noise(log, NOISE, seed), HINGE, text=PENDULUM)
-    return ground(experiment(*paths, fitted=True, **{"friction": FRICTION, **config}), silent)
+    return linearize_fit(experiment(*paths, fitted=True, **{"friction": FRICTION, **config}), silent)
 
 
-def found(here: Ground, steps: int = 3, off: float = 0.8) -> Trial:
+def found(here: LinearizedFit, steps: int = 3, off: float = 0.8) -> Trial:
     """Both effects, from values that are off."""
     entries = [
         entry("stribeck_friction", stribeck=0.0, velocity=off * VELOCITY),
@@ -70,7 +70,7 @@ def errors(done: Trial) -> Array:
     return np.array([done.errors[key] for key in KEYS])
 
 
-def named(here: Ground) -> dict[str, float]:
+def named(here: LinearizedFit) -> dict[str, float]:
     """The fit's coefficients beside the inertia."""
     pairs = zip(here.experiment.equation.coefficients, here.estimate.theta, strict=True)
     return {c.name: float(x) for c, x in pairs if c.effect != "rigid_body"}
@@ -82,9 +82,9 @@ def test_shape_values_are_found_from_a_fifth_off(tmp_path: Path, log: Log, off: 
     done = found(here, 4, off)
     assert (np.abs(values(done) - [VELOCITY, STOP]) < 4 * errors(done)).all()
     assert (errors(done) < [0.05 * VELOCITY, 0.01 * STOP]).all()
-    assert done.ground.left().sum() < 1e-3 * here.left().sum()
+    assert done.linearized.left().sum() < 1e-3 * here.left().sum()
     expected = {"coulomb": 1.0, "stribeck": STRIBECK, "stiffness": STIFFNESS}
-    assert named(done.ground) == pytest.approx(expected, rel=0.02)
+    assert named(done.linearized) == pytest.approx(expected, rel=0.02)
     assert np.sqrt(here.left().sum() / here.rows.sum()) > 10 * NOISE / here.noise[0]
 
 
@@ -112,7 +112,7 @@ def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: 
     assert set(done.errors) == {KEYS[0]}
     fixed = tried(here, entries, [0], silent, 0)
     assert fixed.errors == {}
-    assert fixed.ground.left().sum() > done.ground.left().sum()
+    assert fixed.linearized.left().sum() > done.linearized.left().sum()
 
 
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
@@ -128,14 +128,14 @@ def test_an_effect_that_the_motion_does_not_tell_is_not_fitted(tmp_path: Path, l
     short, long = (
         entry("presliding_hysteresis", amplitude=0.0, displacement=share * way / 4) for share in (0.04, 0.98)
     )
-    assert tried(here, [short], [0], silent, 0).ground.rows.sum() == here.rows.sum()
+    assert tried(here, [short], [0], silent, 0).linearized.rows.sum() == here.rows.sum()
     with pytest.raises(ConfigError, match=r"joint hinge has \d+ of \d+ samples left in which all effects are defined"):
         tried(here, [long], [0], silent, 0)
 
 
-def fitted(tried: Experiment) -> Ground:
+def fitted(tried: Experiment) -> LinearizedFit:
     """A fit."""
-    return ground(tried, silent)
+    return linearize_fit(tried, silent)
 
 
 def test_fixed_inertia_is_the_urdfs_whatever_the_data_say(tmp_path: Path, log: Log) -> None:

@@ -18,7 +18,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
-from idtool.reporting.report import model_config
+from idtool.reporting.fit_report import model_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -20,7 +20,7 @@ from idtool.dynamics.effects import build_effects, effect_from_entry, effect_typ
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.estimation.dataset.experiment import coefficients_of, prepare
 from idtool.estimation.fit import fit
-from idtool.reporting.report import model_config
+from idtool.reporting.fit_report import model_config
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.inertia import SIZE
 from idtool.robot.urdf.reading import read_robot

@@ -35,7 +35,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects import effect_from_entry
 from idtool.dynamics.effects.external_contact import ExternalContact
 from idtool.estimation.fit import fit
-from idtool.reporting.report import model_config
+from idtool.reporting.fit_report import model_config
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot

@@ -16,7 +16,7 @@ from spatial_arm import NOISE, RATE, STEPS, Act, Log, experiment, recorded, resi
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.presliding_hysteresis import PreslidingHysteresis
 from idtool.estimation.fit import fit
-from idtool.reporting.report import model_config
+from idtool.reporting.fit_report import model_config
 from idtool.robot.model import Model
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from idtool.data.logs import Log, make_log, read_log
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.fit import Fit, fit
-from idtool.reporting.report import fit_report, model_config
+from idtool.reporting.fit_report import fit_report, model_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

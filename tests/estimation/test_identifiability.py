@@ -20,7 +20,7 @@ from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.identifiability import Identifiability, ParameterSource, combination, identifiability
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
-from idtool.reporting.trust_report import basis_text, combination_name
+from idtool.reporting.uncertainty_report import basis_text, combination_name
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import NAMES, SIZE
 from idtool.robot.sets import choose_set

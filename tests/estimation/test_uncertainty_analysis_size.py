@@ -14,7 +14,7 @@ from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import fit
 from idtool.estimation.uncertainty import UncertaintyAnalysis, cluster_robust
 from idtool.estimation.uncertainty.standard_errors import Directions, Uncertainty
-from idtool.reporting.report import fit_report
+from idtool.reporting.fit_report import fit_report
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
-from idtool.excitation.criteria import CRITERIA, Aim, Criterion, expected_errors
+from idtool.excitation.criteria import CRITERIA, Criterion, DesignCriterion, expected_errors
 
 Array = NDArray[np.float64]
 
@@ -19,8 +19,8 @@ def information(rng: np.random.Generator, r: int = R) -> Array:
     return np.asarray(W.T @ W)
 
 
-def every(criterion: Criterion = "d", r: int = R) -> Aim:
-    return Aim(criterion, np.arange(r))
+def every(criterion: Criterion = "d", r: int = R) -> DesignCriterion:
+    return DesignCriterion(criterion, np.arange(r))
 
 
 def test_criteria_are_the_textbooks(rng: np.random.Generator) -> None:
@@ -45,7 +45,7 @@ def test_favoured_parameters_have_the_others_as_nuisance(rng: np.random.Generato
         M[np.ix_(others, others)], M[np.ix_(others, some)]
     )
     for criterion in CRITERIA:
-        assert Aim(criterion, np.array(some)).value(M) == pytest.approx(every(criterion, 2).value(left))
+        assert DesignCriterion(criterion, np.array(some)).value(M) == pytest.approx(every(criterion, 2).value(left))
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
@@ -53,7 +53,7 @@ def test_favoured_parameters_have_the_others_as_nuisance(rng: np.random.Generato
 def test_the_stand_in_is_near_and_its_derivative_is_right(
     rng: np.random.Generator, criterion: Criterion, favoured: list[int]
 ) -> None:
-    aim, M = Aim(criterion, np.array(list(favoured))), information(rng)
+    aim, M = DesignCriterion(criterion, np.array(list(favoured))), information(rng)
     value, by_M = aim.search(M)
     assert value == pytest.approx(np.log(aim.value(M)), abs=0.1)
     D = information(rng)
@@ -72,7 +72,7 @@ def test_more_data_are_never_worse(rng: np.random.Generator) -> None:
 def test_what_is_not_seen_is_infinite() -> None:
     M = np.diag([1.0, 2.0, 0.0])
     assert every("d", 3).value(M) == np.inf
-    assert Aim("d", np.array([0])).value(np.diag([4.0, 1e-30])) == pytest.approx(0.5)
+    assert DesignCriterion("d", np.array([0])).value(np.diag([4.0, 1e-30])) == pytest.approx(0.5)
 
 
 def test_expected_errors_are_those_of_least_squares(rng: np.random.Generator) -> None:

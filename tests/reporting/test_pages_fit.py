@@ -15,8 +15,8 @@ from robots import inertial, link
 from idtool.data.logs import make_log, write_log
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
+from idtool.reporting.fit_report import fit_report
 from idtool.reporting.pages import fit_page, number, with_error
-from idtool.reporting.report import fit_report
 from idtool.reporting.results.fit import FitReport
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot

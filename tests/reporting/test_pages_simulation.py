@@ -12,8 +12,8 @@ from pages import Page, complete, evaluation_of
 from rollouts import experiment_of, rollouts_of
 
 from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation
+from idtool.reporting.fit_report import validation_report
 from idtool.reporting.pages import validation_page
-from idtool.reporting.report import validation_report
 from idtool.reporting.simulation_report import simulation_report
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from pages import Page, complete, evaluation_of
 from records import partial
 
 from idtool.estimation.evaluation.validation import Evaluation
+from idtool.reporting.fit_report import validation_report
 from idtool.reporting.pages import merged, rounded, validation_page
-from idtool.reporting.report import validation_report
 from idtool.reporting.results.validation import ValidationReport
 
 Array = NDArray[np.float64]

@@ -12,12 +12,12 @@ import pytest
 from imposed import silent
 
 from idtool.data.logs import Log, make_log
-from idtool.setup import seen
-from idtool.setup.bench import Verdict
-from idtool.setup.seen import shortened
-from idtool.setup.trials import Found, Terms, try_out
+from idtool.setup import loaded_log as seen
+from idtool.setup.loaded_log import shortened
+from idtool.setup.trial_evaluator import Verdict
+from idtool.setup.trials import Found, TrialTerms, try_out
 
-Errors = Callable[[Terms], Sequence[float]]  # mean square per joint, of the parts to fit or of the held-out ones
+Errors = Callable[[TrialTerms], Sequence[float]]  # mean square per joint, of the parts to fit or of the held-out ones
 
 JOINTS = ["hip", "knee"]
 TORQUE = 1000.0  # mean square of each joint's
@@ -25,13 +25,13 @@ BAND, DT = 40.0, 1e-3  # Hz, s
 
 
 @dataclass
-class Bench:
+class TrialEvaluator:
     """Verdicts by the terms of a variant."""
 
     held_out: Errors
     train: Errors
     share: float
-    judged: list[Terms] = field(default_factory=list)
+    judged: list[TrialTerms] = field(default_factory=list)
 
     @property
     def experiment(self) -> Any:
@@ -42,7 +42,7 @@ class Bench:
     def torque(self) -> Any:
         return np.array([TORQUE, TORQUE])
 
-    def judge(self, terms: Terms) -> Verdict:
+    def judge(self, terms: TrialTerms) -> Verdict:
         self.judged.append(terms)
         values = {(effect, joint): 0.1 for effect in ("rotor_inertia", "torque_offset") for joint in JOINTS}
         train, held_out = (np.array(errors(terms), dtype=float) for errors in (self.train, self.held_out))
@@ -51,9 +51,9 @@ class Bench:
 
 def tried(
     held_out: Errors, train: Errors | None = None, share: float = 10.0, delays: bool = False, offsets: bool = False
-) -> tuple[Found, Bench]:
+) -> tuple[Found, TrialEvaluator]:
     """What is found where errors are these."""
-    bench = Bench(held_out, train or held_out, share)
+    bench = TrialEvaluator(held_out, train or held_out, share)
     shop: Any = SimpleNamespace(joints=JOINTS, progress=silent, config=lambda terms: terms, bench=lambda terms: bench)
     return try_out(shop, offsets, [] if delays else JOINTS, delays), bench
 
@@ -66,7 +66,7 @@ def test_a_term_stays_where_the_held_out_error_of_its_joint_needs_it(gain: float
 
 
 def test_terms_that_make_the_whole_worse_go() -> None:
-    def errors(terms: Terms) -> Sequence[float]:
+    def errors(terms: TrialTerms) -> Sequence[float]:
         return (2.0, 0.005) if "knee" in terms.rotors else (1.0, 0.01)
 
     found, _ = tried(errors)
@@ -90,7 +90,7 @@ def test_what_is_too_small_to_be_missed_is_not_fitted_for() -> None:
 
 
 def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
-    def errors(terms: Terms) -> Sequence[float]:
+    def errors(terms: TrialTerms) -> Sequence[float]:
         return (1.0 - 0.5 * ("hip" in terms.offsets), TORQUE * (0.9 - 0.5 * ("knee" in terms.offsets)))
 
     found, _ = tried(errors, offsets=True)
@@ -142,7 +142,7 @@ def test_a_delay_stays_though_nothing_else_does() -> None:
 
 
 def test_a_delay_stays_though_terms_that_make_the_whole_worse_go() -> None:
-    def errors(terms: Terms) -> Sequence[float]:
+    def errors(terms: TrialTerms) -> Sequence[float]:
         late, knee = delayed(0.01)(terms)[0], "knee" in terms.offsets
         return late + knee, 0.01 * late / (1 + knee)
 

@@ -24,7 +24,7 @@ from idtool.reporting.results.fit import (
     RepeatabilityReport,
     RepeatedParameter,
 )
-from idtool.reporting.trust_report import PULLED
+from idtool.reporting.uncertainty_report import PULLED
 from idtool.robot.inertia import NAMES
 
 RESTS = ("What each number rests on", "trust.html")

@@ -25,7 +25,7 @@ class TrialReport(Record):
     kept: bool = field("Whether it is in the configuration.")
 
 
-class TodoItem(Record):
+class TodoReport(Record):
     """Something that is left to fill in."""
 
     key: str = field("Key of the configuration.")
@@ -44,7 +44,7 @@ class InitReport(Result):
     rms: StartErrors | None = field("Held-out torque errors; null where nothing was fitted.")
     trials: tuple[TrialReport, ...] = field("What was tried.")
     found: Sentences = field("What was found, one line each.")
-    left: tuple[TodoItem, ...] = field("What is left to fill in.")
+    left: tuple[TodoReport, ...] = field("What is left to fill in.")
     needed: tuple[str, ...] = field("Keys of `left` that `idtool fit` cannot do without.")
     warnings: Sentences = field("What a user should know, one sentence each.")
     next: str = field("The next command.")

@@ -54,7 +54,7 @@ class Verdict:
         return None if np.isnan(self.held_out[j]) else float(np.sqrt(self.held_out[j]))
 
 
-class Bench:
+class TrialEvaluator:
     """Reduced logs.
 
     Parameters

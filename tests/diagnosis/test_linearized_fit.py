@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from reference import Reference
 from spatial_arm import ARM, JOINTS, NOISE, experiment, in_band, written
 
-from idtool.diagnosis.ground import Ground, ground, held_out
+from idtool.diagnosis.linearized_fit import LinearizedFit, held_out, linearize_fit
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
@@ -34,10 +34,10 @@ def log() -> Log:
     return with_noise(bent, MUCH)
 
 
-def grounded(folder: Path, log: Log, **config: Any) -> tuple[Experiment, Ground]:
+def grounded(folder: Path, log: Log, **config: Any) -> tuple[Experiment, LinearizedFit]:
     """A fit to a log."""
     tried = experiment(*written(folder, log), fitted=True, **config)
-    return tried, ground(tried, silent)
+    return tried, linearize_fit(tried, silent)
 
 
 def test_what_is_left_of_a_block_is_what_least_squares_without_it_leaves(tmp_path: Path, log: Log) -> None:
@@ -56,11 +56,11 @@ def test_the_blocks_are_those_of_several_logs(tmp_path: Path, log: Log) -> None:
     paths = [written(tmp_path / str(i), with_noise(x, MUCH, i)) for i, x in enumerate((first, second))]
     config = parse_config({"friction": OFFSET, **FREE}, "")
     tried = prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0)
-    here = ground(tried, silent)
+    here = linearize_fit(tried, silent)
     counts = [sum(len(batch.t) for batch in run.signals.batches(run.train)) for run in tried.runs]
     assert here.folds == sum(-(-count // here.length) for count in counts)
     np.testing.assert_allclose(here.left(), stacked(tried, here.noise, here.length).left()[0], rtol=1e-5)
-    alone = [ground(prepare(read_robot(urdf), config, [csv], holdout=0), silent, here) for urdf, csv in paths]
+    alone = [linearize_fit(prepare(read_robot(urdf), config, [csv], holdout=0), silent, here) for urdf, csv in paths]
     assert here.s.sum() > sum(one.s.sum() for one in alone)  # a model of both logs fits neither as well
     assert here.rows.sum() == sum(one.rows.sum() for one in alone)
 
@@ -129,7 +129,7 @@ def test_where_bodies_lie_on_their_limits_the_others_are_as_free_as_they_are(tmp
 def test_what_is_held_out_is_judged_by_pinocchio(tmp_path: Path, log: Log) -> None:
     urdf, csv = written(tmp_path, log)
     tried = prepare(read_robot(urdf), parse_config({"friction": OFFSET, **FREE}, ""), [csv], holdout=0.4)
-    here = ground(tried, silent)
+    here = linearize_fit(tried, silent)
     found = Reference(ARM, JOINTS, {"gravity": [0, 0, -9.81]})
     bodies, offset = here.estimate.theta[:-3], here.estimate.theta[-3:]
     names = [body.name for body in tried.model.bodies]
@@ -153,7 +153,7 @@ def test_another_fit_counts_the_same_rows_in_the_same_units(tmp_path: Path, log:
     tried, second = grounded(tmp_path, still, friction=OFFSET, **FREE)
     assert first.rows.sum(axis=0)[0] < 0.6 * second.rows.sum(axis=0)[0]
     assert second.noise[0] > NOISE
-    alike = ground(tried, silent, first)
+    alike = linearize_fit(tried, silent, first)
     np.testing.assert_array_equal(alike.rows, first.rows)
     np.testing.assert_array_equal(alike.noise, first.noise)
-    np.testing.assert_array_equal(ground(tried, silent, first, own_rows=True).rows, second.rows)
+    np.testing.assert_array_equal(linearize_fit(tried, silent, first, own_rows=True).rows, second.rows)

@@ -1,4 +1,4 @@
-"""`Course`: what models leave of the torque all along the logs, with the motion that it went with.
+"""`ResidualSeries`: what models leave of the torque all along the logs, with the motion that it went with.
 
 Training and held-out parts alike, in the band, at the band's own rate. Of logs too long to be held, every few batches
 are left out.
@@ -24,7 +24,7 @@ _MOST = 2e7  # numbers that are held
 
 
 @dataclass(frozen=True)
-class Course:
+class ResidualSeries:
     """Samples one after the other, log after log.
 
     Attributes
@@ -61,7 +61,7 @@ class Course:
         return tuple(slice(*ends) for ends in zip(self.starts, (*self.starts[1:], len(self.t)), strict=True))
 
 
-def course(experiment: Experiment, models: Models, progress: Progress, stage: str) -> Course:
+def series(experiment: Experiment, models: Models, progress: Progress, stage: str) -> ResidualSeries:
     """Follow models along all logs.
 
     Parameters
@@ -86,10 +86,12 @@ def course(experiment: Experiment, models: Models, progress: Progress, stage: st
         count += len(piece.t)
     names = ("t", "step", "q", "v", "a", "tau", "left", "kept")
     joined = {name: np.concatenate([getattr(piece, name) for piece in found], axis=-1) for name in names}
-    return Course(**joined, starts=tuple(starts))
+    return ResidualSeries(**joined, starts=tuple(starts))
 
 
-def pieces(experiment: Experiment, models: Models, progress: Progress, stage: str, every: int = 1) -> Iterator[Course]:
+def pieces(
+    experiment: Experiment, models: Models, progress: Progress, stage: str, every: int = 1
+) -> Iterator[ResidualSeries]:
     """The same in pieces of bounded size, one of ``every``; ``starts`` is empty in a piece that goes on."""
     first = 0.0
     for run in experiment.runs:
@@ -102,7 +104,7 @@ def pieces(experiment: Experiment, models: Models, progress: Progress, stage: st
         first += float(signals.log.t[-1] - signals.log.t[0]) + signals.log.dt
 
 
-def _piece(models: Models, batch: Batch, first: float, step: float, begins: bool) -> Course:
+def _piece(models: Models, batch: Batch, first: float, step: float, begins: bool) -> ResidualSeries:
     motion, stride = batch.motion, batch.low_pass.stride
     inner = slice(batch.before, len(motion.t) - batch.after)
     torque = [motion.tau, *(equation.torque(motion, theta) for equation, theta in models)]
@@ -111,4 +113,4 @@ def _piece(models: Models, batch: Batch, first: float, step: float, begins: bool
     q, v, a = (x[:, inner][:, ::stride] for x in (motion.q, motion.v, motion.a))
     left = measured - np.stack(predicted)
     t = batch.t + first
-    return Course(t, np.full(len(t), step), q, v, a, predicted[-1], left, kept, (0,) if begins else ())
+    return ResidualSeries(t, np.full(len(t), step), q, v, a, predicted[-1], left, kept, (0,) if begins else ())

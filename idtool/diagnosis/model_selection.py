@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.ground import Ground
+from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import Found, screened
 from idtool.diagnosis.trial import Trial
@@ -33,7 +33,7 @@ _SAME = 1.1  # of the squared residual that the better of two leaves
 
 
 @dataclass(frozen=True)
-class Contender:
+class FittedCandidate:
     """An effect that was fitted whole.
 
     Attributes
@@ -57,7 +57,7 @@ class Contender:
 
 
 @dataclass(frozen=True)
-class Choice:
+class SelectionStep:
     """The outcome of one round.
 
     Attributes
@@ -78,10 +78,10 @@ class Choice:
         Of ``lost``, those that could not be fitted.
     """
 
-    here: Ground
-    winner: Contender | None
-    equals: tuple[Contender, ...]
-    others: tuple[Contender, ...]
+    here: LinearizedFit
+    winner: FittedCandidate | None
+    equals: tuple[FittedCandidate, ...]
+    others: tuple[FittedCandidate, ...]
     lost: tuple[Candidate, ...]
     inflation: float
     failed: tuple[Candidate, ...] = ()
@@ -100,25 +100,25 @@ def place_of(probe: Probe) -> Place:
     )
 
 
-def saved(before: Ground, after: Ground) -> Array:
+def saved(before: LinearizedFit, after: LinearizedFit) -> Array:
     """What a model saves of another's squared residual on each block, shape (F,); both of the same rows."""
     return np.asarray(before.left() - after.left())
 
 
-def share(gain: float, here: Ground, joints: int) -> float:
+def share(gain: float, here: LinearizedFit, joints: int) -> float:
     """A gain as a share of the squared residual of so many joints."""
     return float(gain / here.left().sum() * here.s.shape[1] / joints)
 
 
 def chosen(
-    here: Ground,
-    fitted: Sequence[Contender],
+    here: LinearizedFit,
+    fitted: Sequence[FittedCandidate],
     failed: Sequence[Candidate],
     found: Sequence[Found],
     inflation: float,
     progress: Progress,
     worth: float = WORTH,
-) -> Choice:
+) -> SelectionStep:
     """The best of the finalists, and what became of the others.
 
     Parameters
@@ -144,7 +144,7 @@ def chosen(
     lost = (*failed, *(_lost(one, here, inflation) for one in screened_out))
     lost = tuple(one for one in lost if is_answer(one.effect))
     if not worthy:
-        return Choice(here, None, (), tuple(fitted), lost, inflation)
+        return SelectionStep(here, None, (), tuple(fitted), lost, inflation)
     top = worthy[0]
     equals = [one for one in worthy if _as_good(one, top)]
     equals = [one for one in equals if not any(_contains(one, other) for other in equals)] or equals
@@ -152,50 +152,50 @@ def chosen(
     others = [one for one in fitted if one is not winner and is_answer(one.found.probe.effect)]
     rivals = _rivals(others, winner, progress)
     alike = [one for one in rivals if one in worthy and _alike(one, winner) and not _contains(one, winner)]
-    return Choice(here, winner, tuple(alike), tuple(x for x in rivals if x not in alike), lost, inflation)
+    return SelectionStep(here, winner, tuple(alike), tuple(x for x in rivals if x not in alike), lost, inflation)
 
 
-def _pays(one: Contender, here: Ground, inflation: float, worth: float) -> bool:
+def _pays(one: FittedCandidate, here: LinearizedFit, inflation: float, worth: float) -> bool:
     probe = one.found.probe
     least = max(worth, effect_types()[probe.effect].min_explained_share)
     return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.complexity, least)
 
 
 def worthwhile(
-    gain: float, here: Ground, inflation: float, on_joint: bool, parameters: int, worth: float = WORTH
+    gain: float, here: LinearizedFit, inflation: float, on_joint: bool, parameters: int, worth: float = WORTH
 ) -> bool:
     """Whether a gain is no chance, and large enough to have an effect for it."""
     least = inflation * (SURE**2 + _EACH * (parameters - 1))
     return gain > least and share(gain, here, 1 if on_joint else here.s.shape[1]) > worth
 
 
-def _as_good(one: Contender, top: Contender) -> bool:
+def _as_good(one: FittedCandidate, top: FittedCandidate) -> bool:
     """Whether a contender is as good as the best but for what chance explains."""
     return top.gain - one.gain <= _AS_GOOD * top.gain and not _apart(one, top)
 
 
-def _alike(one: Contender, other: Contender) -> bool:
+def _alike(one: FittedCandidate, other: FittedCandidate) -> bool:
     """Whether the data do not tell two contenders apart, by chance or since both leave as good as the same."""
-    left = sorted(float(x.trial.ground.left().sum()) for x in (one, other))
+    left = sorted(float(x.trial.linearized.left().sum()) for x in (one, other))
     near = min(one.gain, other.gain) > _NEARLY * max(one.gain, other.gain)
     return (near and not _apart(one, other)) or left[1] < _SAME * left[0]
 
 
-def _rivals(others: Sequence[Contender], winner: Contender, progress: Progress) -> list[Contender]:
+def _rivals(others: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
     """Those that explain the same: with the winner in the model, most of what they explained is gone."""
     if not others:
         return []
-    again = screened(winner.trial.ground, [one.found.probe for one in others], progress, "comparing explanations")
+    again = screened(winner.trial.linearized, [one.found.probe for one in others], progress, "comparing explanations")
     return [one for one, now in zip(others, again, strict=True) if now.gain < _GONE * one.found.gain]
 
 
-def _contains(one: Contender, other: Contender) -> bool:
+def _contains(one: FittedCandidate, other: FittedCandidate) -> bool:
     """Whether one can take the place of the other, and so explains no less by itself."""
     a, b = one.found.probe, other.found.probe
     return a.joint == b.joint and b.effect in effect_types()[a.effect].generalizes
 
 
-def _apart(one: Contender, other: Contender) -> bool:
+def _apart(one: FittedCandidate, other: FittedCandidate) -> bool:
     difference = other.gains - one.gains
     error = np.sqrt(len(difference)) * difference.std(ddof=1)
     return bool(abs(difference.sum()) > _EQUAL * error)
@@ -210,7 +210,7 @@ def _best_of_all(found: Iterable[Found]) -> dict[tuple[str, ...], Found]:
     return best
 
 
-def _lost(one: Found, here: Ground, inflation: float) -> Candidate:
+def _lost(one: Found, here: LinearizedFit, inflation: float) -> Candidate:
     """Why a candidate did not come further, as far as the screening tells."""
     probe = one.probe
     part = share(one.gain, here, 1 if probe.joint else here.s.shape[1])
@@ -235,14 +235,14 @@ def named(probe: Probe) -> tuple[str, str]:
     return probe.effect, probe.joint or probe.link or "all joints"
 
 
-def recorded(one: Found, here: Ground, reason: str) -> Candidate:
+def recorded(one: Found, here: LinearizedFit, reason: str) -> Candidate:
     """A candidate that was only screened, for the record."""
     probe = one.probe
     score, error = _scores(one.gain, one.standard_error, probe, here)
     return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.complexity, reason)
 
 
-def _scores(gain: float, error: float, probe: Probe, here: Ground) -> tuple[float, float]:
+def _scores(gain: float, error: float, probe: Probe, here: LinearizedFit) -> tuple[float, float]:
     """A gain and its standard error as shares of what is left of the joints that it reaches, 1 at the most."""
     joints = 1 if probe.joint else here.s.shape[1]
     parts = share(gain, here, joints), share(error, here, joints)
@@ -250,7 +250,7 @@ def _scores(gain: float, error: float, probe: Probe, here: Ground) -> tuple[floa
     return parts[0] / most, parts[1] / most
 
 
-def candidate(one: Contender, here: Ground) -> Candidate:
+def candidate(one: FittedCandidate, here: LinearizedFit) -> Candidate:
     """A contender for the record."""
     probe = one.found.probe
     error = float(np.sqrt(len(one.gains)) * one.gains.std(ddof=1))

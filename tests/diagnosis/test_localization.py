@@ -25,11 +25,11 @@ from disturbed import (
 )
 from numpy.typing import NDArray
 
-from idtool.diagnosis.course import Course, course
-from idtool.diagnosis.ground import ground
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.localization import localize_residual, residual_maps, unexplained, windows_of
 from idtool.diagnosis.regions import Scene, in_words
+from idtool.diagnosis.residual_series import ResidualSeries, series
 from idtool.diagnosis.trial import with_effects
-from idtool.diagnosis.where import located, residual_maps, unexplained, windows_of
 from idtool.robot.config import EffectEntry
 
 FLOOR = {"j1": NOISE, "j2": NOISE}
@@ -84,7 +84,7 @@ def test_a_prismatic_joint_has_metres_and_several_joints_have_names() -> None:
     rng = np.random.default_rng(1)
     q, v, a, tau = rng.normal(size=(4, 2, n))
     kept = np.ones((2, n), dtype=bool)
-    found = Course(np.arange(n) * 0.006, np.full(n, 0.006), q, v, a, tau, np.zeros((1, 2, n)), kept, (0,))
+    found = ResidualSeries(np.arange(n) * 0.006, np.full(n, 0.006), q, v, a, tau, np.zeros((1, 2, n)), kept, (0,))
 
     def said(within: NDArray[np.bool_]) -> str:
         energy = rng.normal(size=n) ** 2 * within
@@ -104,11 +104,11 @@ def test_a_contact_is_located(tmp_path: Path) -> None:
     """In its windows, by all joints, whether it is explained or not."""
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), friction=friction)
-    assert set(unexplained(experiment, ground(experiment, quiet).theta, FLOOR, quiet)) == {"j1", "j2"}
+    assert set(unexplained(experiment, linearize_fit(experiment, quiet).theta, FLOOR, quiet)) == {"j1", "j2"}
     parameters = {"windows": [list(window) for window in WINDOWS], "wrench": WRENCH}
     entry = EffectEntry(effect="external_contact", link="lower", parameters=parameters)
     with_it = with_effects(experiment, [entry])
-    where = located(experiment, experiment.equation.prior, with_it, with_it.equation.prior, quiet)
+    where = localize_residual(experiment, experiment.equation.prior, with_it, with_it.equation.prior, quiet)
     assert where.joints == ("j1", "j2")
     t = motion()[0]
     told = np.any([(t >= first) & (t <= last) for first, last in where.windows], axis=0)
@@ -123,7 +123,7 @@ def test_windows_are_few_and_short_or_none() -> None:
     """What comes again after 0.4 s is one window, unless it is there most of the time."""
     t = np.arange(6000) * 0.01
     none = np.zeros((2, len(t)))
-    found = Course(t, np.full(len(t), 0.01), none, none, none, none, none[None], none == 0, (0,))
+    found = ResidualSeries(t, np.full(len(t), 0.01), none, none, none, none, none[None], none == 0, (0,))
     pulses = 1.0 * (t % 0.4 < 0.1)
     energy = pulses * ((np.abs(t - 15) < 5) | (np.abs(t - 40) < 1))
     np.testing.assert_allclose(windows_of(found, energy, t >= 0), [[10, 20], [39, 41]], atol=0.4)
@@ -138,8 +138,8 @@ def test_what_a_step_explains_is_located(tmp_path: Path) -> None:
     before, after = experiment.equation.prior, experiment.equation.prior.copy()
     for joint, coulomb in (("j1", 0.02), ("j2", 0.7)):
         after[keys.index(("coulomb_friction", joint))] = coulomb
-    assert located(experiment, before, experiment, after, quiet).joints == ("j2",)
-    assert located(experiment, after, experiment, before, quiet).joints == ()
+    assert localize_residual(experiment, before, experiment, after, quiet).joints == ("j2",)
+    assert localize_residual(experiment, after, experiment, before, quiet).joints == ()
 
 
 def test_maps(tmp_path: Path) -> None:
@@ -186,9 +186,9 @@ def test_maps_of_logs_follow_each_other(tmp_path: Path) -> None:
 def test_a_log_too_long_to_be_held_is_sampled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = experiment_of(tmp_path, on(0, lambda t, q, v, tau: 0.3 * np.sin(40 * t)))
     models = [(experiment.equation, experiment.equation.prior)]
-    whole = course(experiment, models, quiet, "")
-    monkeypatch.setattr("idtool.diagnosis.course._MOST", whole.left.size * 3.0)
-    part = course(experiment, models, quiet, "")
+    whole = series(experiment, models, quiet, "")
+    monkeypatch.setattr("idtool.diagnosis.residual_series._MOST", whole.left.size * 3.0)
+    part = series(experiment, models, quiet, "")
     assert len(whole.stretches) == 1
     assert 0.3 * len(whole.t) < len(part.t) < 0.7 * len(whole.t)
     assert set(part.t) < set(whole.t)

@@ -1,4 +1,4 @@
-"""`Seen`: what is kept of a log, which is read once: its inspection, and as many samples as trials look at.
+"""`LoadedLog`: what is kept of a log, which is read once: its inspection, and as many samples as trials look at.
 
 Where a file holds several topics, the robot's own is found.
 """
@@ -25,7 +25,7 @@ MOST = 200_000  # samples of a log that trials look at: more tell them nothing n
 
 
 @dataclass(frozen=True)
-class Seen:
+class LoadedLog:
     """What is kept of a log.
 
     Attributes
@@ -54,7 +54,7 @@ class Seen:
         return joint in self.inspection.joints and self.inspection.joints[joint].moves
 
 
-def see(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, progress: Progress) -> list[Seen]:
+def see(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, progress: Progress) -> list[LoadedLog]:
     """Read and inspect the logs.
 
     Parameters
@@ -73,7 +73,7 @@ def see(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, p
     LogError
         If a log cannot be read.
     """
-    seen: list[Seen] = []
+    seen: list[LoadedLog] = []
     for path in paths:
         progress(f"inspecting {path.name}", len(seen) / len(paths))
         seen.append(_look(_read(path, given, topic), robot, given.joints or ()))
@@ -85,7 +85,7 @@ def _read(path: Path, given: Config, topic: str | None) -> Log:
     return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale))
 
 
-def _look(log: Log, robot: Robot, passive: Collection[str]) -> Seen:
+def _look(log: Log, robot: Robot, passive: Collection[str]) -> LoadedLog:
     q = log.signals["q"]
     middle = {name: float(np.nanmedian(q[:, i])) for i, name in enumerate(log.joints) if log.has("q", name)}
     inspection = inspect_log(log)
@@ -95,7 +95,7 @@ def _look(log: Log, robot: Robot, passive: Collection[str]) -> Seen:
         if _is_unfilled(joint) and ("qcmd" in joint.signals or name not in passive)
     )
     kept = _without_torque(shortened(log), unfilled)
-    return Seen(kept, inspection, {name: x for name, x in middle.items() if name in robot.joints}, unfilled)
+    return LoadedLog(kept, inspection, {name: x for name, x in middle.items() if name in robot.joints}, unfilled)
 
 
 def _is_unfilled(joint: Joint) -> bool:

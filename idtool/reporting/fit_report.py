@@ -35,7 +35,7 @@ from idtool.reporting.results.fit import (
 from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.results.validation import ModelErrors, ValidationReport
 from idtool.reporting.simulation_report import simulation_report
-from idtool.reporting.trust_report import (
+from idtool.reporting.uncertainty_report import (
     base_report,
     bias_report,
     controller_report,

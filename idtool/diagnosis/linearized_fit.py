@@ -1,4 +1,4 @@
-"""`Ground`: what a model leaves of its logs, and what of that a further effect explains that the model cannot.
+"""`LinearizedFit`: what a model leaves of its logs, and what of that a further effect explains that the model cannot.
 
 The model's rows are turned into directions y in which prior, constraints and data together weigh 1, about the fitted
 theta. The constraints count by the Hessian of their barrier there: along an active one the model gives way as little as
@@ -43,7 +43,7 @@ _SEED = 0
 
 
 @dataclass(frozen=True)
-class Ground:
+class LinearizedFit:
     """A fitted model and what it leaves.
 
     Attributes
@@ -110,9 +110,13 @@ class Ground:
         return np.stack([np.linalg.solve(total - B, -g) for B, g in zip(self.B, self.g, strict=True)])
 
 
-def ground(
-    experiment: Experiment, progress: Progress, like: Ground | None = None, own_rows: bool = False, apart: float = 0.0
-) -> Ground:
+def linearize_fit(
+    experiment: Experiment,
+    progress: Progress,
+    like: LinearizedFit | None = None,
+    own_rows: bool = False,
+    apart: float = 0.0,
+) -> LinearizedFit:
     """Fit a model, and see what it leaves.
 
     Parameters
@@ -163,29 +167,31 @@ def ground(
     parts = [part for log in blocks for part in log.parts]
     B, g, s = (np.stack(x) for x in zip(*(_gram(equation, part, theta, ways, noise) for part in parts), strict=True))
     rows = np.array([[factor.rows for factor in part] for part in parts], dtype=float)
-    return Ground(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length, apart)
+    return LinearizedFit(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length, apart)
 
 
-def held_out(ground: Ground, counting: LinearModel) -> Array:
+def held_out(linearized: LinearizedFit, counting: LinearModel) -> Array:
     """Mean squared residual on what was held out, by joint, in units of the noise, on the rows that an equation knows.
 
     Those in which a reversal rings are among them, but for a model that is seen away from reversals. Shape (nv,); NaN
     where nothing was held out.
     """
-    squares, count = np.zeros((2, len(ground.noise)))
-    theta, equation = ground.estimate.theta, ground.experiment.equation
-    for run in ground.experiment.runs:
+    squares, count = np.zeros((2, len(linearized.noise)))
+    theta, equation = linearized.estimate.theta, linearized.experiment.equation
+    for run in linearized.experiment.runs:
         for batch in run.signals.batches(run.held_out):
-            kept = counting.clean_samples(batch, ground.apart) if ground.apart else counting.valid_samples(batch)
+            kept = (
+                counting.clean_samples(batch, linearized.apart) if linearized.apart else counting.valid_samples(batch)
+            )
             for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
                 e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
                 keep = kept[j]
                 squares[j], count[j] = squares[j] + np.square(e[keep]).sum(), count[j] + keep.sum()
     with np.errstate(invalid="ignore"):
-        return np.asarray(squares / count / np.square(ground.noise))
+        return np.asarray(squares / count / np.square(linearized.noise))
 
 
-def _rescaled(experiment: Experiment, size: Array, like: Ground) -> Array:
+def _rescaled(experiment: Experiment, size: Array, like: LinearizedFit) -> Array:
     """How much larger each joint's noise is than in the other's rows, shape (nv,).
 
     Where torque sensors differ, as the true torque is.

@@ -8,13 +8,13 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.diagnosis.bursts import bursts
-from idtool.diagnosis.course import Course, course
 from idtool.diagnosis.maps import residual_maps
 from idtool.diagnosis.records import Where
 from idtool.diagnosis.regions import Scene, in_words
+from idtool.diagnosis.residual_series import ResidualSeries, series
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
-__all__ = ["bursts", "located", "residual_maps", "unexplained"]
+__all__ = ["bursts", "localize_residual", "residual_maps", "unexplained"]
 
 
 _SHARE = 0.1  # of the largest relative gain: with less, a joint is not concerned
@@ -30,7 +30,7 @@ _WINDOWS = 12  # at the most
 _WORTH = 0.02  # of the energy, that a window holds at least
 
 
-def located(
+def localize_residual(
     before: Experiment, theta_before: Array, after: Experiment, theta_after: Array, progress: Progress
 ) -> Where:
     """Where the disagreement was that a step explains.
@@ -45,7 +45,7 @@ def located(
         Told how far it has come.
     """
     models = [(before.equation, theta_before), (after.equation, theta_after)]
-    found = course(before, models, progress, "locating what was explained")
+    found = series(before, models, progress, "locating what was explained")
     first, last = np.square(found.left)
     return _where(before, found, first - last, first, found.left[0] - found.left[1], at_least_one=True)
 
@@ -66,7 +66,7 @@ def unexplained(
     progress
         Told how far it has come.
     """
-    found = course(experiment, [(experiment.equation, theta)], progress, "locating what is left")
+    found = series(experiment, [(experiment.equation, theta)], progress, "locating what is left")
     noise = np.array([floor[name] for name in experiment.equation.joints])[:, None]
     square = np.square(found.left[0])
     left, where = square - np.square(_FLOOR * noise), {}
@@ -80,7 +80,12 @@ def unexplained(
 
 
 def _where(
-    experiment: Experiment, found: Course, saved: Array, square: Array, torque: Array, at_least_one: bool = False
+    experiment: Experiment,
+    found: ResidualSeries,
+    saved: Array,
+    square: Array,
+    torque: Array,
+    at_least_one: bool = False,
 ) -> Where:
     """By squares saved of those that there were, and the torque that made the difference; shape (nv, n) each."""
     time = found.step * found.kept
@@ -108,7 +113,7 @@ def _chance(saved: Array) -> Array:
     return np.asarray(np.sqrt(2 * np.square(np.minimum(blocks, 0.0)).sum(axis=1)))
 
 
-def windows_of(found: Course, energy: Array, kept: Mask) -> tuple[tuple[float, float], ...]:
+def windows_of(found: ResidualSeries, energy: Array, kept: Mask) -> tuple[tuple[float, float], ...]:
     """Stretches of time that hold most of an energy in little of the time, [s]; none where there are no such.
 
     Parameters

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from idtool.common.names import some
 from idtool.robot.urdf.reading import Joint, Robot
-from idtool.setup.seen import Seen
+from idtool.setup.loaded_log import LoadedLog
 
 _FAR = 0.5  # of a joint's range: further beyond its limits than a zero that is off takes it
 
 
-def doubts(robot: Robot, seen: Sequence[Seen], joints: Sequence[str], locked: Sequence[str]) -> tuple[str, ...]:
+def doubts(robot: Robot, seen: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]) -> tuple[str, ...]:
     """Plain sentences, a sentence each.
 
     Parameters
@@ -33,7 +33,7 @@ def doubts(robot: Robot, seen: Sequence[Seen], joints: Sequence[str], locked: Se
     )
 
 
-def _problems(seen: Sequence[Seen], joints: Sequence[str]) -> Iterator[str]:
+def _problems(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[str]:
     """Problems that an inspection finds in what is used, those of one kind together."""
     found: dict[tuple[str, str], list[str]] = {}
     for one in seen:
@@ -45,7 +45,7 @@ def _problems(seen: Sequence[Seen], joints: Sequence[str]) -> Iterator[str]:
         yield f"{name}: {some(which)}: {meaning}"
 
 
-def _held(seen: Sequence[Seen], joints: Sequence[str], locked: Sequence[str]) -> Iterator[str]:
+def _held(seen: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]) -> Iterator[str]:
     """Joints that are held still though they move, and the other way round."""
     moving = [name for name in locked if any(one.moves(name) for one in seen)]
     if moving:
@@ -55,14 +55,14 @@ def _held(seen: Sequence[Seen], joints: Sequence[str], locked: Sequence[str]) ->
         yield f"wanted under joints though they do not move, so that nothing is learnt of them: {some(still)}"
 
 
-def _unfilled(seen: Sequence[Seen], joints: Sequence[str]) -> Iterator[str]:
+def _unfilled(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[str]:
     for one in seen:
         if names := [name for name in one.unfilled if name in joints]:
             what = "torque that never changes while the joint moves is none, and is taken as not logged"
             yield f"{one.log.path.name}: {what}: {some(names)}"
 
 
-def _beyond(robot: Robot, seen: Sequence[Seen]) -> Iterator[str]:
+def _beyond(robot: Robot, seen: Sequence[LoadedLog]) -> Iterator[str]:
     """Positions far beyond the URDF's limits."""
     for one in seen:
         far = [name for name in one.inspection.joints if name in robot.joints and _is_far(robot.joints[name], one)]
@@ -73,7 +73,7 @@ def _beyond(robot: Robot, seen: Sequence[Seen]) -> Iterator[str]:
             yield f"{one.log.path.name}: q is far beyond the URDF's limits: {where}{joint.upper:.4g}): {meaning}"
 
 
-def _is_far(joint: Joint, seen: Seen) -> bool:
+def _is_far(joint: Joint, seen: LoadedLog) -> bool:
     q = seen.inspection.joints[joint.name].signals.get("q")
     room = _FAR * (joint.upper - joint.lower)
     if q is None or not 0 < room < math.inf:
