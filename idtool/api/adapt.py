@@ -25,9 +25,9 @@ class AdaptationResult(AdaptationReport, Saved):
 
     def __repr__(self) -> str:
         title = f"AdaptationResult: {self.samples} updates at {self.update_hz:.4g} Hz"
-        rows = [
-            [name, figure(body.mass), "yes" if body.realizable else "no"] for name, body in self.final.bodies.items()
-        ]
+        rows = []
+        for name, body in self.final.bodies.items():
+            rows.append([name, figure(body.mass), "yes" if body.realizable else "no"])
         return "\n".join([title, *table(["body", "mass [kg]", "realizable"], rows), *notes(self.warnings)])
 
 

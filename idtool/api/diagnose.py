@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class DiagnosisResult(DiagnosisReport, Saved, Recordable):
-    """What a model lacks, and the model with it; its fields are those of diagnosis.json."""
+    """Diagnosis of a model: the effects that it lacks. The fields are those of diagnosis.json."""
 
     _diagnosis: Diagnosis
     _made_by: str

@@ -44,7 +44,7 @@ class CheckResult(CheckReport):
 
     @property
     def ok(self) -> bool:
-        """Whether all links can exist."""
+        """True if every link has an inertia that a body can have."""
         return not any(link.violations for link in self.links.values())
 
     def save(self, file: str | os.PathLike[str]) -> Path:

@@ -208,7 +208,7 @@ def _task(
     favour: Sequence[str],
     progress: Progress,
 ) -> tuple[Task, Logged | None]:
-    """The robot and what is to be determined, and what logs determine already: of the joints logged, where some are."""
+    """The design task, and what existing logs determine already; with logs, only the logged joints take part."""
     measured: dict[str, float] = {}
     logged = None
     if experiment is not None:
@@ -223,7 +223,12 @@ def _task(
         tree = build_model(robot, settings, moving)
         equation = LinearModel(tree.names, build_effects(tree, settings))
         equalities = equality_constraints(settings, tree, equation)
-    given = dict(noise) if isinstance(noise, Mapping) else {} if noise is None else {ALL: noise}
+    if noise is None:
+        given = {}
+    elif isinstance(noise, Mapping):
+        given = dict(noise)
+    else:
+        given = {ALL: noise}
     of_all = dict.fromkeys(tree.names, given.pop(ALL)) if ALL in given else {}
     task = make_task(
         tree,

@@ -30,7 +30,7 @@ class ExportResult(ExportReport):
 
     @property
     def default_file(self) -> Path:
-        """Where the file is written unless another place is given."""
+        """Default path of the file, beside the identified model."""
         return self._folder / self._name
 
     def save(self, file: str | os.PathLike[str] | None = None) -> Path:

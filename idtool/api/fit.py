@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.records import Recorded
+
 _SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")  # what no model mends
 
 
@@ -192,10 +193,13 @@ def fit_experiment(
         wrong = [fault for fault in find_data_faults(experiment, progress) if fault.fault in _SERIOUS]
         said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)
         found = replace(found, warnings=(*said, *found.warnings))
-    thetas = (experiment.equation.prior, found.estimate.theta)
-    prior, own = (residual_maps(found.experiment, theta, progress) if analyze_uncertainty else {} for theta in thetas)
+    maps = None
+    if analyze_uncertainty:
+        prior_maps = residual_maps(found.experiment, experiment.equation.prior, progress)
+        identified_maps = residual_maps(found.experiment, found.estimate.theta, progress)
+        maps = (prior_maps, identified_maps)
     result = FitResult.extending(fit_report(found))
     result._fit = found
-    result._maps = (prior, own) if analyze_uncertainty else None
+    result._maps = maps
     result._made_by = made_by
     return result

@@ -64,7 +64,7 @@ def init(
     file: Source | None = None,
     progress: Progress | None = None,
 ) -> InitResult:
-    """Draft a configuration with all that URDF and logs tell; `idtool init` as a function, which writes nothing yet.
+    """Draft a configuration from a URDF and logs; `idtool init` as a function, which writes nothing before `save`.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from idtool.reporting.results.inspection import InspectionReport
 
 
 class InspectionResult(InspectionReport):
-    """What is in a log, and what is wrong with it."""
+    """Inspection of a log: its contents and its faults. The fields are what `idtool inspect --json` prints."""
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joints)

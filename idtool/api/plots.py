@@ -29,7 +29,8 @@ _CURVES = {
 @cache
 def _colors() -> dict[str, str]:
     """The pages' colours on white, by name."""
-    light = files("idtool.reporting").joinpath("templates/style.css").read_text(encoding="utf-8").partition("@media")[0]
+    style = files("idtool.reporting").joinpath("templates/style.css").read_text(encoding="utf-8")
+    light, _, _ = style.partition("@media")
     return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", light))
 
 

@@ -1,4 +1,4 @@
-"""What results are made of: files, recordings, and lines for a prompt."""
+"""Bases of the results: saving files and recordings, and lines for a Python prompt."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class SimulationResult(Recordable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know, a plain sentence each."""
+        """Warnings, a sentence each."""
         return self.report.warnings
 
     def to_json(self, file: str | os.PathLike[str] | None = None) -> dict[str, Any]:
@@ -151,7 +151,10 @@ class SimulationResult(Recordable):
         position, velocity = self.rmse.position, self.rmse.velocity
         if position is None:
             return "\n".join([title, *notes(self.warnings)])
-        rows = [[name, figure(error), figure(velocity[name] if velocity else None)] for name, error in position.items()]
+        rows = []
+        for name, error in position.items():
+            velocity_error = velocity[name] if velocity else None
+            rows.append([name, figure(error), figure(velocity_error)])
         head = ["RMS error", f"position [{units}]", f"velocity [{speeds}]"]
         return "\n".join([title, *table(head, rows), *notes(self.warnings)])
 

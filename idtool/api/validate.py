@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class ValidationResult(ValidationReport, Saved, Recordable):
-    """How well a model predicts logs; its fields are those of validation.json."""
+    """Validation of a model on logs. The fields are those of validation.json."""
 
     _model: RobotModel
     _models: Mapping[str, Array]

@@ -1,1 +1,1 @@
-"""What was recorded: logs, what is wrong with them, and the motion and torque that they give."""
+"""Recorded data: logs, their faults, and the motion and torque signals made of them."""

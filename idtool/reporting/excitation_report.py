@@ -180,7 +180,7 @@ def _curves(design: Design) -> ExcitationCurves:
 
 
 def _warnings(design: Design) -> list[str]:
-    """What a user should know, a plain sentence each."""
+    """Warnings about a designed trajectory, a sentence each."""
     task = design.task
     said = [*task.model.warnings, *task.full.notes]
     if task.noise_assumed:

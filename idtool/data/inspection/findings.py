@@ -65,7 +65,7 @@ def all_findings(
 
 
 def _is_spoilt(joint: Joint, frozen: Mapping[str, Frozen]) -> bool:
-    """Whether q or v repeats values, so that its lag and gain are that defect's doing."""
+    """True if q or v repeats values: the lag and gain of v then come from that defect."""
     for signal in ("q", "v"):
         figures = joint.signals[signal]
         if signal in frozen or figures.stuck > STUCK or (figures.stale or 0.0) > STALE:

@@ -70,7 +70,7 @@ def _stretches(log: Log, joints: Mapping[str, Joint], signal: str, shortest: int
 
 
 def _may_freeze(joint: Joint, signal: str) -> bool:
-    """Whether a joint has a channel that changes, and is not stale throughout."""
+    """True if a joint has a channel that changes and is not stale throughout."""
     figures = joint.signals.get(signal)
     return joint.moves and figures is not None and not figures.constant and (figures.stale or 0.0) <= STALE
 
@@ -118,7 +118,7 @@ def _equal_runs(x: Array, shortest: int) -> Indices:
 
 
 def _is_noisy(x: Array, changes: Array, figures: Signal) -> bool:
-    """Whether a channel is too noisy to repeat values, judged by its changes outside all long runs."""
+    """True if a channel is too noisy to repeat values, judged by its changes outside all long runs."""
     return bool(figures.noise > NOISY * np.std(x) and np.mean(changes == 0) < BY_CHANCE)
 
 

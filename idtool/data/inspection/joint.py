@@ -115,7 +115,7 @@ def _exceeds(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: f
 
 
 def _goes_on(runs: Mapping[str, Sequence[Array]], low: float, high: float, speed_rms: float) -> bool:
-    """Whether v goes on where q is at an extreme; else the joint rests there, as at an end stop."""
+    """True if v goes on where q is at an extreme; otherwise the joint rests there, as at an end stop."""
     q = np.concatenate(runs["q"])
     v = np.concatenate(runs["v"])
     at = (q <= low) | (q >= high)
