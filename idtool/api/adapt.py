@@ -61,6 +61,6 @@ def adapt(
     sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
     found = identify_online(experiment, sets, forgetting, progress=tell)
     warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *remarks]
-    result = AdaptationResult.extending(adaptation_report(found, experiment, warnings))
+    result = AdaptationResult.from_result(adaptation_report(found, experiment, warnings))
     result._made_by = call("adapt", model, logs, **changed(adapt, forgetting=forgetting))
     return result

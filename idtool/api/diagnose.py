@@ -153,7 +153,7 @@ def diagnose(
 
 
 def _result(found: Diagnosis, inertia: str, made_by: str) -> DiagnosisResult:
-    result = DiagnosisResult.extending(diagnosis_report(found, inertia))
+    result = DiagnosisResult.from_result(diagnosis_report(found, inertia))
     result._diagnosis = found
     result._made_by = made_by
     return result

@@ -104,6 +104,6 @@ def check(model: Model | Source, *, repair: bool = False) -> CheckResult:
     model = as_model(model)
     links = check_links(model.robot, model.settings)
     nearest = nearest_bodies(links) if repair else {}
-    result = CheckResult.extending(check_report(model.robot, links, nearest))
+    result = CheckResult.from_result(check_report(model.robot, links, nearest))
     result._repaired = repaired(model.robot, nearest)
     return result

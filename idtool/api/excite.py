@@ -167,7 +167,7 @@ def excite(
     warnings = experiment.warnings if experiment else ()
     names = [str(path) for path in given]
     report = excitation_report(found, sources, str(model.robot.path), names, wishes.seed, warnings)
-    result = ExcitationResult.extending(report)
+    result = ExcitationResult.from_result(report)
     result._design = found
     return result
 

@@ -198,7 +198,7 @@ def fit_experiment(
         prior_maps = residual_maps(found.experiment, experiment.equation.prior, progress)
         identified_maps = residual_maps(found.experiment, found.estimate.theta, progress)
         maps = (prior_maps, identified_maps)
-    result = FitResult.extending(fit_report(found))
+    result = FitResult.from_result(fit_report(found))
     result._fit = found
     result._maps = maps
     result._made_by = made_by

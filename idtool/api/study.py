@@ -76,7 +76,7 @@ def study(
         raise ConfigError("--draws", f"{draws} is too few; give {_FEWEST_DRAWS} or more")
     tell = progress or silent
     found = compare(experiment_of(model, logs, validate, holdout, tell), tell, draws)
-    result = StudyResult.extending(study_report(found))
+    result = StudyResult.from_result(study_report(found))
     result._validation = found.validation
     result._made_by = call("study", model, logs, validate=validate, **changed(study, holdout=holdout, draws=draws))
     return result

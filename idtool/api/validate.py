@@ -193,7 +193,7 @@ def validate_experiment(
     report = validation_report(
         evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources, warnings
     )
-    result = ValidationResult.extending(report)
+    result = ValidationResult.from_result(report)
     result._model = experiment.model
     result._models = models
     result._evaluation = evaluation

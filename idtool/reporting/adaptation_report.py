@@ -16,7 +16,7 @@ from idtool.reporting.results.adaptation import (
     CoefficientReport,
     FinalEstimate,
 )
-from idtool.reporting.results.base import reproducible
+from idtool.reporting.results.base import provenance_fields
 from idtool.robot.inertia import SIZE, is_realizable, mass_com_inertia, six
 
 
@@ -35,7 +35,7 @@ def adaptation_report(adaptation: Adaptation, experiment: Experiment, warnings: 
     equation, bodies = experiment.equation, experiment.model.bodies
     theta = adaptation.estimate
     return AdaptationReport(
-        **reproducible(experiment.sources),
+        **provenance_fields(experiment.sources),
         joints=equation.joints,
         units=experiment.model.units,
         bodies=[body.name for body in bodies],

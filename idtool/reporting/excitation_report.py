@@ -14,7 +14,7 @@ from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task
-from idtool.reporting.results.base import reproducible
+from idtool.reporting.results.base import provenance_fields
 from idtool.reporting.results.excitation import (
     Clearance,
     Criteria,
@@ -59,7 +59,7 @@ def excitation_report(
     starts = trajectory.starts.tolist()
     parts = zip(trajectory.parts, starts[:-1], starts[1:], strict=True)
     return ExcitationReport(
-        **reproducible(sources),
+        **provenance_fields(sources),
         file=None,
         urdf=urdf,
         logs=logs,

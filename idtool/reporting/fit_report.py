@@ -16,7 +16,7 @@ from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.reporting.results.base import Samples, reproducible
+from idtool.reporting.results.base import Samples, provenance_fields
 from idtool.reporting.results.fit import (
     AutomaticWeight,
     BodyReport,
@@ -69,7 +69,7 @@ def fit_report(fit: Fit) -> FitReport:
     validated = fit.validation.errors["identified"].samples > 0
     analysis = fit.uncertainty_analysis
     return FitReport(
-        **reproducible(experiment.sources),
+        **provenance_fields(experiment.sources),
         joints=joints,
         units=experiment.model.units,
         samples=Samples(train=experiment.samples(False), validation=experiment.samples(True)),
@@ -332,7 +332,7 @@ def validation_report(
     joints = tuple(units)
     rms = ModelErrors(**{model: errors.rms(joints) for model, errors in evaluation.errors.items()})
     return ValidationReport(
-        **reproducible(sources),
+        **provenance_fields(sources),
         joints=joints,
         units=units,
         samples=evaluation.errors["model"].samples,

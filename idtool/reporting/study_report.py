@@ -7,7 +7,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.study import Study, StudyEntry
-from idtool.reporting.results.base import Samples, reproducible
+from idtool.reporting.results.base import Samples, provenance_fields
 from idtool.reporting.results.study import (
     Advantage,
     Convergence,
@@ -26,7 +26,7 @@ def study_report(study: Study) -> StudyReport:
     """The content of study.json."""
     experiment, online = study.experiment, study.online
     return StudyReport(
-        **reproducible(experiment.sources),
+        **provenance_fields(experiment.sources),
         joints=experiment.equation.joints,
         units=experiment.model.units,
         band_hz=experiment.band_hz,

@@ -17,7 +17,7 @@ from idtool.common.version import VERSION
 
 T_co = TypeVar("T_co", covariant=True)
 
-SCHEMA = 1  # version of the JSON files' form
+SCHEMA_VERSION = 1  # version of the JSON files' form
 
 
 class ReadOnly(Mapping[str, T_co]):
@@ -112,14 +112,14 @@ class Result(Record):
     """The whole of what one command found, the content of its JSON file."""
 
     idtool: str = Field(VERSION, description="Version of idtool.")
-    schema_version: int = Field(SCHEMA, alias="schema", description="Version of this schema.")
+    schema_version: int = Field(SCHEMA_VERSION, alias="schema", description="Version of this schema.")
 
-    __eq__ = object.__eq__  # arrays in it have no truth value
+    __eq__ = object.__eq__  # by identity: arrays in it have no truth value
     __hash__ = object.__hash__
 
     @classmethod
-    def extending(cls, result: Result) -> Self:
-        """A result of this class with the fields of another, which are valid already."""
+    def from_result(cls, result: Result) -> Self:
+        """A result of this class, which only adds methods, with the fields of another; they are not checked again."""
         fields = {name: getattr(result, name) for name in type(result).model_fields}
         return cast(Self, cls.model_construct(**fields))
 
@@ -143,13 +143,13 @@ class ReproducibleResult(Result):
     inputs: tuple[Source, ...] = field("All files that were read.")
 
 
-def reproducible(sources: Sequence[ProvenanceSource]) -> dict[str, Any]:
-    """``versions`` and ``inputs`` of a `ReproducibleResult`."""
+def provenance_fields(sources: Sequence[ProvenanceSource]) -> dict[str, Any]:
+    """``versions`` and ``inputs`` of a `ReproducibleResult`, as keyword arguments."""
     return provenance(sources)
 
 
 class Samples(Record):
-    """How many samples of the logs were used."""
+    """Number of samples of all logs together."""
 
     train: int = field("Samples that were fitted.")
     validation: int = field("Samples that were held out.")
