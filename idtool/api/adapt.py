@@ -6,7 +6,7 @@ from pathlib import Path
 
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.model import Model, Source
-from idtool.api.records import Progress, Saved, notes, silent, table
+from idtool.api.records import Progress, Saved, notice_lines, silent, table
 from idtool.common.outputs import as_json
 from idtool.reporting.adaptation_report import adaptation_report
 from idtool.reporting.figures import figure
@@ -28,7 +28,7 @@ class AdaptationResult(AdaptationReport, Saved):
         rows = []
         for name, body in self.final.bodies.items():
             rows.append([name, figure(body.mass), "yes" if body.realizable else "no"])
-        return "\n".join([title, *table(["body", "mass [kg]", "realizable"], rows), *notes(self.warnings)])
+        return "\n".join([title, *table(["body", "mass [kg]", "realizable"], rows), *notice_lines(self.notices)])
 
 
 def adapt(
@@ -58,9 +58,9 @@ def adapt(
 
     tell = progress or silent
     experiment, delay, _ = with_delay(experiment_of(model, logs, holdout=0.0, progress=tell), tell)
-    sets, remarks = choose_sets(experiment.model.bodies, experiment.config.constraints)
+    sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
     found = identify_online(experiment, sets, forgetting, progress=tell)
-    warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *remarks]
-    result = AdaptationResult.from_result(adaptation_report(found, experiment, warnings))
+    notices = [*experiment.notices, *(delay.notices if delay else ()), *set_notices]
+    result = AdaptationResult.from_result(adaptation_report(found, experiment, notices))
     result._made_by = call("adapt", model, logs, **changed(adapt, forgetting=forgetting))
     return result

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from idtool.api.assumed import Assumed, check_assumed, known_assumption, known_candidates
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
+from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.records import Diagnosis
@@ -79,7 +79,7 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
             rows.append([name, *map(figure, (first[name], last[name], self.noise_floor[name])), closed])
         steps = [f"  {i}. {step.effect} on {on(step)}" for i, step in enumerate(self.steps, 1)]
         head = ["torque RMS", "before", "after", "noise floor", "gap closed"]
-        return "\n".join([f"DiagnosisResult: {self.summary}", *steps, *table(head, rows), *notes(self.warnings)])
+        return "\n".join([f"DiagnosisResult: {self.summary}", *steps, *table(head, rows), *notice_lines(self.notices)])
 
 
 def diagnose(

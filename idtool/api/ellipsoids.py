@@ -6,12 +6,13 @@ import os
 from pathlib import Path
 
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import notes, table
+from idtool.api.records import notice_lines, table
+from idtool.common.notice import Notice
 from idtool.common.outputs import as_yaml, check_file, write_all
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.reporting.check_report import check_report
 from idtool.reporting.figures import figure
-from idtool.reporting.results.base import Ellipsoid
+from idtool.reporting.results.base import Ellipsoid, notice_fields
 from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
 from idtool.robot.bounding import bounding_ellipsoids
 
@@ -34,7 +35,7 @@ class EllipsoidsResult(EllipsoidsReport):
         return path
 
     def __repr__(self) -> str:
-        return "\n".join([f"EllipsoidsResult: {', '.join(self.bounding_ellipsoids)}", *notes(self.warnings)])
+        return "\n".join([f"EllipsoidsResult: {', '.join(self.bounding_ellipsoids)}", *notice_lines(self.notices)])
 
 
 class CheckResult(CheckReport):
@@ -78,12 +79,18 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
     found, reasons = bounding_ellipsoids(robot, margin)
     result = EllipsoidsResult(
         bounding_ellipsoids={link: [Ellipsoid(**ellipsoid.to_dict())] for link, ellipsoid in found.items()},
-        warnings=[f"link {link}: no ellipsoid; {why}" for link, why in reasons.items()],
+        **notice_fields([_without_ellipsoid(link, why) for link, why in reasons.items()]),
     )
     result._header = (
         f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes {margin:.0%} longer; m, rad."
     )
     return result
+
+
+def _without_ellipsoid(link: str, reason: str) -> Notice:
+    return Notice(
+        "no_ellipsoid", "warning", link, f"no ellipsoid; {reason}", "give it one by hand under bounding_ellipsoids"
+    )
 
 
 def check(model: Model | Source, *, repair: bool = False) -> CheckResult:

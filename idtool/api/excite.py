@@ -10,7 +10,7 @@ from typing import cast
 from idtool.api.data import listed
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, notes, silent, table
+from idtool.api.records import Progress, notice_lines, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.interrupt import held_back
 from idtool.common.names import nearest
@@ -78,7 +78,7 @@ class ExcitationResult(ExcitationReport):
         title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
         rows = [[p.name, figure(p.prior), figure(p.standard_error), p.unit] for p in self.base_parameters]
         head = ["base parameter", "prior", "± se", "unit"]
-        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
 
 
 def excite(
@@ -164,9 +164,9 @@ def excite(
     task, logged = _task(model, experiment, noise, rate, margin, clearance, criterion, favour, tell)
     found = design(task, experiment.config if experiment else model.settings, wishes, logged, tell)
     sources = experiment.sources if experiment else sources_of(model.robot, model.settings)
-    warnings = experiment.warnings if experiment else ()
+    notices = experiment.notices if experiment else ()
     names = [str(path) for path in given]
-    report = excitation_report(found, sources, str(model.robot.path), names, wishes.seed, warnings)
+    report = excitation_report(found, sources, str(model.robot.path), names, wishes.seed, notices)
     result = ExcitationResult.from_result(report)
     result._design = found
     return result

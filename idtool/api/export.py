@@ -6,11 +6,13 @@ import os
 from pathlib import Path
 from typing import Literal
 
-from idtool.api.records import notes
+from idtool.api.records import notice_lines
 from idtool.common.exceptions import ConfigError
+from idtool.common.notice import Notice
 from idtool.common.outputs import check_file, write_all
 from idtool.reporting.export import read_identified, to_drake, to_mujoco
 from idtool.reporting.export.identified import CONFIG, URDF
+from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.export import ExportedPart, ExportReport
 
 Simulator = Literal["mujoco", "drake"]
@@ -60,7 +62,7 @@ class ExportResult(ExportReport):
         missing = dict.fromkeys(f"{part.what} of {part.of}" for part in self.not_carried)
         lines = [f"ExportResult {self._name}: carries {', '.join(kinds)}"]
         lines += [f"  not carried: {name}" for name in missing]
-        return "\n".join([*lines, *notes(self.warnings)])
+        return "\n".join([*lines, *notice_lines(self.notices)])
 
 
 def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool = False) -> ExportResult:
@@ -86,14 +88,15 @@ def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool 
     place = place.parent if place.is_file() else place
     identified = read_identified(place)
     made = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
-    warnings = list(identified.model.warnings)
+    notices = list(identified.model.notices)
     if to == "mujoco" and any(part.what == "rotor" for part in made.not_carried):
-        warnings.append("--rotor-bodies carries the rotors in full, each as a body with a coordinate of its own")
+        message = "--rotor-bodies carries the rotors in full, each as a body with a coordinate of its own"
+        notices.append(Notice("rotors_simplified", "note", None, message))
     result = ExportResult(
         file=None,
         carried=[ExportedPart(**vars(part)) for part in made.carried],
         not_carried=[ExportedPart(**vars(part)) for part in made.not_carried],
-        warnings=warnings,
+        **notice_fields(notices),
     )
     result._text, result._folder, result._name = made.text, place, made.name
     return result

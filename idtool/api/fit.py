@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
+from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.maps import residual_maps
@@ -101,7 +101,7 @@ class FitResult(FitReport, Saved, Recordable):
                 f"FitResult {urdf}: RMS torque error [{units}] {band}, on {data}",
                 *table(head, rows),
                 f"  mass [kg]: {masses}{more}",
-                *notes(self.warnings),
+                *notice_lines(self.notices),
             ]
         )
 
@@ -190,9 +190,9 @@ def fit_experiment(
     """
     found = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
     if analyze_uncertainty:
-        wrong = [fault for fault in find_data_faults(experiment, progress) if fault.fault in _SERIOUS]
-        said = tuple(f"the data: {fault.joint or 'all joints'}: {fault.detail}" for fault in wrong)
-        found = replace(found, warnings=(*said, *found.warnings))
+        faults = find_data_faults(experiment, progress)
+        serious = [fault for fault in faults if fault.code in _SERIOUS]
+        found = replace(found, notices=(*serious, *found.notices))
     maps = None
     if analyze_uncertainty:
         prior_maps = residual_maps(found.experiment, experiment.equation.prior, progress)

@@ -9,11 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 from idtool.api.model import Source
-from idtool.api.records import Progress, notes, silent
+from idtool.api.records import Progress, notice_lines, silent
 from idtool.common.names import stem
 from idtool.common.outputs import OutputError, write_all
 from idtool.common.safe_yaml import read_yaml
 from idtool.data.description import robot_and_logs
+from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, TrialReport
 from idtool.setup import Start, start
 
@@ -53,7 +54,7 @@ class InitResult(InitReport):
     def __repr__(self) -> str:
         todo = [f"  to fill in: {item.key}: {item.what}" for item in self.left]
         found = [f"  {line}" for line in self.found]
-        return "\n".join([f"InitResult {self.file}", *found, *todo, *notes(self.warnings)])
+        return "\n".join([f"InitResult {self.file}", *found, *todo, *notice_lines(self.notices)])
 
 
 def init(
@@ -101,7 +102,7 @@ def init(
         found=found.found,
         left=[TodoReport(**asdict(item)) for item in found.left],
         needed=[item.key for item in found.needed],
-        warnings=found.warnings,
+        **notice_fields(found.notices),
         next=_next(found, place, [Path(urdf), *given], place.resolve() == beside.resolve()),
     )
     result._text = found.text

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from idtool.api.data import LogSource
 from idtool.api.log import Log
-from idtool.api.records import notes
+from idtool.api.records import notice_lines
 from idtool.data.inspection import inspect_log
+from idtool.reporting.inspection_report import inspection_report
 from idtool.reporting.results.inspection import InspectionReport
 
 
@@ -15,8 +16,7 @@ class InspectionResult(InspectionReport):
     def __repr__(self) -> str:
         joints = ", ".join(self.joints)
         title = f"InspectionResult {self.path}: {self.samples} samples at {self.rate_hz:.4g} Hz, {joints}"
-        findings = [f"  {f.severity}: {f.joint + ': ' if f.joint else ''}{f.what}" for f in self.findings]
-        return "\n".join([title, *findings, *notes(self.warnings)])
+        return "\n".join([title, *notice_lines(self.notices)])
 
 
 def inspect(log: LogSource) -> InspectionResult:
@@ -33,4 +33,4 @@ def inspect(log: LogSource) -> InspectionResult:
         If the log cannot be read.
     """
     record = (log if isinstance(log, Log) else Log(log)).record
-    return InspectionResult(**inspect_log(record).to_dict())
+    return InspectionResult.from_result(inspection_report(inspect_log(record)))

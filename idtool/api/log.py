@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.logs import SIGNALS, make_log, write_log
 from idtool.data.logs import Log as Record
 from idtool.data.logs import read_log as read_record
@@ -198,8 +199,13 @@ class Log:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the reader had to say, a plain sentence each."""
-        return self._record.warnings
+        """The notices, a text each."""
+        return tuple(notice.text for notice in self.notices)
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What the reader had to say."""
+        return self._record.notices
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it, as MCAP or CSV by the ending; returns the path.

@@ -12,6 +12,7 @@ from idtool.common.outputs import write_all
 
 if TYPE_CHECKING:
     from idtool.estimation.evaluation.envelope import Trace
+    from idtool.reporting.results.base import NoticeReport
     from idtool.robot.model import Model as RobotModel
 
     Recorded = tuple[
@@ -43,10 +44,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return lines
 
 
-def notes(warnings: Sequence[str]) -> list[str]:
+def notice_lines(notices: Sequence[NoticeReport]) -> list[str]:
     """What a user should know, a line each."""
-    shown = [f"  note: {warning}" for warning in warnings[:_MOST]]
-    return [*shown, *([f"  … {len(warnings) - _MOST} more notes"] if len(warnings) > _MOST else [])]
+    lines = [f"  {notice.severity}: {notice.sentence}" for notice in notices[:_MOST]]
+    if len(notices) > _MOST:
+        lines.append(f"  … {len(notices) - _MOST} more notices")
+    return lines
 
 
 class Recordable(ABC):

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 from idtool.api.data import LogSource, experiment_of
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, Recordable, notes, silent, table
+from idtool.api.records import Progress, Recordable, notice_lines, silent, table
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
+from idtool.common.notice import Notice
 from idtool.common.outputs import LOG_ENDINGS, OutputError, check_log
 from idtool.data.logs import write_log
 from idtool.estimation.dataset.experiment import Experiment
@@ -26,6 +27,7 @@ from idtool.estimation.evaluation.simulated_log import (
     under_controller,
 )
 from idtool.reporting.figures import figure
+from idtool.reporting.results.base import NoticeReport, notice_fields
 from idtool.reporting.results.simulation import MotionRmse, SimulationReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 from idtool.robot.config import Config
@@ -88,8 +90,13 @@ class SimulationResult(Recordable):
         return self.report.lost
 
     @property
+    def notices(self) -> tuple[NoticeReport, ...]:
+        """What a user should know."""
+        return self.report.notices
+
+    @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings, a sentence each."""
+        """The notices, a text each."""
         return self.report.warnings
 
     def to_json(self, file: str | os.PathLike[str] | None = None) -> dict[str, Any]:
@@ -150,13 +157,13 @@ class SimulationResult(Recordable):
         title = f"SimulationResult: {self.seconds:.4g} s {loop}, {often}"
         position, velocity = self.rmse.position, self.rmse.velocity
         if position is None:
-            return "\n".join([title, *notes(self.warnings)])
+            return "\n".join([title, *notice_lines(self.notices)])
         rows = []
         for name, error in position.items():
             velocity_error = velocity[name] if velocity else None
             rows.append([name, figure(error), figure(velocity_error)])
         head = ["RMS error", f"position [{units}]", f"velocity [{speeds}]"]
-        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
 
 
 def simulate(
@@ -229,7 +236,10 @@ def _window(experiment: Experiment, given: float | None) -> float | None:
 
 def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> SimulationReport:
     """The result but for the file."""
-    lost = [f"{done.diverged} of {done.rollouts} rollouts ran away; they end where they did"] if done.diverged else []
+    notices = list(experiment.notices)
+    if done.diverged:
+        message = f"{done.diverged} of {done.rollouts} rollouts ran away; they end where they did"
+        notices.append(Notice("simulation_diverged", "warning", None, message))
     return SimulationReport(
         file=None,
         joints=done.log.joints,
@@ -244,5 +254,5 @@ def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> Simulati
         rmse=MotionRmse(position=done.position or None, velocity=done.velocity or None),
         urdf=str(experiment.model.robot.path),
         log=str(experiment.runs[0].signals.log.path),
-        warnings=[*experiment.warnings, *lost],
+        **notice_fields(notices),
     )

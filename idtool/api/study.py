@@ -6,7 +6,7 @@ from pathlib import Path
 
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.model import Model, Source
-from idtool.api.records import Progress, Saved, notes, silent, table
+from idtool.api.records import Progress, Saved, notice_lines, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json
 from idtool.estimation.evaluation.validation import Evaluation
@@ -36,7 +36,7 @@ class StudyResult(StudyReport, Saved):
             errors = (found.rms.train["overall"], found.rms.validation["overall"])
             rows.append([name, *map(figure, errors), str(found.violations)])
         head = ["constraints", "train", "held out", "unrealizable"]
-        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
 
 
 def study(

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call, changed, experiment_of
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, Recordable, Saved, notes, silent, table
+from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest
 from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
-from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notes
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
 from idtool.reporting.figures import figure
 from idtool.reporting.fit_report import validation_report
@@ -82,7 +82,7 @@ class ValidationResult(ValidationReport, Saved, Recordable):
             missed = "" if self.ok.get(name, True) else " missed"
             rows.append([*row, *([f"{figure(bounds[name])}{missed}" if name in bounds else ""] if bounds else [])])
         title = f"ValidationResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
-        return "\n".join([title, *table(head, rows), *notes(self.warnings)])
+        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
 
 
 def validate(
@@ -189,9 +189,9 @@ def validate_experiment(
     evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress) if simulate else None
     simulation = simulation_report(rollouts, "model", experiment)
-    warnings = [*experiment.warnings, *simulation_notes(rollouts, "model")]
+    notices = [*experiment.notices, *simulation_notices(rollouts, "model")]
     report = validation_report(
-        evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources, warnings
+        evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources, notices
     )
     result = ValidationResult.from_result(report)
     result._model = experiment.model

@@ -66,7 +66,7 @@ def _bound(terminal: Terminal, urdf: Path, margin: float, out: Path | None) -> N
         terminal.say(f"written: {out}")
     elif not terminal.as_json:
         terminal.say(result.yaml.rstrip())
-    terminal.warn(result.warnings)
+    terminal.notices(result.notices)
     finish(terminal, result, {})
 
 

@@ -104,5 +104,5 @@ def _show(terminal: Terminal, report: SimulationReport, measured: str) -> None:
         units = " or ".join(dict.fromkeys(report.units.values()))
         joints = ", ".join(f"{name} {position[name]:.4g}" for name in report.joints)
         terminal.say(f"{position['overall']:.4g} {units} RMS from the {measured}: {joints}")
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)
     terminal.say(f"written: {report.file}")

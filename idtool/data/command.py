@@ -13,6 +13,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
 from idtool.data.logs.log import Log
@@ -102,8 +103,9 @@ def commanded(log: Log, controller: Controller | None) -> Log:
         return log
     tau = log.signals["tau"].copy()
     tau[:, empty] = np.nan
-    said = f"torque that never changes is none, the controller's is taken: {some([log.joints[i] for i in empty])}"
-    return replace(log, signals={**log.signals, "tau": tau}, warnings=(*log.warnings, said))
+    message = f"torque that never changes is none, the controller's is taken: {some([log.joints[i] for i in empty])}"
+    notice = Notice("torque_from_command", "note", None, message)
+    return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 
 
 def _is_constant(log: Log, joint: int) -> bool:

@@ -10,13 +10,14 @@ Shapes: nv joints, N samples at the logged rate, n samples after decimation. Uni
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.command import Command
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above
@@ -119,8 +120,8 @@ class Signals:
         Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
     ranges
         Stretches of samples that have all derivatives and commands.
-    warnings
-        What was decided and why, a plain sentence each.
+    notices
+        What was decided, and why.
 
     Raises
     ------
@@ -133,7 +134,7 @@ class Signals:
     def __init__(self, log: Log, joints: Sequence[str], config: Config) -> None:
         self.log = log
         self.joints = tuple(joints)
-        self.warnings: list[str] = []
+        self.notices: list[Notice] = []
         rate = 1 / log.dt
         self.band_hz = _band(log, config)
         # Twice the band is sampled four times: what would alias is 48 dB down.
@@ -148,20 +149,24 @@ class Signals:
         self.lag = self.channels.lag
         self.differentiated = self._choose_velocity(config)
         self.ranges = self._ranges()
-        self._say_velocity()
+        self._note_velocity_errors()
         self.velocity_deadband = self._measure_deadband()
 
     def _choose_velocity(self, config: Config) -> Mask:
         missing = ~self.channels.measured
-        self._say("no velocity logged, differentiated from q", missing)
+        advice = "nothing to do; log the velocity too where positions are coarse"
+        notice = Notice("velocity_differentiated", "note", None, "no velocity logged, differentiated from q", advice)
+        self._note(notice, missing)
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
         strange = self.channels.measured & ~self.channels.trusted
-        self._say("logged velocity is not the derivative of q, which is differentiated instead", strange)
+        message = "logged velocity is not the derivative of q, which is differentiated instead"
+        advice = "compare the unit, sign and order of the velocities with those of the positions"
+        self._note(Notice("velocity_unrelated", "warning", None, message, advice), strange)
         if self.channels.jitter > _JITTERY:
-            self.warnings.append(
-                f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
-            )
+            message = f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
+            advice = "stamp samples when they are taken, not when they are written"
+            self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | strange)
         part = self.channels.longest(self._ranges())
         noise = []
@@ -170,21 +175,21 @@ class Signals:
             noise.append(noise_above(self._kinematics(part)[1], self.every_sample))
         return np.asarray(missing | strange | (noise[1] > _QUIETER * noise[0]))
 
-    def _say(self, what: str, which: Mask) -> None:
+    def _note(self, notice: Notice, which: Mask) -> None:
+        """Add a notice about some of the joints, if any, with their names."""
         if which.any():
             names = [name for name, chosen in zip(self.joints, which, strict=True) if chosen]
-            self.warnings.append(f"{what}: {some(names)}")
+            self.notices.append(replace(notice, message=f"{notice.message}: {some(names)}"))
 
-    def _say_velocity(self) -> None:
+    def _note_velocity_errors(self) -> None:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
         if late > _LAGS * self.log.dt:
-            self.warnings.append(f"the measured velocity is up to {late * 1e3:.1f} ms late, which is undone")
+            message = f"the measured velocity is up to {late * 1e3:.1f} ms late, which is undone"
+            self.notices.append(Notice("velocity_lag", "note", None, message, "nothing to do"))
         if self.channels.bias.any():
             off = float(np.abs(self.channels.bias).max())
-            self._say(
-                f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average, undone",
-                self.channels.bias != 0,
-            )
+            message = f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average, undone"
+            self._note(Notice("velocity_bias", "note", None, message, "nothing to do"), self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""
@@ -198,8 +203,11 @@ class Signals:
                 f"{self.band_hz:g} Hz filter and the derivatives need",
             )
         if len(kept) < len(ranges):
-            said = f"{len(ranges) - len(kept)} stretches between gaps were too short for the filter"
-            self.warnings += [said] if said not in self.warnings else []
+            message = f"{len(ranges) - len(kept)} stretches between gaps were too short for the filter"
+            advice = "nothing to do if they are few; else find out why samples are lost"
+            notice = Notice("short_stretches", "note", None, message, advice)
+            if notice not in self.notices:
+                self.notices.append(notice)
         return kept
 
     def _measure_deadband(self) -> Array:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from idtool.common.notice import Notice, unique
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.floor import Floor, noise_floor
 from idtool.diagnosis.level import level
@@ -103,11 +104,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         verdict=_verdict(steps),
         maps_before=residual_maps(first.experiment, first.estimate.theta, progress),
         maps_after=residual_maps(last.experiment, last.estimate.theta, progress),
-        warnings=(
-            *(delay.warnings if delay else ()),
-            *dict.fromkeys(step.doubt for step in steps if step.doubt),
-            *_notes(search),
-        ),
+        notices=unique([*(delay.notices if delay else ()), *_doubts(steps), *_search_notices(search)]),
         seconds=time.perf_counter() - started,
     )
 
@@ -237,17 +234,28 @@ def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last:
     return steps
 
 
-def _notes(search: Search) -> tuple[str, ...]:
-    """What a reader should know."""
-    notes = [aside(one.entry) for one in search.added if one not in search.named]
+def _doubts(steps: Sequence[Step]) -> Iterator[Notice]:
+    """What speaks against the effects that were added."""
+    for step in steps:
+        if step.doubt:
+            yield Notice("effect_doubtful", "warning", None, step.doubt)
+
+
+def _search_notices(search: Search) -> Iterator[Notice]:
+    """What a reader should know of the search."""
+    for one in search.added:
+        if one not in search.named:
+            yield Notice("effect_fitted_along", "note", one.entry.joint, aside(one.entry))
     there = {(one.chosen.effect, one.chosen.on) for one in search.added}
-    notes += [f"{' on '.join(one)} {reason}" for one, reason in search.failed.items() if one not in there]
+    for (effect, on), reason in search.failed.items():
+        if (effect, on) not in there:
+            yield Notice("effect_failed", "warning", None, f"{effect} on {on} {reason}")
     if search.rounded:
-        notes.append(
+        message = (
             f"within {1e3 * APART:.0f} ms of reversals friction on {', '.join(search.rounded)} is not what its level "
             "and direction give, as where a simulator rounds it off: such moments were left aside in the end"
         )
-    return tuple(notes)
+        yield Notice("reversals_left_aside", "warning", None, message)
 
 
 def _verdict(steps: Sequence[Step]) -> Verdict:

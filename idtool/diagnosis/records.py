@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.data_faults import Fault
+from idtool.common.notice import Notice
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 
@@ -178,15 +178,15 @@ class Diagnosis:
         How much is explained.
     maps_before, maps_after
         Residuals by joint.
-    warnings
-        What a user should know, a plain sentence each.
+    notices
+        What a user should know.
     seconds
         Wall time.
     """
 
     first: Fit
     last: Fit
-    faults: tuple[Fault, ...]
+    faults: tuple[Notice, ...]
     steps: tuple[Step, ...]
     removed: tuple[str, ...]
     before: Level
@@ -195,5 +195,5 @@ class Diagnosis:
     verdict: Verdict
     maps_before: Mapping[str, Residual]
     maps_after: Mapping[str, Residual]
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
     seconds: float

@@ -87,7 +87,7 @@ def aside(entry: EffectEntry) -> str:
     """An effect that is no answer, for people."""
     means = effect_types()[entry.effect].description
     figures = ", ".join(_figure(name, value, None) for name, value in entry.parameters.items())
-    return f"{entry.joint}: {means} ({figures}); that was fitted along, and is not in the model"
+    return f"{means} ({figures}); that was fitted along, and is not in the model"
 
 
 def superseded(out: Candidate, by: Candidate) -> str:

@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.linear_algebra import svd
+from idtool.common.notice import Notice
 from idtool.data.command import LONGEST_DELAY
 from idtool.data.signals import Signals
 from idtool.dynamics.regressor import LinearModel
@@ -106,22 +107,27 @@ class CommandDelay:
         return f"{text}; viscous friction does much the same (correlation {self.correlation:.2f}): if known, {known}"
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about a delay that is undetermined, contradicted or too long, a plain sentence each."""
+    def notices(self) -> tuple[Notice, ...]:
+        """Notices about a delay that is undetermined, contradicted or too long."""
+        setting = "controller.delay"
         if self.standard_error is None:
             if self.given is not None:
                 return ()
-            return ("controller.delay: the commands do not tell it, 0 is taken; log a motion, or give it",)
+            message = "the commands do not tell it, 0 is taken"
+            return (Notice("command_delay_undetermined", "warning", setting, message, "log a motion, or give it"),)
         if self.contradicted and self.given is not None:
             fitted = _milliseconds(self.value, self.standard_error)
             before, after = self.viscous
-            difference = f"controller.delay: {1e3 * self.given.value:.3g} ms is given, but the data say {fitted}"
+            difference = f"{1e3 * self.given.value:.3g} ms is given, but the data say {fitted}"
             change = f"that takes {self.gain:.1%} off the torque error"
             friction = f" and mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
-            return (f"{difference}; {change}{friction}; give auto to have it fitted",)
+            message = f"{difference}; {change}{friction}"
+            return (Notice("command_delay_contradicted", "warning", setting, message, "give auto to have it fitted"),)
         if self.given is None and self.value >= LONGEST_DELAY - _CONVERGED:
             most = f"{1e3 * LONGEST_DELAY:.0f} ms"
-            return (f"controller.delay: {most} or more fits best; check controller.kp and kd, or give the delay",)
+            message = f"{most} or more fits best"
+            advice = "check controller.kp and kd, or give the delay"
+            return (Notice("command_delay_too_long", "warning", setting, message, advice),)
         return ()
 
 

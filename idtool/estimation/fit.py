@@ -6,11 +6,12 @@ import time
 from dataclasses import dataclass, replace
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notes
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
-from idtool.estimation.fit_warnings import fit_warnings
+from idtool.estimation.fit_notices import fit_notices
 from idtool.estimation.identification import Method, estimate_from_logs
 from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
@@ -47,7 +48,7 @@ class Fit:
         Errors of the ``identified`` and the ``prior`` model; ``validation`` has no samples where nothing was held out.
     simulation
         Rollouts of both models, on what was held out, else on the training data; None: not asked for.
-    warnings
+    notices
         Plain sentences for the user.
     seconds
         Wall time of each stage.
@@ -65,7 +66,7 @@ class Fit:
     train: Evaluation
     validation: Evaluation
     simulation: RolloutEvaluation | None
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
     seconds: dict[str, float]
     delay: CommandDelay | None
 
@@ -126,7 +127,7 @@ def fit(
             identification = estimate_from_logs(replace(experiment, config=config), method, progress)
         identification = replace(identification, path=path)
     estimate = identification.estimate
-    warnings = [*experiment.warnings, *(delay.warnings if delay else ()), *identification.warnings]
+    notices = [*experiment.notices, *(delay.notices if delay else ()), *identification.notices]
     clock.stop("identify")
 
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
@@ -134,8 +135,10 @@ def fit(
     validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
-        warnings.append("nothing was held out: the training error says little of how the model predicts")
-    warnings += fit_warnings(experiment, identification, validation if held_out else train, held_out)
+        message = "nothing was held out: the training error says little of how the model predicts"
+        advice = "leave --holdout above 0, or give another log with --validate"
+        notices.append(Notice("nothing_held_out", "warning", None, message, advice))
+    notices += fit_notices(experiment, identification, validation if held_out else train, held_out)
     clock.stop("evaluate")
 
     delay_error = None
@@ -144,13 +147,13 @@ def fit(
     analysis = uncertainty_analysis(
         experiment, identification, train.independent, progress, analyze_uncertainty, delay_error
     )
-    warnings += analysis.warnings
+    notices += analysis.notices
     clock.stop("uncertainty")
 
     simulation = None
     if simulate:
         simulation = evaluate_rollouts(experiment, models, held_out, progress)
-        warnings += simulation_notes(simulation, "identified")
+        notices += simulation_notices(simulation, "identified")
     clock.stop("simulate")
     return Fit(
         experiment=experiment,
@@ -163,7 +166,7 @@ def fit(
         train=train,
         validation=validation,
         simulation=simulation,
-        warnings=tuple(warnings),
+        notices=tuple(notices),
         seconds=clock.seconds,
         delay=delay,
     )

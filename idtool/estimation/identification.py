@@ -9,6 +9,7 @@ from typing import Literal
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
+from idtool.common.notice import Notice
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
@@ -50,7 +51,7 @@ class Identification:
         Least squares from other data.
     two_stage
         The instruments and their estimate; None for least squares.
-    warnings
+    notices
         Plain sentences for the user.
     """
 
@@ -63,7 +64,7 @@ class Identification:
     path: RegularizationPath | None
     reestimate: Callable[[Reduction], Estimate]
     two_stage: TwoStage | None
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
     def theta_from(self, data: Reduction) -> Array:
         """The coefficients by least squares from other data, shape (p,)."""
@@ -104,9 +105,9 @@ def estimate_from_logs(
     set_name = config.constraints
     if set_name is None and config.solver.name in LOCAL:
         set_name = "full"  # the only one that a local solver knows
-    sets, warnings = choose_sets(experiment.model.bodies, set_name)
-    experiment, path, prior_warnings = _with_prior(experiment, data, reduction, sets, progress)
-    warnings += prior_warnings
+    sets, notices = choose_sets(experiment.model.bodies, set_name)
+    experiment, path, prior_notices = _with_prior(experiment, data, reduction, sets, progress)
+    notices += prior_notices
     prior = experiment.model.bodies
     regularization = experiment.config.regularization
 
@@ -127,7 +128,7 @@ def estimate_from_logs(
         two_stage = two_stage_estimate(experiment, sets, solution.theta, progress)
         reduction = two_stage.projected
         solution = replace(reestimate(reduction, noise=two_stage.noise), noise=two_stage.noise)
-        warnings += two_stage.warnings
+        notices += two_stage.notices
     return Identification(
         sets=sets,
         data=data,
@@ -138,7 +139,7 @@ def estimate_from_logs(
         path=path,
         reestimate=reestimate,
         two_stage=two_stage,
-        warnings=tuple(warnings),
+        notices=tuple(notices),
     )
 
 
@@ -148,13 +149,13 @@ def _with_prior(
     reduction: Reduction,
     sets: Sequence[ConstraintSet],
     progress: Progress,
-) -> tuple[Experiment, RegularizationPath | None, list[str]]:
-    """The experiment with its prior and the prior's weight as a number, the choice of that, and warnings."""
+) -> tuple[Experiment, RegularizationPath | None, list[Notice]]:
+    """The experiment with its prior and the prior's weight as a number, the choice of that, and notices."""
     regularization = experiment.config.regularization
     if regularization.kind == "none":
         return experiment, None, []
     prior = prior_bodies(experiment.config, experiment.model, experiment.equation, reduction)
-    warnings = list(prior.warnings)
+    notices = list(prior.notices)
     if prior.placeholders and regularization.mass_precision is None:
         regularization = regularization.model_copy(update={"mass_precision": 1.0})  # nobody has weighed these
     if prior.bodies is not experiment.model.bodies:
@@ -170,18 +171,18 @@ def _with_prior(
             regularization = regularization.with_weight(path.weight)
         except SolverError:  # if it is infeasible, the fit itself says so, with the place in the configuration
             regularization = regularization.with_weight(assumed_weight(reduction))
-            assumed = f"{regularization.number:.1g} is assumed"
-            warnings.append(f"the prior's weight could not be chosen from the data; {assumed}")
+            message = f"could not be chosen from the data; {regularization.number:.1g} is assumed"
+            notices.append(Notice("prior_weight_assumed", "warning", "regularization.weight", message))
     config = experiment.config.model_copy(update={"regularization": regularization})
-    return replace(experiment, config=config), path, warnings
+    return replace(experiment, config=config), path, notices
 
 
-def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[str]]:
+def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[Notice]]:
     """The constraint set of each body: the one asked for, by default the tightest that its bounds allow.
 
     Returns
     -------
-    One set per body, and a warning about bodies that lack their bounds.
+    One set per body, and a notice about bodies that lack their bounds.
     """
     sets = tuple(choose_set(body, name) for body in bodies)
     lacking = []
@@ -191,4 +192,6 @@ def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[Constra
     if not lacking:
         return sets, []
     bounds = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
-    return sets, [f"no {bounds}, only full consistency is demanded: {', '.join(lacking)}"]
+    message = f"no {bounds}, only full consistency is demanded: {', '.join(lacking)}"
+    advice = "add what is missing to the configuration; idtool ellipsoids finds bounding ellipsoids"
+    return sets, [Notice("bodies_without_bounds", "warning", None, message, advice)]

@@ -24,6 +24,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.linear_algebra import svd
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Factor, Reduction, reduce_blocks
@@ -63,7 +64,7 @@ class TwoStage:
         RMS change of the torque in the last iteration, as a share of its noise.
     iterations
         Number of estimates made.
-    warnings
+    notices
         Plain sentences for the user.
     """
 
@@ -75,7 +76,7 @@ class TwoStage:
     correlation: dict[str, float]
     change: float
     iterations: int
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
     @property
     def kind(self) -> Kind:
@@ -136,7 +137,7 @@ def two_stage_estimate(
         correlation=least_correlation,
         change=change,
         iterations=iterations,
-        warnings=_warnings(made, weak, change),
+        notices=_notices(made, weak, change),
     )
 
 
@@ -259,20 +260,23 @@ def _coefficient_sizes(equation: LinearModel, noise: Array, theta: Array) -> lis
     return [size[columns] / sigma for columns, sigma in zip(equation.active(), noise, strict=True)]
 
 
-def _warnings(made: Sequence[Instruments], weak: Sequence[str], change: float) -> tuple[str, ...]:
-    """Warnings about the instruments."""
-    warnings = []
+def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) -> tuple[Notice, ...]:
+    """Notices about the instruments."""
+    notices = []
     smoothed = [np.minimum(each.cutoff_hz, each.run.signals.band_hz) for each in made if each.kind == "smoothed"]
     if smoothed:
-        warnings.append(
+        message = (
             "without a command and a controller for every joint, instruments are the measured motion below "
             f"{np.max(smoothed):.3g} Hz: the noise that is left in it still biases"
         )
+        notices.append(Notice("instruments_from_motion", "note", None, message))
     if weak:
-        warnings.append(f"instruments are weak, some parameters may be as biased as by least squares: {some(weak)}")
+        message = f"instruments are weak, some parameters may be as biased as by least squares: {some(weak)}"
+        notices.append(Notice("weak_instruments", "warning", None, message))
     if change > _NOT_CONVERGED:
-        warnings.append(f"instruments have not settled: the last changed the torque by {change:.2g} of its noise")
-    return tuple(warnings)
+        message = f"instruments have not settled: the last changed the torque by {change:.2g} of its noise"
+        notices.append(Notice("instruments_not_settled", "warning", None, message))
+    return tuple(notices)
 
 
 def first_stage_f_statistic(canonical: Array, independent: float) -> float:

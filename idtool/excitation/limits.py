@@ -14,6 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
+from idtool.common.notice import Notice
 from idtool.robot.config import Config
 from idtool.robot.config.limits import JointLimits
 from idtool.robot.model import Model
@@ -38,8 +39,8 @@ class Limits:
         Of the position, shape (nv,) [rad or m].
     velocity, acceleration, effort
         Of the absolute values, shape (nv,) [rad/s, rad/s², N·m or m/s, m/s², N]; an effort may be infinite.
-    notes
-        What was assumed where neither URDF nor configuration has a limit, a plain sentence each.
+    notices
+        What was assumed where neither URDF nor configuration has a limit.
     """
 
     joints: tuple[str, ...]
@@ -48,7 +49,7 @@ class Limits:
     velocity: Array
     acceleration: Array
     effort: Array
-    notes: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
     @property
     def middle(self) -> Array:
@@ -127,9 +128,12 @@ def limits_of(model: Model, config: Config) -> Limits:
         if not lower < upper:
             what = f"leaves no room to move: from {lower:g} to {upper:g}; widen it, or leave the joint out of joints"
             raise ConfigError(f"limits: {joint.name}", what)
-    notes = tuple(f"{what}: {some(names)}" for what, names in assumed.items())
+    notices = tuple(
+        Notice("limit_assumed", "warning", None, f"{what}: {some(names)}", "give limits in the configuration")
+        for what, names in assumed.items()
+    )
     lower, upper, velocity, acceleration, effort = found
-    return Limits(model.names, lower, upper, velocity, acceleration, effort, notes)
+    return Limits(model.names, lower, upper, velocity, acceleration, effort, notices)
 
 
 def _joint(joint: Joint, own: JointLimits, assumed: dict[str, list[str]]) -> tuple[float, float, float, float, float]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.online.adapt import Adaptation
 from idtool.reporting.results.adaptation import (
@@ -16,11 +17,13 @@ from idtool.reporting.results.adaptation import (
     CoefficientReport,
     FinalEstimate,
 )
-from idtool.reporting.results.base import provenance_fields
+from idtool.reporting.results.base import notice_fields, provenance_fields
 from idtool.robot.inertia import SIZE, is_realizable, mass_com_inertia, six
 
 
-def adaptation_report(adaptation: Adaptation, experiment: Experiment, warnings: Sequence[str] = ()) -> AdaptationReport:
+def adaptation_report(
+    adaptation: Adaptation, experiment: Experiment, notices: Sequence[Notice] = ()
+) -> AdaptationReport:
     """The content of adapt.json.
 
     Parameters
@@ -29,8 +32,8 @@ def adaptation_report(adaptation: Adaptation, experiment: Experiment, warnings: 
         The parameters over time.
     experiment
         Model and data.
-    warnings
-        What a user should know, a sentence each.
+    notices
+        What a user should know.
     """
     equation, bodies = experiment.equation, experiment.model.bodies
     theta = adaptation.estimate
@@ -55,7 +58,7 @@ def adaptation_report(adaptation: Adaptation, experiment: Experiment, warnings: 
         samples=adaptation.samples,
         update_hz=adaptation.update_hz,
         seconds=adaptation.seconds,
-        warnings=warnings,
+        **notice_fields(notices),
         logs=[str(run.signals.log.path) for run in experiment.runs],
         urdf=str(experiment.model.robot.path),
     )

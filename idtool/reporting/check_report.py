@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice
 from idtool.estimation.problem.link_check import LinkCheck
+from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.ellipsoids import CheckedLink, CheckReport, RepairedLink
 from idtool.robot.inertia import mass_com_inertia, six
 from idtool.robot.urdf.reading import Robot
@@ -33,7 +35,12 @@ def check_report(robot: Robot, checks: Sequence[LinkCheck], nearest: Mapping[str
             violations=link.violations,
             nearest=_repaired(pi, nearest[name]) if name in nearest else None,
         )
-    return CheckReport(links=links, urdf=str(robot.path))
+    notices = [
+        Notice("not_realizable", "problem", link.body.name, violation)
+        for link in checks
+        for violation in link.violations
+    ]
+    return CheckReport(links=links, urdf=str(robot.path), **notice_fields(notices))
 
 
 def _repaired(pi: Array, nearest: Array) -> RepairedLink:

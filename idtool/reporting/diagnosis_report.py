@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from idtool.common.notice import Notice
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step
 from idtool.reporting.diagnosis_words import next_steps, summary
 from idtool.reporting.fit_report import fit_report
+from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.diagnosis import (
     CandidateReport,
     DataFault,
@@ -67,6 +68,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         ``refit`` or ``fixed``: whether the inertia was identified anew at every step or taken from the URDF.
     """
     model = fit_report(diagnosis.last)
+    warnings = [*diagnosis.last.notices, *diagnosis.notices]
     report = DiagnosisReport(
         versions=model.versions,
         inputs=model.inputs,
@@ -83,7 +85,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         rollout_worse=_worse(diagnosis.before, diagnosis.after),
         steps=[_step(step, model.units) for step in diagnosis.steps],
         removed=diagnosis.removed,
-        data_faults=[DataFault(**asdict(fault)) for fault in diagnosis.faults],
+        data_faults=[_data_fault(fault) for fault in diagnosis.faults],
         samples=model.samples,
         band_hz=model.band_hz,
         friction=model.friction,
@@ -96,12 +98,22 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
             before={joint: _residual(one) for joint, one in diagnosis.maps_before.items()},
             after={joint: _residual(one) for joint, one in diagnosis.maps_after.items()},
         ),
-        warnings=list(dict.fromkeys([*diagnosis.last.warnings, *diagnosis.warnings])),
+        notices=notice_fields([*diagnosis.faults, *warnings])["notices"],
+        warnings=notice_fields(warnings)["warnings"],
         seconds=diagnosis.seconds,
         summary="",
         next=(),
     )
     return report.model_copy(update={"summary": summary(report), "next": tuple(next_steps(report))})
+
+
+def _data_fault(fault: Notice) -> DataFault:
+    return DataFault(
+        fault=fault.code,
+        joint=fault.subject,
+        detail=f"{fault.message}: {fault.advice}",
+        undone=fault.severity == "note",
+    )
 
 
 def plain(value: Any) -> Any:

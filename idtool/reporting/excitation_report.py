@@ -9,12 +9,13 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.common.provenance import Source
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import Task
-from idtool.reporting.results.base import provenance_fields
+from idtool.reporting.results.base import notice_fields, provenance_fields
 from idtool.reporting.results.excitation import (
     Clearance,
     Criteria,
@@ -38,7 +39,7 @@ _LARGE = 1.0  # relative standard error from which a parameter is as good as unk
 
 
 def excitation_report(
-    design: Design, sources: Sequence[Source], urdf: str, logs: Sequence[str], seed: int, warnings: Sequence[str]
+    design: Design, sources: Sequence[Source], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
 ) -> ExcitationReport:
     """What `idtool excite` prints as JSON.
 
@@ -52,7 +53,7 @@ def excitation_report(
         The URDF, and the logs that there were already.
     seed
         Of what was drawn.
-    warnings
+    notices
         What a user should know of the logs, a sentence each.
     """
     task, trajectory = design.task, design.trajectory
@@ -90,7 +91,7 @@ def excitation_report(
         evaluations=design.evaluations,
         interrupted=design.interrupted,
         curves=_curves(design),
-        warnings=list(dict.fromkeys([*warnings, *_warnings(design)])),
+        **notice_fields([*notices, *_notices(design)]),
     )
 
 
@@ -179,21 +180,27 @@ def _curves(design: Design) -> ExcitationCurves:
     return ExcitationCurves(t=t.tolist(), joints=joints)
 
 
-def _warnings(design: Design) -> list[str]:
-    """Warnings about a designed trajectory, a sentence each."""
+def _notices(design: Design) -> list[Notice]:
+    """Notices about a designed trajectory."""
     task = design.task
-    said = [*task.model.warnings, *task.full.notes]
+    notices = [*task.model.notices, *task.full.notices]
     if task.noise_assumed:
-        said.append(f"torque noise is not known; 1 % of the largest torque is taken: {some(task.noise_assumed)}")
+        message = f"torque noise is not known; 1 % of the largest torque is taken: {some(task.noise_assumed)}"
+        notices.append(Notice("noise_assumed", "warning", None, message, "give --noise, or a log with --log"))
     if task.collision is None or not task.collision.pairs:
-        said.append("no geometry of links that could collide was found: self-collision was not checked")
-    said += task.collision.warnings if task.collision else ()
+        message = "no geometry of links that could collide was found: self-collision was not checked"
+        notices.append(Notice("self_collision_unchecked", "warning", None, message, "run it slowly first"))
+    if task.collision:
+        notices += task.collision.notices
     untold = untold_names(design, task.base)
     if untold:
-        said.append(f"as good as untold by this trajectory: {some(untold)}; make it longer, or choose another pattern")
+        message = f"as good as untold by this trajectory: {some(untold)}"
+        advice = "make it longer, or choose another pattern"
+        notices.append(Notice("parameters_not_excited", "warning", None, message, advice))
     if design.interrupted:
-        said.append("the search was interrupted: this is the best trajectory so far")
-    return said
+        message = "the search was interrupted: this is the best trajectory so far"
+        notices.append(Notice("search_interrupted", "warning", None, message))
+    return notices
 
 
 def untold_names(design: Design, base: BaseParameters) -> list[str]:

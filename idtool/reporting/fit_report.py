@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice
 from idtool.common.provenance import Source
 from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry
 from idtool.estimation.dataset.equality_constraints import Constraint
@@ -16,7 +17,7 @@ from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.reporting.results.base import Samples, provenance_fields
+from idtool.reporting.results.base import Samples, notice_fields, provenance_fields
 from idtool.reporting.results.fit import (
     AutomaticWeight,
     BodyReport,
@@ -93,7 +94,7 @@ def fit_report(fit: Fit) -> FitReport:
         known=[_known(constraint, fit) for constraint in experiment.equalities.constraints],
         solver=SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields}),
         seconds=fit.seconds,
-        warnings=fit.warnings,
+        **notice_fields(fit.notices),
         logs=[str(run.signals.log.path) for run in experiment.runs],
         urdf=str(experiment.model.robot.path),
     )
@@ -308,7 +309,7 @@ def validation_report(
     bounds: Mapping[str, float],
     simulation: Simulation | None = None,
     sources: Sequence[Source] = (),
-    warnings: Sequence[str] = (),
+    notices: Sequence[Notice] = (),
 ) -> ValidationReport:
     """The content of validation.json.
 
@@ -326,8 +327,8 @@ def validation_report(
         From `simulation_report`.
     sources
         What was read.
-    warnings
-        What a user should know, a sentence each.
+    notices
+        What a user should know.
     """
     joints = tuple(units)
     rms = ModelErrors(**{model: errors.rms(joints) for model, errors in evaluation.errors.items()})
@@ -343,5 +344,5 @@ def validation_report(
         simulation=simulation,
         bound=bounds,
         ok={name: rms.model[name] <= bound for name, bound in bounds.items()},
-        warnings=warnings,
+        **notice_fields(notices),
     )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice
 from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.study import Study, StudyEntry
-from idtool.reporting.results.base import Samples, provenance_fields
+from idtool.reporting.results.base import Samples, notice_fields, provenance_fields
 from idtool.reporting.results.study import (
     Advantage,
     Convergence,
@@ -53,11 +56,18 @@ def study_report(study: Study) -> StudyReport:
             time_to_10_percent=online.settled,
             forgetting=None,
         ),
-        warnings=study.warnings,
+        **notice_fields([*_not_certified(study), *study.notices]),
         logs=[str(run.signals.log.path) for run in experiment.runs],
         urdf=str(experiment.model.robot.path),
         seconds=study.seconds,
     )
+
+
+def _not_certified(study: Study) -> Iterator[Notice]:
+    """Notices about estimators whose cost is not certified to be the least."""
+    for outcome in study.estimators.values():
+        if message := stuck_note(outcome.certificate):
+            yield Notice("not_certified", "warning", None, message)
 
 
 def _plain(values: Array) -> list[float | None]:

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.collision_geometry import Distances, Piece, read_pieces
 from idtool.robot.kinematics import body_places
@@ -50,13 +51,13 @@ class SelfCollision:
         The tree of bodies.
     pairs
         The links checked against each other.
-    warnings
-        What a user should know of the geometry, a plain sentence each.
+    notices
+        What a user should know of the geometry.
     """
 
     model: Model
     pairs: tuple[Pair, ...]
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
     _pieces: tuple[Piece, ...]
     _ends: Indices  # pieces that make pairs, shape (2, pairs of pieces)
     _owner: Indices  # the pair of links that each is of
@@ -188,16 +189,12 @@ class SelfCollision:
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
-        said = f"links that touch by construction, not checked for collision: {some(names)}"
+        message = f"links that touch by construction, not checked for collision: {some(names)}"
+        notice = Notice("links_touch", "note", None, message)
         kept = ~excluded[self._owner]
         pairs = tuple(pair for pair, out in zip(self.pairs, excluded, strict=True) if not out)
         owner = (np.cumsum(~excluded) - 1)[self._owner[kept]]
-        return replace(self, pairs=pairs, warnings=(*self.warnings, said), _ends=self._ends[:, kept], _owner=owner)
-
-
-def unread_geometry(model: Model) -> tuple[str, ...]:
-    """What geometry of a robot cannot be read, a plain sentence: why there may be nothing to check."""
-    return read_pieces(model.robot, _frames(model, {}))[1]
+        return replace(self, pairs=pairs, notices=(*self.notices, notice), _ends=self._ends[:, kept], _owner=owner)
 
 
 def _frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame]:

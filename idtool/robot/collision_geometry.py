@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
 from idtool.robot.meshes import UnreadableError, numbers
@@ -82,8 +83,8 @@ class Distances:
         return distance - self._beyond[pair]
 
 
-def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
-    """The pieces of links, and a line on what could not be read, if anything.
+def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece, ...], tuple[Notice, ...]]:
+    """The pieces of links, and a notice on what could not be read, if anything.
 
     Parameters
     ----------
@@ -103,7 +104,8 @@ def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece,
     if not missing:
         return tuple(pieces), ()
     why = next(iter(missing.values()))
-    return tuple(pieces), (f"geometry is left out of the check for self-collision, of {some(missing)}: {why}",)
+    message = f"geometry is left out of the check for self-collision, of {some(missing)}: {why}"
+    return tuple(pieces), (Notice("geometry_not_read", "warning", None, message),)
 
 
 def _of_link(robot: Robot, element: etree._Element, link: str, frame: Frame) -> tuple[list[Piece], list[str]]:

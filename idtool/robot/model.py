@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest, some
+from idtool.common.notice import Notice
 from idtool.robot.body import Body, Frame, Member
 from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import Bounding, Config
@@ -43,7 +44,7 @@ class Model:
         Links in the URDF's order, then rotors; parents before children.
     gravity
         In the root link's frame, shape (3,) [m/s²].
-    warnings
+    notices
         What a user should know of how the model was put together, a plain sentence each.
     """
 
@@ -51,7 +52,7 @@ class Model:
     joints: tuple[Joint, ...]
     bodies: tuple[Body, ...]
     gravity: Array
-    warnings: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,7 +106,7 @@ class _Builder:
     members: dict[int, list[Member]] = field(default_factory=dict)
     ellipsoids: dict[int, list[Ellipsoid]] = field(default_factory=dict)
     shapes: dict[int, list[Shape]] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
 
     def build(self) -> Model:
         self.joints = self._moving_joints()
@@ -120,9 +121,11 @@ class _Builder:
         bodies = self._with_centres(tuple(self._finished(i, body) for i, body in enumerate(self.bodies)))
         for body in bodies[:links]:
             if not body.pi[0] > 0:
-                self.warnings.append(f"link {body.name} has no mass in the URDF; its prior is empty")
+                message = "no mass in the URDF; its prior is empty"
+                advice = "give the link an inertial; else what the data do not determine of it means nothing"
+                self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         gravity = np.asarray(self.config.gravity)
-        return Model(self.robot, self.joints, bodies, gravity, tuple(self.warnings))
+        return Model(self.robot, self.joints, bodies, gravity, tuple(self.notices))
 
     def _moving_joints(self) -> tuple[Joint, ...]:
         actuated = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None}
@@ -142,11 +145,14 @@ class _Builder:
             )
         strangers = [name for name in self.logged if name not in self.robot.joints]
         if strangers:
-            self.warnings.append(f"joints in the log that the URDF has not, ignored: {some(strangers)}")
+            message = f"joints in the log that the URDF has not, ignored: {some(strangers)}"
+            advice = "nothing to do if they are not this robot's; else compare the names"
+            self.notices.append(Notice("unknown_joints", "note", None, message, advice))
         locked = [name for name in actuated if name not in chosen]
         if locked:
             values = ", ".join(f"{name} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
-            self.warnings.append(f"joints held still: {values}")
+            advice = "if they stood elsewhere, say where under locked_joints"
+            self.notices.append(Notice("joints_held_still", "note", None, f"joints held still: {values}", advice))
         return tuple(actuated[name] for name in chosen)
 
     def _check_names(self) -> None:

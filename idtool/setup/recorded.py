@@ -10,6 +10,7 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import shown, some
+from idtool.common.notice import Notice
 from idtool.data.inspection.channel_findings import BAND
 from idtool.data.logs import Log
 from idtool.data.signals import default_cutoff
@@ -18,7 +19,7 @@ from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Joint, Robot
 from idtool.setup.loaded_log import LoadedLog, find_topic, see
-from idtool.setup.log_warnings import doubts
+from idtool.setup.log_notices import log_notices
 
 _LEAST_BAND = 5.0  # Hz: below it, friction at reversals is blurred into everything else
 # Torque that is computed from a command holds kp times the noise of q, which at ω looks like an inertia of kp / ω².
@@ -63,7 +64,7 @@ class Recorded:
         How many times that the filter's cut-off is.
     cutoff_hz
         The cut-off.
-    warnings
+    notices
         What a user should know.
     """
 
@@ -80,7 +81,7 @@ class Recorded:
     motion_hz: float
     bands: float
     cutoff_hz: float
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progress) -> Recorded:
@@ -131,7 +132,7 @@ def recorded(robot: Robot, paths: Sequence[Path], given: Config, progress: Progr
         motion_hz=motion,
         bands=bands,
         cutoff_hz=_cutoff(bands * motion, min(default_cutoff(one.inspection.dt) for one in seen)),
-        warnings=doubts(robot, seen, joints, tuple(locked)),
+        notices=log_notices(robot, seen, joints, tuple(locked)),
     )
 
 
@@ -185,7 +186,7 @@ def _why_none(unfit: Mapping[str, str | None], untold: Mapping[str, str], seen: 
     if untold:
         first = shown(next(iter(untold)))
         said += f"; name the torque's column in log.columns, as tau_{first}, and N·m per its unit in log.scale"
-        said += "".join(f"; {warning}" for one in seen for warning in one.inspection.warnings)
+        said += "".join(f"; {notice.text}" for one in seen for notice in one.inspection.reading)
     return f"no joint of the robot can be identified: {said}"
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from idtool.common.notice import Notice
+
 
 @dataclass(frozen=True)
 class Section:
@@ -99,8 +101,8 @@ class Start:
         None where nothing could be tried.
     band_hz
         The filter's cut-off [Hz].
-    warnings
-        What a user should know, a plain sentence each.
+    notices
+        What a user should know.
     """
 
     data: Mapping[str, Any]
@@ -110,7 +112,7 @@ class Start:
     trials: tuple[Trial, ...]
     rms: Mapping[str, Mapping[str, float]] | None
     band_hz: float
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
     @property
     def needed(self) -> tuple[TodoItem, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import shown, some
+from idtool.common.notice import unique
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
@@ -76,7 +77,7 @@ def start(
         trials=found.trials if found else (),
         rms=found.rms if found else None,
         band_hz=draft.config.filter.cutoff_hz or draft.recorded.cutoff_hz,
-        warnings=tuple(dict.fromkeys((*draft.recorded.warnings, *(found.warnings if found else ())))),
+        notices=unique([*draft.recorded.notices, *(found.notices if found else ())]),
     )
 
 

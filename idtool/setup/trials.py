@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.logs import Log
 from idtool.dynamics.effects.time_delay import MIN_DELAY_SAMPLES
 from idtool.estimation.command_delay import with_delay
@@ -54,7 +55,7 @@ class Found:
         Held-out RMS with viscous and Coulomb friction alone, and with what was found, by joint and ``overall``.
     differentiated
         Joints whose velocity ``velocity: auto`` takes from q in some log.
-    warnings
+    notices
         What a user should know.
     """
 
@@ -64,7 +65,7 @@ class Found:
     trials: tuple[Trial, ...]
     rms: Mapping[str, Mapping[str, float]]
     differentiated: tuple[str, ...]
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 @dataclass(frozen=True)
@@ -155,27 +156,32 @@ def try_out(shop: TrialRunner, offsets: bool, rotors: Sequence[str], delays: boo
         trials=(*trials, *more),
         rms={"friction": _rms(shop.joints, base), "found": _rms(shop.joints, last)},
         differentiated=_differentiated(bench.experiment),
-        warnings=(*bench.experiment.warnings, *_doubts(shop.joints, bench, trials, base, last)),
+        notices=(*bench.experiment.notices, *_notices(shop.joints, bench, trials, base, last)),
     )
 
 
-def _doubts(
+def _notices(
     joints: Sequence[str], bench: TrialEvaluator, trials: Sequence[Trial], base: Verdict, last: Verdict
-) -> Iterator[str]:
+) -> Iterator[Notice]:
     """What speaks against what was found."""
     for trial in trials:
         if trial.effect == "time_delay" and abs(trial.value) >= _LONGEST:
             late = "late" if trial.value > 0 else "early"
-            yield f"the torque fits best when {1e3 * _LONGEST:.0f} ms {late} or more, which is no delay of a recording"
+            message = (
+                f"the torque fits best when {1e3 * _LONGEST:.0f} ms {late} or more, which is no delay of a recording"
+            )
+            yield Notice("implausible_delay", "warning", None, message)
     left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (bench.torque(), base.held_out))
     odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
     if odd:
-        meaning = "check its sign and unit (log.scale), and that log and URDF name the joints alike"
-        yield f"of the held-out torque, this share is left unexplained (rms): {some(odd)}: {meaning}"
+        message = f"of the held-out torque, this share is left unexplained (rms): {some(odd)}"
+        advice = "check its sign and unit (log.scale), and that log and URDF name the joints alike"
+        yield Notice("unexplained_torque", "warning", None, message, advice)
     worse = [name for name, x in zip(joints, grown, strict=True) if x > 1 + _WORTH]
     if worse:
+        message = f"what was found makes the held-out error larger of {some(worse)}"
         meaning = "one set of bodies is fitted to all joints, and the others gained more"
-        yield f"what was found makes the held-out error larger of {some(worse)}: {meaning}"
+        yield Notice("joints_worse", "warning", None, message, meaning)
 
 
 def _pruned(shop: TrialRunner, terms: TrialTerms, bench: TrialEvaluator) -> tuple[TrialTerms, list[Trial]]:

@@ -62,7 +62,7 @@ def test_every_public_name_is_there_and_described() -> None:
 def test_a_log_is_what_the_reader_reads_and_cannot_be_changed() -> None:
     log, record = idtool.Log(TRAIN), read_log(TRAIN)
     assert (log.joints, log.signals, len(log)) == (JOINTS, ("q", "v", "tau"), 10_000)
-    assert (log.segments, log.warnings, log.path) == (record.segments, record.warnings, TRAIN)
+    assert (log.segments, log.notices, log.path) == (record.segments, record.notices, TRAIN)
     np.testing.assert_array_equal(log.t, record.t)
     for name in ("q", "v", "tau"):
         np.testing.assert_array_equal(getattr(log, name), record.signals[name])

@@ -81,7 +81,7 @@ def test_open_loop_writes_a_log_that_reads_back(short: Path, tmp_path: Path) -> 
     assert set(files(tmp_path)) == {"deep/er/out.csv"}
     before, after = read_log(short), read_log(tmp_path / "deep/er/out.csv")
     assert len(after) in (ROWS - 1, ROWS)  # the measured velocity is late and read later, so the last one is not known
-    assert (after.joints, after.segments, after.warnings) == (JOINTS, (slice(0, len(after)),), ())
+    assert (after.joints, after.segments, after.notices) == (JOINTS, (slice(0, len(after)),), ())
     np.testing.assert_array_equal(after.t, before.t[: len(after)])
     assert set(after.signals) == {"q", "v", "tau"}
     # what acted between the samples: the logged torque, its noise at the sampling rate smoothed

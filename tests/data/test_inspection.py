@@ -37,6 +37,8 @@ from defects import (
 )
 from inspected import JOINTS, Signals, clean_signals, inspect, motion, torque
 
+from idtool.data.inspection import data_fault
+
 
 @pytest.mark.parametrize("rate", [200.0, 1000.0])
 @pytest.mark.parametrize("joints", [1, 3])
@@ -45,7 +47,7 @@ def test_a_clean_log_raises_no_finding(rate: float, joints: int) -> None:
 
 
 def test_a_log_without_noise_raises_no_warning() -> None:
-    assert {(f.severity, f.what.split(":")[0]) for f in inspect(clean_signals(noise=0.0)).findings} == {
+    assert {(f.severity, f.message.split(":")[0]) for f in inspect(clean_signals(noise=0.0)).findings} == {
         ("note", "tau looks commanded")
     }
 
@@ -123,10 +125,10 @@ def test_a_defect_raises_its_finding_and_no_other(defect: str) -> None:
     signals = clean_signals()
     spoil(signals)
     (finding,) = inspect(signals).findings
-    assert (finding.severity, finding.joint) == (severity, joint)
-    assert what in finding.what
-    assert finding.meaning
-    assert (finding.fault, finding.undone) == (FAULTS.get(defect), finding.fault == "velocity_lag")
+    assert (finding.severity, finding.subject) == (severity, joint)
+    assert what in finding.message
+    assert finding.advice
+    assert data_fault(finding) == FAULTS.get(defect)
 
 
 # The faults among the defects: the others are too little to matter, or for the model to decide, or of no kind.
@@ -157,18 +159,18 @@ def test_a_hiccup_is_noted_and_no_fault(every: int) -> None:
     signals = clean_signals()
     repeated_rows(every)(signals)
     (finding,) = inspect(signals).findings
-    assert (finding.severity, finding.fault) == ("note", None)
+    assert (finding.severity, data_fault(finding)) == ("note", None)
 
 
 def test_velocities_that_are_exchanged_are_named_at_both_joints() -> None:
     signals = clean_signals()
     exchanged_velocities(signals)
     findings = inspect(signals).findings
-    assert [(f.severity, f.joint, f.fault) for f in findings] == [
+    assert [(f.severity, f.subject, data_fault(f)) for f in findings] == [
         ("problem", "hip", "wrong_joint_order"),
         ("problem", "knee", "wrong_joint_order"),
     ]
-    assert "v of knee is the derivative of q of hip" in findings[0].what
+    assert "v of knee is the derivative of q of hip" in findings[0].message
 
 
 def test_a_joint_at_an_end_stop_is_not_clipped() -> None:
@@ -186,11 +188,11 @@ def test_frozen_stretches_and_jumps_are_sought_in_every_sample() -> None:
     for start in range(20_000, 300_000, 20_000):
         s["tau"][start : start + 40, 1] = s["tau"][start, 1]
     s["q"][155_500:, 2] += 2 * np.pi
-    findings = {finding.joint: finding for finding in inspect(s).findings}
+    findings = {finding.subject: finding for finding in inspect(s).findings}
     assert set(findings) == {"hip", "knee"}
-    assert findings["hip"].what.startswith("tau keeps one value for")
-    assert "first 20.000 s into the log" in findings["hip"].what
-    assert findings["knee"].what == "1 jump of q by about a full turn"
+    assert findings["hip"].message.startswith("tau keeps one value for")
+    assert "first 20.000 s into the log" in findings["hip"].message
+    assert findings["knee"].message == "1 jump of q by about a full turn"
 
 
 def test_a_control_law_is_told_from_a_measurement() -> None:
@@ -235,8 +237,8 @@ def test_a_torque_whose_rounding_hides_its_noise_is_unknown(step: float) -> None
 
 def test_motion_too_fast_for_its_sampling_is_named() -> None:
     findings = inspect(clean_signals(seconds=120.0, rate=25.0)).findings
-    assert [f.joint for f in findings] == list(JOINTS)
-    assert all("99 % of the velocity's power reaches up to 6" in f.what for f in findings)
+    assert [f.subject for f in findings] == list(JOINTS)
+    assert all("99 % of the velocity's power reaches up to 6" in f.message for f in findings)
 
 
 def test_many_short_segments() -> None:
@@ -246,9 +248,9 @@ def test_many_short_segments() -> None:
     assert inspection.segments == 2000
     assert (inspection.stamps.gaps, inspection.joints["abad"].signals["q"].not_finite) == (0, 2000)
     first = inspection.findings[0]
-    assert (first.severity, first.joint) == ("problem", None)
-    assert first.what == "gaps and missing values cut the log in 2000: 100% of it is in stretches below 0.5 s"
-    assert "hardly anything is left to fit" in first.meaning
+    assert (first.severity, first.subject) == ("problem", None)
+    assert first.message == "gaps and missing values cut the log in 2000: 100% of it is in stretches below 0.5 s"
+    assert "hardly anything is left to fit" in first.advice
 
 
 @pytest.mark.parametrize(("stretches", "severity"), [(15, "problem"), (3, "warning"), (1, None)])
@@ -256,7 +258,7 @@ def test_values_that_are_missing_here_and_there(stretches: int, severity: str | 
     """They leave so many stretches of 0.4 s in ten seconds, and one long one."""
     s = clean_signals(seconds=10.0)
     s["tau"][400 * np.arange(stretches + 1), 2] = np.nan
-    found = [f.severity for f in inspect(s).findings if "stretches below 0.5 s" in f.what]
+    found = [f.severity for f in inspect(s).findings if "stretches below 0.5 s" in f.message]
     assert found == [severity] * (severity is not None)
 
 
@@ -285,7 +287,7 @@ def test_an_inspection_does_not_contradict_itself() -> None:
     s = clean_signals()
     late_stamps(s)
     lag(5e-3)(s)
-    said = {finding.meaning for finding in inspect(s).findings}
+    said = {finding.advice for finding in inspect(s).findings}
     assert len(said) == 2
     assert not [meaning for meaning in said if "velocity: " in meaning]
 
@@ -296,9 +298,9 @@ def test_a_velocity_is_not_blamed_for_the_unit_of_the_times(per_second: float) -
     s["t"] = s["t"] * per_second
     inspection = inspect(s)
     (finding,) = inspection.findings
-    assert (finding.severity, finding.fault, finding.joint) == ("problem", "wrong_unit", None)
-    assert ("in ms, as v tells" if per_second == 1e3 else "in us, as v tells") in finding.what
-    assert inspection.warnings == ()
+    assert (finding.severity, data_fault(finding), finding.subject) == ("problem", "wrong_unit", None)
+    assert ("in ms, as v tells" if per_second == 1e3 else "in us, as v tells") in finding.message
+    assert inspection.reading == ()
 
 
 def test_the_band_and_the_time_at_rest_are_measured() -> None:
@@ -334,7 +336,7 @@ def test_an_inspection_is_plain_values() -> None:
     assert set(plain["joints"]) == set(JOINTS)
     assert plain["joints"]["abad"]["signals"]["q"]["maximum"] == s["q"][:, 0].max()
     assert plain["findings"][0]["severity"] == "problem"
-    assert set(plain["findings"][0]) == {"severity", "joint", "what", "meaning", "fault", "undone"}
+    assert set(plain["findings"][0]) == {"code", "severity", "subject", "message", "advice"}
 
 
 def test_findings_of_one_meaning_stand_side_by_side() -> None:
@@ -343,4 +345,4 @@ def test_findings_of_one_meaning_stand_side_by_side() -> None:
     s["tau"] = np.clip(s["tau"], -1.5, 1.5)
     found = inspect(s).findings
     assert len(found) == 6
-    assert len(list(itertools.groupby(found, key=lambda f: f.meaning))) == 2
+    assert len(list(itertools.groupby(found, key=lambda f: f.advice))) == 2

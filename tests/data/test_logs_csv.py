@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import Log, read_log
@@ -43,7 +44,7 @@ def check(log: Log, joints: tuple[str, ...] = ("hip",)) -> None:
 def test_every_spelling(written: Written, header: str) -> None:
     log = read_log(written(f"{header}\n{ROWS}", "log.csv"))
     check(log)
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
 
 
 @pytest.mark.parametrize(
@@ -64,7 +65,7 @@ def test_every_spelling(written: Written, header: str) -> None:
 def test_every_way_to_write(written: Written, change: Callable[[str], str]) -> None:
     log = read_log(written(change("t,q_hip,v_hip,tau_hip\n" + ROWS), "log.csv"))
     check(log)
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
 
 
 def test_columns_in_any_order_and_others_ignored(written: Written) -> None:
@@ -72,7 +73,7 @@ def test_columns_in_any_order_and_others_ignored(written: Written) -> None:
     rows = [f'"a, b ""{i}""",{TAU[i]},,{T[i]},{V[i]},{Q[i]}' for i in range(3)]
     log = read_log(written("\n".join([header, *rows, ""]), "log.csv"))
     check(log)
-    assert log.warnings == ("columns that hold no joint signal were ignored: note, temp",)
+    assert sentences(log.notices) == ("columns that hold no joint signal were ignored: note, temp",)
 
 
 def test_commands_and_joints_that_lack_signals(written: Written) -> None:
@@ -127,7 +128,7 @@ def test_named_columns(written: Written) -> None:
     check(read_log(path, columns=columns))
     only = read_log(path, columns={"t": "Zeit", "q_hip": "angle"})
     assert list(only.signals) == ["q"]
-    assert only.warnings == ("columns that hold no joint signal were ignored: speed, q_hip",)
+    assert sentences(only.notices) == ("columns that hold no joint signal were ignored: speed, q_hip",)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +158,7 @@ def test_rows_of_other_topics_are_passed_over(written: Written) -> None:
     log = read_log(written(text, "log.csv"))
     assert log.t.tolist() == [0, 0.1, 0.2]
     assert log.segments == (slice(0, 3),)
-    assert log.warnings[1:] == ("2 rows that hold no joint signal were passed over",)
+    assert sentences(log.notices)[1:] == ("2 rows that hold no joint signal were passed over",)
 
 
 def test_rows_of_two_topics_that_take_turns(written: Written) -> None:
@@ -165,7 +166,7 @@ def test_rows_of_two_topics_that_take_turns(written: Written) -> None:
     log = read_log(written("t,/a/hip/effort,/b/hip/position,/b/hip/velocity\n" + rows, "log.csv"))
     assert list(log.signals) == ["q", "v"]
     assert log.t.tolist() == [i + 0.5 for i in range(10)]
-    assert log.warnings[0].endswith("kept the 10 samples of hip, left out 10 samples, tau_hip")
+    assert sentences(log.notices)[0].endswith("kept the 10 samples of hip, left out 10 samples, tau_hip")
 
 
 @pytest.mark.parametrize(
@@ -183,7 +184,7 @@ def test_other_units_of_time(written: Written, start: int, step: int, unit: str)
     rows = "".join(f"{start + i * step},{i}\n" for i in range(50))
     log = read_log(written("t,q_hip\n" + rows, "log.csv"))
     assert log.t.tolist() == [float(start + i * step) / per_second for i in range(50)]
-    assert log.warnings == (f"its times are in {unit}; they were converted to seconds",)
+    assert sentences(log.notices) == (f"its times are in {unit}; they were converted to seconds",)
     assert len(log.segments) == 1
 
 
@@ -192,7 +193,9 @@ def test_seconds_stay(written: Written, start: float) -> None:
     rows = "".join(f"{start + i!r},{i}\n" for i in range(50))
     log = read_log(written("t,q_hip\n" + rows, "log.csv"))
     assert log.t.tolist() == [start + i for i in range(50)]
-    assert log.warnings == ("samples are 1 s apart by their times, which look like ms: write them in seconds",)
+    assert sentences(log.notices) == (
+        "samples are 1 s apart by their times, which look like ms: write them in seconds",
+    )
 
 
 def test_many_pieces(written: Written, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
@@ -219,13 +222,13 @@ def test_cut_off_in_the_last_line(written: Written, rng: np.random.Generator) ->
         cut = (
             () if whole or size == last else ("the file was cut off in mid-write; kept: 39 samples, up to t = 0.380 s",)
         )
-        assert log.warnings == cut
+        assert sentences(log.notices) == cut
 
 
 def test_no_line_end_is_no_cut(written: Written) -> None:
     log = read_log(written("t,q_hip\n0,1\n.1,22\n.2,3", "log.csv"))
     assert log.signals["q"][:, 0].tolist() == [1, 22, 3]
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
 
 
 @pytest.mark.parametrize(

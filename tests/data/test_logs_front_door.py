@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from recordings import ros2, states, write_mcap
+from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import SIGNALS, Log, make_log, read_log, write_log
@@ -39,7 +40,7 @@ def same(log: Log, other: Log, late: float = 1e-9) -> None:
     for name in other.signals:
         np.testing.assert_array_equal(log.signals[name], other.signals[name])
     assert log.segments == other.segments
-    assert log.warnings == other.warnings
+    assert sentences(log.notices) == sentences(other.notices)
 
 
 @pytest.mark.parametrize("ending", [*ENDINGS, ".CSV"])
@@ -130,7 +131,7 @@ def test_commands_of_other_times_are_left_out(tmp_path: Path) -> None:
     commands = replace(ros2(states(30, step=999_999), "/orders"), metadata={"idtool.commands_of": "/joint_states"})
     log = read_log(write_mcap(tmp_path / "log", commands, ros2(items)))
     assert list(log.signals) == ["q", "v", "tau"]
-    assert log.warnings == ("the commands were left out: their joints or times are not those of the states",)
+    assert sentences(log.notices) == ("the commands were left out: their joints or times are not those of the states",)
     same_times = replace(ros2(items, "/orders"), metadata={"idtool.commands_of": "/joint_states"})
     log = read_log(write_mcap(tmp_path / "log", same_times, ros2(items)))
     assert list(log.signals) == ["q", "v", "tau", "qcmd", "vcmd"]
@@ -192,7 +193,7 @@ def test_what_is_compressed_by_other_means(written: Written) -> None:
 
 def test_columns_of_csv_are_of_no_use_to_mcap(tmp_path: Path) -> None:
     log = read_log(write_mcap(tmp_path / "log", ros2(states(20))), columns={"t": "stamp", "tau_hip": "current"})
-    assert log.warnings == ("log.columns names columns of CSV, of which MCAP has none; ignored: t, tau_hip",)
+    assert sentences(log.notices) == ("log.columns names columns of CSV, of which MCAP has none; ignored: t, tau_hip",)
 
 
 def test_what_is_no_file(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from recordings import (
     states,
     write_mcap,
 )
+from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import read_log
@@ -40,7 +41,7 @@ def test_every_container(tmp_path: Path, compression: str, options: dict[str, An
     )
     log = read_log(path)
     check_log(log, items)
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
 
 
 def test_many_messages(tmp_path: Path) -> None:
@@ -69,7 +70,7 @@ def test_messages_in_chunks_and_outside(tmp_path: Path) -> None:
     (tmp_path / "log").write_bytes(magic + loose + chunks + more + end + magic)
     log = read_log(tmp_path / "log")
     check_log(log, items)
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
 
 
 def test_reads_what_the_decoder_decodes(tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ def test_mixed_shapes(tmp_path: Path) -> None:
         )
     log = read_log(write_mcap(tmp_path / "log", ros2(items)))
     check_log(log, items)
-    assert any("12 samples" in warning for warning in log.warnings)  # which lack the velocity
+    assert any("12 samples" in warning for warning in sentences(log.notices))  # which lack the velocity
 
 
 def test_joints_that_come_later(tmp_path: Path) -> None:
@@ -172,7 +173,7 @@ def test_sources_that_take_turns(tmp_path: Path) -> None:
     both = sorted([*arm, *gripper], key=lambda state: state.stamp)
     log = read_log(write_mcap(tmp_path / "log", ros2(both), chunk_size=3000))
     check_log(log, arm)
-    assert log.warnings[0].endswith(
+    assert sentences(log.notices)[0].endswith(
         "kept the 100 samples of abad, hip, knee, left out 20 samples, q_finger, v_finger, tau_finger"
     )
 
@@ -187,7 +188,7 @@ def test_a_source_that_speaks_seldom(tmp_path: Path) -> None:
     ]
     log = read_log(write_mcap(tmp_path / "log", ros2(items)))
     check_log(log, [replace(s, effort=()) for s in arm])
-    assert log.warnings[0].endswith("left out q_finger, v_finger")
+    assert sentences(log.notices)[0].endswith("left out q_finger, v_finger")
 
 
 def test_two_publishers_of_one_topic(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto
 from recordings import JSON, Channel, Proto, check_log, json_channel, proto_channel, ros2, states, write_mcap
+from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import read_log
@@ -148,7 +149,7 @@ def test_json_mixed_shapes(tmp_path: Path) -> None:
     ]
     log = read_log(write_mcap(tmp_path / "log", json_channel(items)))
     check_log(log, items[1::2])
-    assert log.warnings[0].endswith("kept the 30 samples of hip, knee, left out 30 samples")
+    assert sentences(log.notices)[0].endswith("kept the 30 samples of hip, knee, left out 30 samples")
 
 
 @pytest.mark.parametrize(
@@ -189,7 +190,9 @@ def test_json_stamps_that_are_numbers(tmp_path: Path) -> None:
         log = read_log(write_mcap(tmp_path / "log", replace(json_channel(states(20)), payloads=payloads)))
         np.testing.assert_allclose(log.t, [t / per_second for t in given], rtol=1e-15, atol=3e-7)
         unit = {1.0: (), 1e9: ("ns",), 1e3: ("ms",)}[per_second]
-        assert log.warnings == tuple(f"its times are in {name}; they were converted to seconds" for name in unit)
+        assert sentences(log.notices) == tuple(
+            f"its times are in {name}; they were converted to seconds" for name in unit
+        )
 
 
 def test_json_null_is_missing(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from paths import REAL
+from sentences import sentences
 
 from idtool.data.logs import read_log, write_log
 
@@ -22,7 +23,7 @@ def test_panda() -> None:
     log = read_log(path)
     assert log.joints == tuple(f"panda_joint{i}" for i in range(1, 8))
     assert {name: array.shape for name, array in log.signals.items()} == dict.fromkeys(("q", "v", "tau"), (20544, 7))
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
     assert 1 / log.dt == pytest.approx(978, abs=3)
     assert len(log.segments) == 5
     gaps = [log.t[part.start] - log.t[part.start - 1] for part in log.segments[1:]]
@@ -43,7 +44,7 @@ def test_go2(run: int) -> None:
     assert list(log.signals) == ["q", "v", "qcmd"]
     assert log.dt == pytest.approx(0.005)
     assert len(log.segments) == 1
-    assert log.warnings == ()
+    assert sentences(log.notices) == ()
     table = np.genfromtxt(path, delimiter=",", names=True)
     np.testing.assert_array_equal(log.t, table["t"])
     for name, array in log.signals.items():

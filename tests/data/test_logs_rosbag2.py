@@ -10,6 +10,7 @@ import pytest
 import zstandard
 from commands import idtool
 from recordings import IMU, bag, check_log, metadata, ros2, states, write_mcap
+from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import Log, make_log, read_log, write_log
@@ -22,7 +23,7 @@ def test_a_folder_is_one_log(tmp_path: Path) -> None:
     folder = bag(tmp_path / "run", *PARTS)
     log, whole = read_log(folder), read_log(write_mcap(tmp_path / "whole.mcap", ros2(ITEMS)))
     check_log(log, ITEMS)
-    assert (log.path, log.warnings) == (folder, ())
+    assert (log.path, sentences(log.notices)) == (folder, ())
     assert log.segments == whole.segments == (slice(0, 300),)
     assert log.dt == whole.dt
     assert all(array.flags.owndata for array in (log.t, *log.signals.values()))
@@ -104,7 +105,7 @@ def test_a_last_file_that_was_cut_off(tmp_path: Path, part: float) -> None:
     log = read_log(folder)
     assert 220 < len(log) <= 300
     check_log(log, ITEMS[: len(log)])
-    assert log.warnings == (f"run_2.mcap was cut off in mid-write; {kept(log, slice(220, None))}",)
+    assert sentences(log.notices) == (f"run_2.mcap was cut off in mid-write; {kept(log, slice(220, None))}",)
     done = idtool("inspect", folder, folder=tmp_path)
     assert (done.code, done.err) == (0, "")
     assert "run_2.mcap was cut off in mid-write" in " ".join(done.out.split())
@@ -116,7 +117,7 @@ def test_a_last_file_of_which_nothing_is_left(tmp_path: Path, left: bytes) -> No
     (folder / "run_2.mcap").write_bytes(left)
     log = read_log(folder)
     check_log(log, ITEMS[:220])
-    assert log.warnings == ("run_2.mcap was cut off in mid-write; kept: no samples",)
+    assert sentences(log.notices) == ("run_2.mcap was cut off in mid-write; kept: no samples",)
 
 
 @pytest.mark.parametrize("beyond", [0, 3, 9])
@@ -127,7 +128,7 @@ def test_zeros_from_the_end_of_a_record_on(tmp_path: Path, beyond: int) -> None:
     path.write_bytes(data[: end + beyond] + bytes(4096))
     log = read_log(path)
     check_log(log, ITEMS[:21])
-    assert log.warnings == (f"the file was cut off in mid-write; {kept(log)}",)
+    assert sentences(log.notices) == (f"the file was cut off in mid-write; {kept(log)}",)
 
 
 def test_a_file_in_between_that_was_cut_off(tmp_path: Path) -> None:
@@ -137,7 +138,7 @@ def test_a_file_in_between_that_was_cut_off(tmp_path: Path) -> None:
     log = read_log(folder)
     assert 180 < len(log) < 300
     assert len(log.segments) == 2
-    assert log.warnings == (f"run_1.mcap was cut off in mid-write; {kept(log, slice(100, len(log) - 80))}",)
+    assert sentences(log.notices) == (f"run_1.mcap was cut off in mid-write; {kept(log, slice(100, len(log) - 80))}",)
 
 
 def test_several_files_that_were_cut_off_out_of_order(tmp_path: Path) -> None:
@@ -149,7 +150,7 @@ def test_several_files_that_were_cut_off_out_of_order(tmp_path: Path) -> None:
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     log = read_log(folder)
     (split,) = np.flatnonzero(np.diff(log.t) > 0.01) + 1
-    assert log.warnings[:2] == (
+    assert sentences(log.notices)[:2] == (
         f"run_2.mcap was cut off in mid-write; {kept(log, slice(split, None))}",
         f"run_0.mcap was cut off in mid-write; {kept(log, slice(0, split))}",
     )
@@ -187,7 +188,7 @@ def test_a_compressed_bag(tmp_path: Path) -> None:
     log = read_log(folder)
     check_log(log, ITEMS[: len(log)])
     assert len(log) < 300
-    assert log.warnings == (f"{names[-1]} was cut off in mid-write; {kept(log, slice(220, None))}",)
+    assert sentences(log.notices) == (f"{names[-1]} was cut off in mid-write; {kept(log, slice(220, None))}",)
 
 
 def test_a_compressed_file_that_is_no_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import Log, make_log, read_log, write_log
@@ -61,7 +62,7 @@ class TestSegments:
         t[200] = np.nan
         log = of(t, q=q, v=v, tau=np.full(400, np.nan))
         assert bounds(log) == [(1, 64), (66, 70), (71, 200), (201, 399)]
-        assert log.warnings == ("6 samples hold values that are not finite and were left out",)
+        assert sentences(log.notices) == ("6 samples hold values that are not finite and were left out",)
         assert list(log.signals) == ["q", "v"]
 
     def test_lone_samples_are_no_segments(self) -> None:

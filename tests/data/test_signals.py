@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sentences import sentences
 from swings import RATE, clock, everything, filtered, joined, signals_of, swing, swinging
 
 from idtool.common.exceptions import ConfigError, LogError
@@ -155,7 +156,7 @@ def test_a_stretch_too_short_for_the_filter_is_left_out_and_said() -> None:
     signals = signals_of(swinging(t))
     assert len(signals.ranges) == 1
     assert signals.ranges[0].stop < 2980
-    assert "1 stretches between gaps were too short for the filter" in signals.warnings
+    assert "1 stretches between gaps were too short for the filter" in sentences(signals.notices)
 
 
 @pytest.mark.parametrize("rate", [100.0, 500.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sentences import sentences
 from swings import RATE, clock, joined, signals_of, swing, swinging
 
 from idtool.data.logs.log import Log
@@ -45,11 +46,11 @@ def test_a_missing_velocity_is_differentiated_and_said(velocity: str) -> None:
     v = np.stack([swing(t, 1)[:, 0], np.full(len(t), np.nan)], axis=1)
     signals = signals_of(swinging(t, v=v), velocity=velocity)
     assert signals.differentiated[1]
-    assert "no velocity logged, differentiated from q: knee" in signals.warnings
+    assert "no velocity logged, differentiated from q: knee" in sentences(signals.notices)
     np.testing.assert_allclose(joined(signals, lambda m: m.v), swing(joined(signals, lambda m: m.t), 1).T, atol=1e-6)
     both = signals_of(swinging(t, v=None), velocity=velocity)
     assert both.differentiated.all()
-    assert "no velocity logged, differentiated from q: hip, knee" in both.warnings
+    assert "no velocity logged, differentiated from q: hip, knee" in sentences(both.notices)
 
 
 @pytest.mark.parametrize("lag", [0.004, 0.0025, -0.0013, 0.08, -0.08])
@@ -58,7 +59,9 @@ def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     t = clock(6)
     signals = signals_of(swinging(t, v=swing(t - lag, 1)), velocity="measured")
     np.testing.assert_allclose(signals.lag, lag, atol=0.05 * DT)
-    assert any(f"up to {abs(lag) * 1e3:.1f} ms late, which is undone" in warning for warning in signals.warnings)
+    assert any(
+        f"up to {abs(lag) * 1e3:.1f} ms late, which is undone" in warning for warning in sentences(signals.notices)
+    )
     used = joined(signals, lambda m: m.t)
     truth = swing(used, 1).T
     assert np.abs(truth - swing(used - lag, 1).T).max() > 0.02
@@ -74,14 +77,14 @@ def test_a_joint_at_rest_has_the_others_lag(rng: np.random.Generator, sigma: flo
     v = swing(t - 0.003, 1) * [1, 0] + noise(rng, swing(t), 1e-4)
     signals = signals_of(swinging(t, q=q, v=v))
     np.testing.assert_allclose(signals.lag, 0.003, atol=0.05 * DT)
-    assert not any("is not the derivative" in warning for warning in signals.warnings)
+    assert not any("is not the derivative" in warning for warning in sentences(signals.notices))
 
 
 def test_a_velocity_in_time_is_left_alone() -> None:
     t = clock(6)
     signals = signals_of(swinging(t), velocity="measured")
     np.testing.assert_array_equal(signals.lag, 0)
-    assert signals.warnings == []
+    assert sentences(signals.notices) == []
 
 
 def jittering(rng: np.random.Generator, samples: float, true: bool) -> tuple[Log, Array]:
@@ -122,7 +125,9 @@ def test_where_stamps_jitter_much_the_measured_velocity_is_used_and_said(rng: np
     log.signals["v"][:] += noise(rng, log.signals["v"], 0.1)
     signals = signals_of(log)
     assert not signals.differentiated.any()
-    assert any("jitter by" in warning and "measured velocity is used" in warning for warning in signals.warnings)
+    assert any(
+        "jitter by" in warning and "measured velocity is used" in warning for warning in sentences(signals.notices)
+    )
 
 
 def test_a_velocity_that_belongs_to_something_else_is_not_used(rng: np.random.Generator) -> None:
@@ -131,8 +136,8 @@ def test_a_velocity_that_belongs_to_something_else_is_not_used(rng: np.random.Ge
     for strange in (swing(t, 1) * 180 / np.pi, swing(t, 1)[:, ::-1], noise(rng, swing(t), 1.0)):
         signals = signals_of(swinging(t, v=strange))
         assert signals.differentiated.all()
-        assert (
-            "logged velocity is not the derivative of q, which is differentiated instead: hip, knee" in signals.warnings
+        assert "logged velocity is not the derivative of q, which is differentiated instead: hip, knee" in sentences(
+            signals.notices
         )
         np.testing.assert_allclose(
             joined(signals, lambda m: m.v), swing(joined(signals, lambda m: m.t), 1).T, atol=1e-6

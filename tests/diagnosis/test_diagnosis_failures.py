@@ -13,6 +13,7 @@ import pytest
 from commands import LEG, TRAIN, idtool
 from disturbed import experiment_of, on, quiet
 from numpy.typing import NDArray
+from sentences import sentences
 
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.signals import Motion
@@ -59,14 +60,14 @@ def test_both_are_found_where_nothing_fails(arm: Experiment) -> None:
     found = diagnosed(arm)
     assert named(found) == {SPRING, OFFSET}
     assert found.verdict == "explained"
-    assert not any("cannot be fitted" in warning for warning in found.warnings)
+    assert not any("cannot be fitted" in warning for warning in sentences(found.notices))
 
 
 def without_spring(found: Diagnosis, reason: str) -> None:
     """The offset was found, the spring's failure is named, and what it leaves is unknown."""
     assert OFFSET in named(found)
     assert SPRING not in named(found)
-    assert any(warning.startswith(NOTE + reason) for warning in found.warnings)
+    assert any(warning.startswith(NOTE + reason) for warning in sentences(found.notices))
     assert found.verdict == "partly_explained"
     assert found.after.validation is not None
     assert found.before.validation is not None
@@ -109,7 +110,7 @@ def test_an_effect_that_only_the_last_fit_cannot_have_is_left_out(
     monkeypatch.setattr(module, "fit", fit)
     found = diagnosed(arm)
     assert SPRING not in named(found)
-    assert any(warning.startswith(NOTE + REASON) for warning in found.warnings)
+    assert any(warning.startswith(NOTE + REASON) for warning in sentences(found.notices))
 
 
 def test_a_step_whose_own_model_cannot_be_fitted_has_the_errors_of_the_whole(

@@ -82,7 +82,7 @@ def sample(robot: str, change: Change = lambda s: None, log: Path = TRAIN) -> Ex
 
 def named(experiment: Experiment) -> Named:
     """Kinds and joints of all faults."""
-    return {(fault.fault, fault.joint) for fault in find_data_faults(experiment, silent)}
+    return {(fault.code, fault.subject) for fault in find_data_faults(experiment, silent)}
 
 
 def at(*joints: str) -> list[int]:
@@ -355,12 +355,12 @@ def test_a_torque_at_the_drives_limit_is_not_cut_off(of_arm: Callable[..., Exper
 
 def test_details_say_what_to_do(arm: Signals, of_arm: Callable[..., Experiment]) -> None:
     (fault,) = find_data_faults(of_arm(changed(arm, times(-1, "tau", "lift"))), silent)
-    assert "\n" not in fault.detail
-    assert "`log.scale`" in fault.detail
+    assert "\n" not in fault.message
+    assert "`log.scale`" in fault.advice
     (fault,) = find_data_faults(of_arm(changed(arm, late)), silent)
-    assert "6 ± " in fault.detail
-    assert "undoes it" in fault.detail
-    assert fault.undone
+    assert "6 ± " in fault.message
+    assert "undoes it" in fault.advice
+    assert fault.severity == "note"
 
 
 def test_a_fault_of_several_logs_is_told_once(of_arm: Callable[..., Experiment]) -> None:
@@ -373,9 +373,9 @@ def test_a_fault_of_several_logs_is_told_once(of_arm: Callable[..., Experiment])
     config = read_config(LEG.with_suffix(".yaml"))
     both = prepare(read_robot(LEG), config, [TRAIN, TRAIN], transform=seen)
     found = find_data_faults(both, silent)
-    assert [(fault.fault, fault.joint) for fault in found if not fault.undone] == [("wrong_sign", "hip")]
-    assert {fault.joint for fault in found if fault.undone} == {"abad", "hip", "knee"}
-    assert all(fault.detail.endswith("(leg_train.mcap and 1 more log)") for fault in found if fault.undone)
+    assert [(fault.code, fault.subject) for fault in found if fault.severity != "note"] == [("wrong_sign", "hip")]
+    assert {fault.subject for fault in found if fault.severity == "note"} == {"abad", "hip", "knee"}
+    assert all(fault.message.endswith("(leg_train.mcap and 1 more log)") for fault in found if fault.severity == "note")
 
 
 def test_the_sample_logs() -> None:
@@ -418,5 +418,5 @@ def test_the_real_logs() -> None:
     config = read_config(CHECKOUT / "configs" / "go2.yaml").model_copy(update={"rotors": {}})
     logs = [REAL / "go2" / f"chirp_{k}.csv" for k in (4, 5, 6, 7)]
     (fault,) = find_data_faults(prepare(read_robot(REAL / "go2" / "go2.urdf"), config, logs), silent)
-    assert (fault.fault, fault.joint) == ("time_jitter", None)
-    assert "3 more logs" in fault.detail
+    assert (fault.code, fault.subject) == ("time_jitter", None)
+    assert "3 more logs" in fault.message

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from commands import SAMPLES
+from sentences import sentences
 
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.estimation.dataset.experiment import prepare
@@ -20,5 +21,5 @@ def test_sample_logs_hide_nothing(robot: str) -> None:
     config = read_config(SAMPLES / f"{robot}.yaml")
     tried = prepare(read_robot(SAMPLES / f"{robot}.urdf"), config, [train], [held_out])
     found = diagnose(tried, Options(simulated=False), lambda stage, share: None)
-    assert (found.verdict, found.steps, found.warnings) == ("no_disagreement", (), ())
+    assert (found.verdict, found.steps, sentences(found.notices)) == ("no_disagreement", (), ())
     assert found.floor["overall"] == pytest.approx(found.after.train["overall"], rel=0.05)

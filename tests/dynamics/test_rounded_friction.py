@@ -12,6 +12,7 @@ import mujoco  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sentences import sentences
 
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Candidate, Diagnosis
@@ -117,7 +118,7 @@ def is_the_spring(found: Diagnosis) -> None:
 def test_friction_that_is_rounded_off_in_time_is_no_disagreement(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.0)
     assert (found.verdict, found.steps) == ("no_disagreement", ())
-    (note,) = found.warnings
+    (note,) = sentences(found.notices)
     assert note.startswith("within 40 ms of reversals friction on shoulder is not what")
 
 
@@ -130,7 +131,7 @@ def test_friction_that_is_rounded_off_in_speed_is_no_disagreement(tmp_path: Path
     """It is fitted along, and the model is as it was."""
     found = diagnosed(tmp_path, 0.0, ROUNDING)
     assert (found.verdict, found.steps, found.last) == ("no_disagreement", (), found.first)
-    notes = [note for note in found.warnings if "changes its direction over a range of speeds" in note]
+    notes = [note for note in sentences(found.notices) if "changes its direction over a range of speeds" in note]
     assert [note.split(":")[0] for note in sorted(notes)] == ["elbow", "shoulder"]
 
 
@@ -140,7 +141,7 @@ def test_what_that_would_hide_is_found(tmp_path: Path) -> None:
 
 def test_nothing_is_left_aside_where_friction_is_sharp(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.0, SHARP)
-    assert (found.verdict, found.steps, found.warnings) == ("no_disagreement", (), ())
+    assert (found.verdict, found.steps, sentences(found.notices)) == ("no_disagreement", (), ())
 
 
 def test_why_a_step_was_taken_out_is_said_in_known_words() -> None:

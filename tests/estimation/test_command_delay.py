@@ -15,6 +15,7 @@ from leg_truth import CONFIG, JOINTS, SAMPLES, TRUTH, URDF
 from numpy.typing import NDArray
 from position_leg import GAINS, KD, KP, noisy, position_controlled
 from scipy.interpolate import make_interp_spline
+from sentences import sentences
 
 import idtool
 from idtool.data.command import LONGEST_DELAY
@@ -154,7 +155,7 @@ def test_the_friction_may_be_off_by_what_the_delay_may_be() -> None:
 def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
     log = noisy(run(7.5 * MS), seed=1)
     wrong = fit(experiment_of(log, controller={"delay": 3 * MS}), silent, analyze_uncertainty=True)
-    (said,) = (note for note in wrong.warnings if note.startswith("controller.delay"))
+    (said,) = (note for note in sentences(wrong.notices) if note.startswith("controller.delay"))
     assert said.startswith("controller.delay: 3 ms is given, but the data say 7.")
     assert "off the torque error and mean viscous friction from 1." in said
     report = fit_report(wrong).to_json()["controller"]
@@ -162,7 +163,7 @@ def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
     assert report["fitted"] == pytest.approx(7.5 * MS, abs=0.05 * MS)
     right = found_in(log, controller={"delay": 7.5 * MS})
     assert not right.contradicted
-    assert right.warnings == ()
+    assert right.notices == ()
     doubtful = found_in(log, controller={"delay": {"value": 3 * MS, "standard_error": 5 * MS}})
     assert not doubtful.contradicted
 
@@ -174,7 +175,7 @@ def test_a_delay_beyond_those_that_are_looked_for_is_said() -> None:
     early |= {name: log.signals[name][late:] for name in ("qcmd", "vcmd")}
     found = found_in(noisy(make_log(log.path, log.t[late:], log.joints, early), seed=1))
     assert found.value == LONGEST_DELAY
-    assert "50 ms or more fits best" in found.warnings[0]
+    assert "50 ms or more fits best" in sentences(found.notices)[0]
 
 
 def test_commands_that_stand_still_tell_nothing() -> None:
@@ -182,7 +183,9 @@ def test_commands_that_stand_still_tell_nothing() -> None:
     steady = {name: np.broadcast_to(x[:1], x.shape).copy() for name, x in log.signals.items() if "cmd" in name}
     found = found_in(replace(log, signals={**log.signals, **steady}))
     assert (found.value, found.standard_error, found.text) == (0.0, None, None)
-    assert found.warnings == ("controller.delay: the commands do not tell it, 0 is taken; log a motion, or give it",)
+    assert sentences(found.notices) == (
+        "controller.delay: the commands do not tell it, 0 is taken; log a motion, or give it",
+    )
 
 
 def test_measured_torque_has_no_delay_of_a_command() -> None:

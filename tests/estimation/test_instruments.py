@@ -11,6 +11,7 @@ import pytest
 import yaml
 from leg_runs import Controller, LegSensors, Motion
 from numpy.typing import NDArray
+from sentences import sentences
 
 from idtool.common.exceptions import ModelError
 from idtool.data.logs import Log, make_log
@@ -94,7 +95,7 @@ def test_a_coarse_encoder_costs_little(coarse: Log, kind: str) -> None:
         for f, columns in zip(found.full, of(coarse, None).equation.active(), strict=True)
     ]
     assert all(least > 3 * instrumental for least, instrumental in torque)
-    assert any("noise that is left" in warning for warning in found.warnings) == (kind == "smoothed")
+    assert any("noise that is left" in warning for warning in sentences(found.notices)) == (kind == "smoothed")
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from legs import LEGS, LENGTH, Robots, copies, fit, free, image, legs, of_body, 
 from numpy.typing import NDArray
 from reference import Reference
 from robots import body
+from sentences import sentences
 from synthetic import points_in
 
 from idtool.estimation.dataset.equality_constraints import with_equal_bounds
@@ -141,7 +142,7 @@ def test_bounds_that_a_copy_loses_are_said(robot_of: Robots, turned: bool) -> No
     bodies = list(s.model.bodies)
     own = bodies[of].ellipsoids[0].mirrored(np.array([1.0, 1.0 if turned else -1.0, 1.0]))
     bodies[copy] = replace(bodies[copy], ellipsoids=(own,))
-    said = with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.equalities).warnings
+    said = sentences(with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.equalities).notices)
     assert [warning for warning in said if "HR_link1" in warning] == (
         ["copies, bounded as what they are copies of and not as configured: HR_link1"] if turned else []
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from commands import LEG, csv_text, sample_table
 
-from idtool.diagnosis.data_faults import Fault
+from idtool.common.notice import Notice
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step, Where
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
@@ -112,7 +112,7 @@ def diagnosis_of(first: Fit, last: Fit, *steps: Step, **changes: Any) -> Diagnos
         "verdict": "explained" if steps else "no_disagreement",
         "maps_before": {joint: residual(1.0) for joint in joints},
         "maps_after": {joint: residual(0.2) for joint in joints},
-        "warnings": (),
+        "notices": (),
         "seconds": 3.21,
     }
     return Diagnosis(**{**contents, **changes})
@@ -123,9 +123,9 @@ def faulty(diagnosis: Diagnosis) -> Diagnosis:
     left = unknown_of(diagnosis.after)
     return replace(
         diagnosis,
-        faults=(Fault("velocity_lag", "hip", BEHIND),),
+        faults=(Notice("velocity_lag", "problem", "hip", BEHIND, BEHIND),),
         steps=(*diagnosis.steps, left),
         removed=(BEHIND,),
-        warnings=(BEHIND,),
+        notices=(Notice("effect_doubtful", "warning", None, BEHIND),),
         verdict="partly_explained",
     )

@@ -210,8 +210,14 @@ def study_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
             "time_to_10_percent": {"none": None, "full": 4.605, "ellipsoid": 1.151},
             "forgetting": 2.0,
         },
+        "notices": [],
         "warnings": [],
     }
+
+
+def notice_of(message: str, advice: str = "") -> dict[str, Any]:
+    """What JSON files hold of a notice."""
+    return {"code": "any", "severity": "warning", "subject": None, "message": message, "advice": advice}
 
 
 def body_of(kind: str = "link", **extra: Any) -> dict[str, Any]:

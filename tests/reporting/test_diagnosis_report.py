@@ -92,7 +92,9 @@ def test_the_report_has_what_the_contract_promises(found: Diagnosis) -> None:
 
 def test_faults_and_what_is_unknown_are_there(found: Diagnosis) -> None:
     report = report_of(faulty(found))
-    assert report["data_faults"] == [{"fault": "velocity_lag", "joint": "hip", "detail": BEHIND, "undone": False}]
+    assert report["data_faults"] == [
+        {"fault": "velocity_lag", "joint": "hip", "detail": f"{BEHIND}: {BEHIND}", "undone": False}
+    ]
     last = report["steps"][-1]
     assert (last["effect"], last["joint"], last["parameters"]) == ("unknown", "knee", {})
     assert report["removed"] == [BEHIND]
@@ -275,10 +277,10 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
 def test_the_terminal_says_faults_first_and_shows_names_as_they_are(found: Diagnosis) -> None:
     step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"))
     text = said(faulty(replace(found, steps=(step,))))
-    assert text.startswith(f"fault of the data: hip: velocity lag: {BEHIND}\nThe model lacks")
+    assert text.startswith(f"fault of the data: hip: velocity lag: {BEHIND}: {BEHIND}\nThe model lacks")
     assert "[bold]hip[/bold]" in next(line for line in text.splitlines() if line.startswith("1 "))
     assert f"taken out again: {BEHIND}" in text
-    assert f"note: {BEHIND}" in text
+    assert f"warning: {BEHIND}" in text
     assert "3. " not in text
 
 

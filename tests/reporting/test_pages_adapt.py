@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete
+from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete, notice_of
 from records import partial
 
 from idtool.reporting.pages import adapt_page
@@ -87,7 +87,7 @@ def page_of(report: dict[str, Any]) -> Page:
 
 
 def test_the_page_is_complete_in_itself_and_safe(report: dict[str, Any]) -> None:
-    report["warnings"] = [SCRIPT, "a\udcff"]
+    report["notices"] = [notice_of(SCRIPT), notice_of("a\udcff", SCRIPT)]
     page = page_of(report)
     complete(page)
     assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from commands import JOINTS
 from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
-from pages import SCRIPT, Page, complete, evaluation_of
+from pages import SCRIPT, Page, complete, evaluation_of, notice_of
 from records import partial
 from rollouts import experiment_of, rollouts_of
 
@@ -19,6 +19,7 @@ from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.pages import diagnosis_page, number
 from idtool.reporting.pages.diagnosis import parameter_texts
+from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 
 
@@ -68,7 +69,11 @@ def test_names_and_texts_stay_text(found: Diagnosis) -> None:
         alternatives=(candidate(SCRIPT, SCRIPT, reason=SCRIPT),),
         rejected=(candidate(BEHIND, BEHIND, reason=BEHIND),),
     )
-    page = page_of(faulty(replace(found, steps=(step,))), f"idtool diagnose {SCRIPT} \udcff", warnings=["a\udcff"])
+    page = page_of(
+        faulty(replace(found, steps=(step,))),
+        f"idtool diagnose {SCRIPT} \udcff",
+        notices=[NoticeReport(**notice_of("a\udcff"))],
+    )
     assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3
     assert "<" not in page.scripts[1]
     for text in (f"idtool diagnose {SCRIPT} ?", "a?", BEHIND, f"{SCRIPT}: {SCRIPT}"):

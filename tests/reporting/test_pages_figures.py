@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
-import jinja2
 import pytest
 
-import idtool
 from idtool.reporting.pages import by_unit, metres, number, percent, with_error
 
 
@@ -38,11 +35,3 @@ def test_lengths_and_shares() -> None:
 def test_joints_of_one_kind_share_a_table() -> None:
     assert by_unit({"a": "N·m", "b": "N·m"}) == [("N·m", ["a", "b", "overall"])]
     assert [names for _, names in by_unit({"a": "N·m", "b": "N", "c": "N·m"})] == [["a", "c"], ["b"], ["overall"]]
-
-
-def test_advice_is_on_warnings_that_exist() -> None:
-    package = Path(idtool.__file__).parent
-    sources = "".join(path.read_text() for path in package.rglob("*.py"))
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("idtool.reporting"), autoescape=True)
-    advice: dict[str, str] = environment.get_template("advice.html").module.advice  # type: ignore[attr-defined]
-    assert [phrase for phrase in advice if phrase not in sources] == []

@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
-from pages import BODY, SCRIPT, SLIDE, Page, complete, with_shapes
+from pages import BODY, SCRIPT, SLIDE, Page, complete, notice_of, with_shapes
 from records import partial
 from robots import inertial, link
 
@@ -65,7 +65,7 @@ def test_the_plots_offer_no_upload(fitted: Fit, report: dict[str, Any]) -> None:
 
 
 def test_names_and_paths_stay_text(fitted: Fit, report: dict[str, Any]) -> None:
-    report["warnings"] += [SCRIPT, "a\udcff"]
+    report["notices"] = [notice_of(SCRIPT), notice_of("a\udcff", SCRIPT)]
     report["bodies"]["l2"]["lumped"] = [SCRIPT]
     page = Page(fit_page(fitted, partial(FitReport, report), f"idtool fit {SCRIPT} --out \udcff"))
     assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3
@@ -169,7 +169,7 @@ def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any])
 
 
 def test_a_warning_comes_with_what_to_do(fitted: Fit, report: dict[str, Any]) -> None:
-    report["warnings"] = ["joints held still: tail at 0"]
+    report["notices"] = [notice_of("joints held still: tail at 0", "say where under locked_joints")]
     text = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text
     assert "joints held still: tail at 0" in text
     assert "say where under locked_joints" in text

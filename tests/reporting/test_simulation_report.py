@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from commands import LEG, column_set, config_with, csv_text, fitted, idtool, sample_table, validated
 from rollouts import experiment_of, rollouts_of
+from sentences import sentences
 
-from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation, simulation_notes
+from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation, simulation_notices
 from idtool.reporting.figures import number
 from idtool.reporting.simulation_report import simulation_report
 
@@ -76,7 +77,9 @@ def test_what_is_not_finite_is_null() -> None:
 def test_a_model_that_cannot_be_simulated_has_no_report_but_a_note() -> None:
     rollouts = rollouts_of(FLAT, failed={"model": "leg.urdf: cannot be simulated"})
     assert reported(rollouts) is None
-    assert simulation_notes(rollouts, "model") == ["no simulation of the model: leg.urdf: cannot be simulated"]
+    assert sentences(simulation_notices(rollouts, "model")) == (
+        "no simulation of the model: leg.urdf: cannot be simulated",
+    )
 
 
 def test_a_prior_that_cannot_be_simulated_is_null_and_a_note() -> None:
@@ -85,16 +88,16 @@ def test_a_prior_that_cannot_be_simulated_is_null_and_a_note() -> None:
     report = reported(rollouts)
     assert report is not None
     assert report["prior"] is report["prior_lost"] is report["horizon"][0]["prior"] is None
-    assert simulation_notes(rollouts, "model") == [
+    assert sentences(simulation_notices(rollouts, "model")) == (
         "2 of 10 simulations of the model ran away and were stopped",
         "no simulation of the prior: why",
-    ]
+    )
 
 
 def test_nothing_asked_for_nothing_said() -> None:
     assert reported(None) is None
-    assert simulation_notes(None, "model") == []
-    assert simulation_notes(rollouts_of(FLAT), "model") == []
+    assert simulation_notices(None, "model") == []
+    assert simulation_notices(rollouts_of(FLAT), "model") == []
 
 
 def row(text: str, name: str, after: str) -> list[str]:

@@ -17,10 +17,11 @@ from pages import Page
 from records import partial
 from rich.console import Console
 
-from idtool.diagnosis.data_faults import Fault
+from idtool.common.notice import Notice, Severity
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.pages import diagnosis_page
+from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.export import ExportReport
 from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.terminal import Terminal
@@ -47,6 +48,13 @@ class Screen(io.StringIO):
     def colours(self) -> set[str]:
         found = (set(codes.split(";")) for codes, kind in CODE.findall(self.getvalue()) if kind == "m")
         return set().union(*found) & COLOURS
+
+
+def notice(severity: Severity, subject: str | None, message: str, advice: str) -> NoticeReport:
+    return NoticeReport(code="any", severity=severity, subject=subject, message=message, advice=advice)
+
+
+SOMETHING = notice("warning", None, "something", "")
 
 
 @pytest.fixture
@@ -101,12 +109,12 @@ def test_quiet_prints_nothing(log: Path) -> None:
 
 
 def test_no_color_leaves_no_colours(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
-    screen.terminal().warn(["something"])
+    screen.terminal().notices([SOMETHING])
     assert screen.colours
     monkeypatch.setenv("NO_COLOR", "1")
     plain = Screen()
-    plain.terminal().warn(["something"])
-    assert "note: something" in plain.getvalue()
+    plain.terminal().notices([SOMETHING])
+    assert "warning: something" in plain.getvalue()
     assert plain.colours == set()
 
 
@@ -114,8 +122,8 @@ def test_a_dumb_terminal_gets_no_codes(screen: Screen, monkeypatch: pytest.Monke
     monkeypatch.setenv("TERM", "dumb")
     terminal = screen.terminal()
     work(terminal, ("reading", 0.5))
-    terminal.warn(["something"])
-    assert screen.getvalue() == "note: something\n"
+    terminal.notices([SOMETHING])
+    assert screen.getvalue() == "warning: something\n"
 
 
 @pytest.mark.parametrize(
@@ -134,15 +142,17 @@ def test_what_would_steer_the_terminal_is_shown_as_text() -> None:
     assert said(lambda terminal: terminal.say("[bold]hip[/bold]")) == "[bold]hip[/bold]\n"
 
 
-def test_a_warning_is_followed_by_what_to_do_once_for_those_alike() -> None:
-    lacking = "no bounding ellipsoid, only full consistency is demanded: panda_link3, FL_hip_rotor"
-    still = [f"joints held still: {name} at 0" for name in ("neck", "jaw")]
-    assert said(lambda terminal: terminal.warn([lacking, *still, "mind the gap"])).splitlines() == [
-        f"note: {lacking}",
-        "    Add what is missing to the configuration; idtool ellipsoids finds bounding ellipsoids.",
-        *(f"note: {note}" for note in still),
-        "    If they stood elsewhere, say where under locked_joints.",
-        "note: mind the gap",
+def test_notices_are_followed_by_their_advice_once_for_those_alike() -> None:
+    lacking = notice("warning", "panda_link3", "no bounding ellipsoid", "add one to the configuration")
+    still = [notice("note", name, "held still at 0", "if it stood elsewhere, say where") for name in ("neck", "jaw")]
+    gap = notice("problem", None, "mind the gap", "")
+    assert said(lambda terminal: terminal.notices([lacking, *still, gap])).splitlines() == [
+        "warning: panda_link3: no bounding ellipsoid",
+        "    add one to the configuration",
+        "note: neck: held still at 0",
+        "note: jaw: held still at 0",
+        "    if it stood elsewhere, say where",
+        "problem: mind the gap",
     ]
 
 
@@ -195,7 +205,10 @@ def test_a_model_worse_than_none_is_said_to_be_and_from_when_on() -> None:
 def undone(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     """A diagnosis of a log with a fault that is undone, and one that is not."""
     diagnosis = diagnosis_of(*fits(tmp_path_factory.mktemp("leg")), step_of())
-    faults = (Fault("velocity_lag", "hip", "idtool undoes it", undone=True), Fault("stale", "knee", "values repeat"))
+    faults = (
+        Notice("velocity_lag", "note", "hip", "v lags", "idtool undoes it"),
+        Notice("stale", "problem", "knee", "values repeat", "check the bus"),
+    )
     return replace(diagnosis, faults=faults)
 
 
@@ -203,8 +216,8 @@ def test_a_fault_that_is_undone_is_a_note(undone: Diagnosis) -> None:
     report = diagnosis_report(undone, "refit")
     lines = said(lambda terminal: show_diagnosis(terminal, report, Path("out"), (), explain=False)).splitlines()
     assert lines[:2] == [
-        "fault of the data: knee: stale: values repeat",
-        "note on the data: hip: velocity lag: idtool undoes it",
+        "fault of the data: knee: stale: values repeat: check the bus",
+        "note on the data: hip: velocity lag: v lags: idtool undoes it",
     ]
     page = Page(diagnosis_page(undone, report, "idtool diagnose"))
     assert page.levels[:2] == ["bad", "note"]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from paths import REAL
 from reference import Reference
 from robots import actuated, joint, origin, random_urdf
+from sentences import sentences
 from touching import BOX, LOWER, SPHERE, UPPER, Build, arm, beside, checked, place, solid
 
 from idtool.common.exceptions import ModelError
@@ -156,7 +157,7 @@ def test_what_is_not_checked(build: Build) -> None:
     plain, lid = checked(build(text, ["j1", "j2"])), {("base", "lid"), ("elbow", "lid"), ("tip", "lid")}
     moving = {("base", "elbow"), ("base", "tip")}
     assert set(plain.pairs) == {*moving, *lid, ("base", "motor"), ("elbow", "motor"), ("tip", "motor")}
-    assert plain.warnings == ("links that touch by construction, not checked for collision: upper and tip",)
+    assert sentences(plain.notices) == ("links that touch by construction, not checked for collision: upper and tip",)
     rotor = {"motor": {"joint": "j2", "gear_ratio": 5.0}}
     assert set(checked(build(text, ["j1", "j2"], rotors=rotor)).pairs) == moving | lid
 
@@ -232,7 +233,9 @@ def test_go2s_legs_meet_when_its_hips_turn_in() -> None:
     assert not {frozenset(("FL_thigh", "FL_calf")), frozenset(("FL_calf", "FL_foot"))} & set(
         map(frozenset, found.pairs)
     )
-    assert any("FL_hip, FR_hip" in warning and "hip.dae is not found" in warning for warning in found.warnings)
+    assert any(
+        "FL_hip, FR_hip" in warning and "hip.dae is not found" in warning for warning in sentences(found.notices)
+    )
     standing = np.tile([0.0, 0.8, -1.6], 4)[:, None]
     assert found.clearance(standing)[0] > 0.005
     closing = np.zeros((12, 50))

@@ -10,6 +10,7 @@ import pinocchio as pin  # type: ignore[import-untyped]
 import pytest
 from robots import actuated, body, chain, joint, link, link_pi, random_urdf
 from scipy.spatial.transform import Rotation
+from sentences import sentences
 
 from idtool.common.exceptions import ConfigError, IdtoolError, ModelError
 from idtool.robot.config import parse_config
@@ -66,7 +67,7 @@ def test_the_root_link_and_what_is_fixed_to_it_are_not_identified(build: Build, 
     assert [b.name for b in model.bodies] == ["thigh", "shank"]
     assert model.bodies[0].mount.body == -1
     assert model.bodies[1].lumped == ("foot",)
-    assert any("abad at 0, tail at 0" in warning for warning in model.warnings)
+    assert any("abad at 0, tail at 0" in warning for warning in sentences(model.notices))
 
 
 def test_a_lumped_body_says_of_what_it_is_made(build: Build, leg: str) -> None:
@@ -82,7 +83,7 @@ def test_joints_stand_in_the_configurations_order_and_only_those(build: Build, l
     model = build(leg, [*LEG_JOINTS, "tail"], joints=["knee", "hip"])
     assert model.names == ("knee", "hip")
     np.testing.assert_array_equal(model.support(), [[False, True], [True, True]])
-    warnings = " ".join(build(leg, ["hip", "arm"]).warnings)
+    warnings = " ".join(sentences(build(leg, ["hip", "arm"]).notices))
     assert "ignored: arm" in warnings
 
 
@@ -94,7 +95,7 @@ def test_gravity_is_down_unless_the_configuration_says_otherwise(build: Build, l
 def test_a_link_without_mass_is_said_to_have_an_empty_prior(build: Build, rng: np.random.Generator) -> None:
     model = build(random_urdf(rng, size=3, kinds=["revolute"], mimic=0, massless=1.0), ["joint1", "joint2", "joint3"])
     assert not np.any([b.pi for b in model.bodies])
-    assert sum("has no mass" in warning for warning in model.warnings) == 3
+    assert sum("no mass in the URDF" in warning for warning in sentences(model.notices)) == 3
 
 
 def test_a_mimic_joint_of_a_mimic_joint(build: Build) -> None:

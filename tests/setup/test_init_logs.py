@@ -12,6 +12,7 @@ import pytest
 from commands import refuse
 from imposed import Log, silent
 from recordings import State, ros2, write_mcap
+from sentences import sentences, texts
 from spatial_arm import ARM, JOINTS
 from starts import arm, as_csv, as_states, robot
 
@@ -54,7 +55,7 @@ def test_torque_that_never_changes_is_none_where_there_is_a_command(tmp_path: Pa
     assert (seen.joints, seen.commanded) == (JOINTS, ("lift",))
     assert not seen.logs[0].has("tau", "lift")  # so that trials take the controller's
     assert seen.logs[0].has("tau", "turn")
-    assert any("taken as not logged: lift" in warning for warning in seen.warnings)
+    assert any("taken as not logged: lift" in warning for warning in sentences(seen.notices))
 
 
 def test_torque_that_never_changes_is_that_of_a_passive_joint_where_it_is_asked_for(tmp_path: Path) -> None:
@@ -71,20 +72,20 @@ def test_joint_that_moves_without_torque_is_not_held_still_without_a_word(tmp_pa
     assert seen.joints == ("turn", "roll")
     assert seen.locked["lift"].why == "has neither torque nor position command in run.csv"
     assert seen.untold == {"lift": "run.csv"}
-    assert "held still though they move, which the other joints' torque does not fit: lift" in seen.warnings
+    assert "held still though they move, which the other joints' torque does not fit: lift" in sentences(seen.notices)
 
 
 def test_joints_that_stand_still_are_no_reason_for_a_word(tmp_path: Path) -> None:
     still = without(without(moved(), "q", 1, 0.3), "v", 1)
     seen = told(tmp_path, csv(tmp_path, still, "q", "v", "tau"))
-    assert (seen.joints, seen.untold, seen.warnings) == (("turn", "roll"), {}, ())
+    assert (seen.joints, seen.untold, sentences(seen.notices)) == (("turn", "roll"), {}, ())
     still = without(still, "tau", 1, np.nan)
     seen = told(tmp_path, csv(tmp_path, still, "q", "v", "tau"))
-    assert (seen.joints, seen.untold, seen.warnings) == (("turn", "roll"), {}, ())
+    assert (seen.joints, seen.untold, sentences(seen.notices)) == (("turn", "roll"), {}, ())
     asked = told(tmp_path, csv(tmp_path, still, "q", "v", "tau"), joints=list(JOINTS))
     assert asked.commanded == ()
     assert (asked.joints, asked.moving, asked.able) == (JOINTS, ("turn", "roll"), ("turn", "roll"))
-    assert any("nothing is learnt of them: lift" in warning for warning in asked.warnings)
+    assert any("nothing is learnt of them: lift" in warning for warning in sentences(asked.notices))
 
 
 def test_gains_are_needed_of_a_joint_that_is_asked_for_though_it_stands_still(tmp_path: Path) -> None:
@@ -102,7 +103,7 @@ def test_joints_given_as_held_still_are(tmp_path: Path) -> None:
     seen = told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), locked_joints={"lift": 0.2})
     assert seen.joints == ("turn", "roll")
     assert seen.locked["lift"].why == "given as held still"
-    assert any(warning.startswith("held still though they move") for warning in seen.warnings)
+    assert any(warning.startswith("held still though they move") for warning in sentences(seen.notices))
     with pytest.raises(ConfigError, match="is no actuated joint of the URDF"):
         told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), joints=["left"])
 
@@ -119,22 +120,22 @@ def test_position_far_beyond_the_limits_is_said(tmp_path: Path) -> None:
     log = moved()
     degrees = {**log, "q": np.rad2deg(log["q"]), "v": np.rad2deg(log["v"])}
     seen = told(tmp_path, csv(tmp_path, degrees, "q", "v", "tau"))
-    (said,) = [warning for warning in seen.warnings if "limits" in warning]
+    (said,) = [warning for warning in texts(seen.notices) if "limits" in warning]
     assert said.startswith("run.csv: q is far beyond the URDF's limits: turn, lift, roll (")
     assert "set log.scale of q and v to 0.0174533" in said
     scale = dict.fromkeys(JOINTS, np.pi / 180)
-    assert not told(tmp_path, csv(tmp_path, degrees, "q", "v", "tau"), log={"scale": {"q": scale, "v": scale}}).warnings
+    assert not told(tmp_path, csv(tmp_path, degrees, "q", "v", "tau"), log={"scale": {"q": scale, "v": scale}}).notices
     beyond = {**log, "q": log["q"] + 3.5}  # a zero that is off
-    assert not told(tmp_path, csv(tmp_path, beyond, "q", "v", "tau")).warnings
+    assert not told(tmp_path, csv(tmp_path, beyond, "q", "v", "tau")).notices
     free = ARM.replace('lower="-3" upper="3"', 'lower="0" upper="0"')
-    assert not told(tmp_path, csv(tmp_path, log, "q", "v", "tau"), text=free).warnings
+    assert not told(tmp_path, csv(tmp_path, log, "q", "v", "tau"), text=free).notices
 
 
 def test_problems_are_said_and_notes_are_not(tmp_path: Path) -> None:
     stuck = told(tmp_path, csv(tmp_path, without(moved(), "v", 1), "q", "v", "tau"))
-    (said,) = stuck.warnings
-    assert said.startswith("run.csv: lift: v is 0 throughout while q moves: the channel was not filled")
-    assert told(tmp_path, csv(tmp_path, moved(), "q", "tau")).warnings == ()  # that v is missing is a note
+    (said,) = texts(stuck.notices)
+    assert said.startswith("run.csv: lift: v is 0 throughout while q moves; the channel was not filled")
+    assert told(tmp_path, csv(tmp_path, moved(), "q", "tau")).notices == ()  # that v is missing is a note
 
 
 def test_without_any_torque_the_error_names_the_columns_that_were_left_over(tmp_path: Path) -> None:

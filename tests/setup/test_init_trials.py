@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from imposed import silent
+from sentences import sentences, texts
 
 from idtool.data.logs import Log, make_log
 from idtool.setup import loaded_log as seen
@@ -37,7 +38,7 @@ class TrialEvaluator:
     def experiment(self) -> Any:
         signals = SimpleNamespace(log=SimpleNamespace(dt=DT), differentiated=np.array([False, True]))
         equation = SimpleNamespace(joints=JOINTS)
-        return SimpleNamespace(runs=[SimpleNamespace(signals=signals)], band_hz=BAND, warnings=(), equation=equation)
+        return SimpleNamespace(runs=[SimpleNamespace(signals=signals)], band_hz=BAND, notices=(), equation=equation)
 
     def torque(self) -> Any:
         return np.array([TORQUE, TORQUE])
@@ -78,7 +79,7 @@ def test_terms_that_make_the_whole_worse_go() -> None:
 def test_that_other_joints_lose_is_said() -> None:
     found, _ = tried(lambda terms: (1.1, 1.0) if "knee" in terms.rotors else (1.0, 9.0))
     assert tuple(found.inertia) == ("knee",)
-    assert "makes the held-out error larger of hip: one set of bodies" in found.warnings[0]
+    assert "makes the held-out error larger of hip; one set of bodies" in texts(found.notices)[0]
 
 
 def test_what_is_too_small_to_be_missed_is_not_fitted_for() -> None:
@@ -95,7 +96,7 @@ def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
 
     found, _ = tried(errors, offsets=True)
     assert found.offsets == ("hip",)
-    assert any("unexplained (rms): knee 95%: check its sign and unit" in warning for warning in found.warnings)
+    assert any("unexplained (rms): knee 95%; check its sign and unit" in warning for warning in texts(found.notices))
 
 
 def delayed(at: float) -> Errors:
@@ -133,7 +134,7 @@ def test_a_delay_that_leaves_most_of_the_torque_unexplained_is_none() -> None:
 def test_a_delay_as_long_as_is_looked_for_is_none_and_said(at: float, word: str) -> None:
     found, _ = tried(lambda terms: (100 * abs(terms.delay - at), 1.0), delays=True)
     assert (abs(found.trials[0].value), found.delay) == (pytest.approx(0.1), 0.0)
-    assert f"the torque fits best when 100 ms {word} or more" in found.warnings[0]
+    assert f"the torque fits best when 100 ms {word} or more" in sentences(found.notices)[0]
 
 
 def test_a_delay_stays_though_nothing_else_does() -> None:

@@ -18,8 +18,8 @@ from idtool.data.inspection.joint import inspect_joint
 from idtool.data.inspection.jumps import position_jumps
 from idtool.data.inspection.measures import quantisation, span
 from idtool.data.inspection.records import (
+    FAULT_KINDS,
     FaultKind,
-    Finding,
     Gap,
     Inspection,
     Joint,
@@ -28,14 +28,14 @@ from idtool.data.inspection.records import (
     Stamps,
     TorqueSource,
     Velocity,
+    data_fault,
 )
 from idtool.data.inspection.velocity import velocity_lag
 from idtool.data.logs.log import Log
-from idtool.data.logs.times import describe_doubt, doubtful_unit
 
 __all__ = [
+    "FAULT_KINDS",
     "FaultKind",
-    "Finding",
     "Gap",
     "Inspection",
     "Joint",
@@ -44,6 +44,7 @@ __all__ = [
     "Stamps",
     "TorqueSource",
     "Velocity",
+    "data_fault",
     "inspect_log",
     "jitter",
     "quantisation",
@@ -92,9 +93,7 @@ def _inspected(log: Log) -> Inspection:
     duration = float(t[-1] - t[0])
     runs = [(s.stop - s.start - 1, float(log.t[s.stop - 1] - log.t[s.start])) for s in log.segments]
     steps, seconds = (sum(column) for column in zip(*runs, strict=True))
-    unit = doubtful_unit(log.dt, log.segments, log.signals)
-    # a doubtful unit of the times is a finding, and need not be said twice
-    known = None if unit is None else ": ".join(describe_doubt(log.dt, unit, log.signals))
+    findings = all_findings(log, duration, stamps, joints)
     return Inspection(
         path=str(log.path),
         duration=duration,
@@ -105,8 +104,8 @@ def _inspected(log: Log) -> Inspection:
         segments=len(log.segments),
         stamps=stamps,
         joints=joints,
-        findings=all_findings(log, duration, stamps, joints, unit),
-        warnings=tuple(warning for warning in log.warnings if warning != known),
+        findings=findings,
+        reading=tuple(notice for notice in log.notices if notice not in findings),
     )
 
 

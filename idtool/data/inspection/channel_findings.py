@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from idtool.data.inspection.records import Finding, Frozen, Joint, Signal
+from idtool.common.notice import Notice
+from idtool.data.inspection.records import Frozen, Joint, Signal
 from idtool.data.inspection.sentences import counted
 
 STUCK = 0.005  # share of samples while moving: fewer may gather at a turning point
@@ -17,23 +18,23 @@ COARSE = 0.02  # rounding noise over the signal's rms
 BAND = 5.0  # times the velocity's band: about what a fit's filter lets through
 
 
-def missing_channels(name: str, joint: Joint) -> Iterator[Finding]:
+def missing_channels(name: str, joint: Joint) -> Iterator[Notice]:
     """Channels that the joint lacks."""
     if "q" not in joint.signals:
         meaning = "the joint can't be used; name its column in `log.columns`, or leave it out of `joints`"
-        yield Finding("problem", name, "q is missing", meaning)
+        yield Notice("missing_position", "problem", name, "q is missing", meaning)
     if "v" not in joint.signals:
-        yield Finding("note", name, "v is missing", "it is differentiated from q")
+        yield Notice("missing_velocity", "note", name, "v is missing", "it is differentiated from q")
     if "tau" not in joint.signals:
         if "qcmd" in joint.signals:
             meaning = "it is computed from the command: give the joint's gains under `controller`"
-            yield Finding("note", name, "tau is missing, qcmd is there", meaning)
+            yield Notice("torque_from_command", "note", name, "tau is missing, qcmd is there", meaning)
         else:
             meaning = "nothing can be fitted to the joint; name its column in `log.columns`, or log qcmd"
-            yield Finding("problem", name, "tau is missing", meaning)
+            yield Notice("missing_torque", "problem", name, "tau is missing", meaning)
 
 
-def channel_findings(name: str, joint: Joint, frozen: Mapping[str, Frozen], dt: float) -> Iterator[Finding]:
+def channel_findings(name: str, joint: Joint, frozen: Mapping[str, Frozen], dt: float) -> Iterator[Notice]:
     """All findings on single channels of a joint.
 
     Parameters
@@ -48,7 +49,8 @@ def channel_findings(name: str, joint: Joint, frozen: Mapping[str, Frozen], dt: 
     for signal, figures in joint.signals.items():
         if figures.not_finite:
             number = f"{counted(figures.not_finite, 'sample')} of {signal} not finite"
-            yield Finding("warning", name, number, "the rows are left out, and each run of them splits the log")
+            meaning = "the rows are left out, and each run of them splits the log"
+            yield Notice("not_finite", "warning", name, number, meaning)
         if joint.moves:
             if signal in ("v", "tau"):
                 yield from _constant(name, signal, figures)
@@ -59,14 +61,14 @@ def channel_findings(name: str, joint: Joint, frozen: Mapping[str, Frozen], dt: 
             yield from _coarse(name, signal, joint, dt)
 
 
-def _constant(name: str, signal: str, figures: Signal) -> Iterator[Finding]:
+def _constant(name: str, signal: str, figures: Signal) -> Iterator[Notice]:
     if figures.constant:
         instead = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
         value = f"{signal} is {figures.minimum + 0.0:.4g} throughout while q moves"  # 0, not -0
-        yield Finding("problem", name, value, f"the channel was not filled; {instead}", "stale")
+        yield Notice("stale", "problem", name, value, f"the channel was not filled; {instead}")
 
 
-def _stale_or_clipped(name: str, signal: str, joint: Joint) -> Iterator[Finding]:
+def _stale_or_clipped(name: str, signal: str, joint: Joint) -> Iterator[Notice]:
     """A channel that is read too seldom sits at its extremes too, so that is asked first."""
     figures = joint.signals[signal]
     repeats = figures.stale or 0.0
@@ -74,37 +76,37 @@ def _stale_or_clipped(name: str, signal: str, joint: Joint) -> Iterator[Finding]
     share = f"{repeats:.1%} of {signal}'s samples repeat the one before while it changes"
     meaning = "the channel is read too seldom, and is late by half its period; check the bus"
     if repeats > (STALE_AND_STUCK if stuck else STALE):
-        yield Finding("warning", name, share, meaning, "stale")
+        yield Notice("stale", "warning", name, share, meaning)
     elif stuck:
         yield from _clipped(name, signal, joint)
     elif repeats > REPEATS:
-        yield Finding("note", name, share, meaning)
+        yield Notice("few_samples_stale", "note", name, share, meaning)
 
 
-def _clipped(name: str, signal: str, joint: Joint) -> Iterator[Finding]:
+def _clipped(name: str, signal: str, joint: Joint) -> Iterator[Notice]:
     """A channel at its extremes. Whether the drive or the sensor cut the torque off is for the model to tell."""
     figures = joint.signals[signal]
     extremes = f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {figures.stuck:.1%} of the samples"
     if signal == "tau":
         meaning = "what lies beyond was cut off and pulls the fit; excite less, or raise the limit"
-        yield Finding("warning", name, f"tau sits at {extremes}", meaning)
+        yield Notice("torque_at_extremes", "warning", name, f"tau sits at {extremes}", meaning)
     elif signal == "v":
         meaning = "what lies beyond was cut off; set `velocity: differentiated`, or raise the limit"
-        yield Finding("warning", name, f"v sits at {extremes}, while q moves on", meaning, "clipped")
+        yield Notice("clipped", "warning", name, f"v sits at {extremes}, while q moves on", meaning)
     elif "v" in joint.signals and not joint.signals["v"].constant:
         meaning = "what lies beyond was cut off; stay within the encoder's range"
-        yield Finding("warning", name, f"q sits at {extremes}, while v goes on", meaning, "clipped")
+        yield Notice("clipped", "warning", name, f"q sits at {extremes}, while v goes on", meaning)
 
 
-def _frozen(name: str, signal: str, frozen: Frozen) -> Finding:
+def _frozen(name: str, signal: str, frozen: Frozen) -> Notice:
     extent = (
         f"{signal} keeps one value for {frozen.seconds:.3g} s in all while the joint moves, first "
         f"{frozen.start:.3f} s into the log"
     )
-    return Finding("warning", name, extent, "the channel froze: leave those stretches out of the log", "stale")
+    return Notice("stale", "warning", name, extent, "the channel froze: leave those stretches out of the log")
 
 
-def _coarse(name: str, signal: str, joint: Joint, dt: float) -> Iterator[Finding]:
+def _coarse(name: str, signal: str, joint: Joint, dt: float) -> Iterator[Notice]:
     noise = _rounding_noise(signal, joint, dt)
     if noise > COARSE:
         disturbed = "velocity" if signal == "q" else signal
@@ -114,7 +116,7 @@ def _coarse(name: str, signal: str, joint: Joint, dt: float) -> Iterator[Finding
             "v": "a fit differentiates q where that is less noisy, else",
         }.get(signal, "excite more, or")
         rounding = f"{signal} comes in steps of {step:.3g}, which make {noise:.0%} of noise in the {disturbed}"
-        yield Finding("warning", name, rounding, f"too coarse: {instead} lower `filter.cutoff_hz`")
+        yield Notice("coarse_channel", "warning", name, rounding, f"too coarse: {instead} lower `filter.cutoff_hz`")
 
 
 def _rounding_noise(signal: str, joint: Joint, dt: float) -> float:

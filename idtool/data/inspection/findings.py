@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from idtool.common.notice import SEVERITIES, Notice
 from idtool.data.inspection import time_findings
 from idtool.data.inspection.channel_findings import STALE, STUCK, channel_findings, missing_channels
 from idtool.data.inspection.frozen import frozen_channels
 from idtool.data.inspection.motion_findings import motion_findings, torque_source
-from idtool.data.inspection.records import Finding, Frozen, Joint, Severity, Stamps
+from idtool.data.inspection.records import Frozen, Joint, Stamps
 from idtool.data.inspection.velocity_findings import (
     exchanged_velocities,
     exchanged_velocity,
@@ -21,13 +22,12 @@ from idtool.data.inspection.velocity_findings import (
 )
 from idtool.data.logs.log import Log
 
-_RANK: dict[Severity, int] = {"problem": 0, "warning": 1, "note": 2}
 
+def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str, Joint]) -> tuple[Notice, ...]:
+    """All findings, problems first, those with the same advice side by side.
 
-def all_findings(
-    log: Log, duration: float, stamps: Stamps, joints: Mapping[str, Joint], unit: str | None
-) -> tuple[Finding, ...]:
-    """All findings, problems first, those with the same meaning side by side.
+    Where the stamps seem to be in another unit than seconds, which is a notice of the log, v can't be compared with
+    dq/dt, and no stretch be called long or short.
 
     Parameters
     ----------
@@ -39,26 +39,24 @@ def all_findings(
         Figures of the stamps.
     joints
         Figures of the joints, by name.
-    unit
-        The unit that the stamps seem to be in; None: seconds. In another, v can't be compared with dq/dt, and no
-        stretch be called long or short.
     """
-    findings = [] if unit is None else [time_findings.time_unit(log, unit)]
+    findings = [notice for notice in log.notices if notice.code == "wrong_unit"]
+    in_seconds = not findings
     findings += time_findings.sampling_jitter(log.dt, stamps)
     findings += time_findings.skipped_samples(log.dt, stamps)
     findings += time_findings.repeated_rows(stamps)
     findings += time_findings.gaps(duration, stamps)
     findings += time_findings.disordered_stamps(len(log), stamps)
     findings += time_findings.short_segments(len(log.segments), stamps)
-    exchanged = exchanged_velocities(log, joints) if unit is None else {}
-    frozen = frozen_channels(log, joints) if unit is None else {name: {} for name in joints}
+    exchanged = exchanged_velocities(log, joints) if in_seconds else {}
+    frozen = frozen_channels(log, joints) if in_seconds else {name: {} for name in joints}
     for name, joint in joints.items():
         findings += missing_channels(name, joint)
         findings += motion_findings(name, joint, frozen[name].get("q"), log.dt)
         findings += torque_source(name, joint)
         if name in exchanged:
             findings.append(exchanged_velocity(name, exchanged[name]))
-        elif unit is None and joint.velocity is not None and not _is_spoilt(joint, frozen[name]):
+        elif in_seconds and joint.velocity is not None and not _is_spoilt(joint, frozen[name]):
             findings += velocity_against_position(name, joint.velocity, joint.band_hz or 0.0, log.dt)
         findings += channel_findings(name, joint, frozen[name], log.dt)
     return _sorted(findings)
@@ -73,8 +71,8 @@ def _is_spoilt(joint: Joint, frozen: Mapping[str, Frozen]) -> bool:
     return False
 
 
-def _sorted(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+def _sorted(findings: Sequence[Notice]) -> tuple[Notice, ...]:
     first: dict[str, int] = {}
     for i, finding in enumerate(findings):
-        first.setdefault(finding.meaning, i)
-    return tuple(sorted(findings, key=lambda finding: (_RANK[finding.severity], first[finding.meaning])))
+        first.setdefault(finding.advice, i)
+    return tuple(sorted(findings, key=lambda finding: (SEVERITIES.index(finding.severity), first[finding.advice])))

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from idtool.data.inspection.records import Finding, Frozen, Joint
+from idtool.common.notice import Notice
+from idtool.data.inspection.records import Frozen, Joint
 from idtool.data.inspection.sentences import counted
 
 STANDSTILL = 0.5  # share of the time
@@ -14,7 +15,7 @@ TURNS = 8 * np.pi  # rad: four turns are degrees, or a wheel
 FAST = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
 
 
-def motion_findings(name: str, joint: Joint, frozen: Frozen | None, dt: float) -> Iterator[Finding]:
+def motion_findings(name: str, joint: Joint, frozen: Frozen | None, dt: float) -> Iterator[Notice]:
     """All findings on the motion of a joint.
 
     Parameters
@@ -30,36 +31,38 @@ def motion_findings(name: str, joint: Joint, frozen: Frozen | None, dt: float) -
         return
     if not joint.moves:
         meaning = "its friction and inertia can't be seen; leave it out of `joints`, and lock it in `locked_joints`"
-        yield Finding("warning", name, "the joint does not move", meaning)
+        yield Notice("joint_at_rest", "warning", name, "the joint does not move", meaning)
         return
     if joint.standstill > STANDSTILL:
         share = f"the joint stands still {joint.standstill:.0%} of the time"
-        yield Finding("note", name, share, "samples at rest tell gravity within static friction, and little else")
+        meaning = "samples at rest tell gravity within static friction, and little else"
+        yield Notice("often_at_rest", "note", name, share, meaning)
     yield from _jumps(name, joint, frozen)
     if joint.band_hz is not None and joint.band_hz > FAST / dt:
         band = f"99 % of the velocity's power reaches up to {joint.band_hz:.3g} Hz, at {1 / dt:.4g} samples a second"
         meaning = "accelerations are not to be trusted up there: log faster, or lower `filter.cutoff_hz`"
-        yield Finding("warning", name, band, meaning)
+        yield Notice("motion_too_fast", "warning", name, band, meaning)
     q = joint.signals["q"]
     if q.maximum - q.minimum > TURNS:
         travel = f"q spans {q.maximum - q.minimum:.4g}"
-        yield Finding("note", name, travel, "a wheel, or degrees: then set `log.scale` of q to 0.0174533")
+        meaning = "a wheel, or degrees: then set `log.scale` of q to 0.0174533"
+        yield Notice("many_turns", "note", name, travel, meaning)
 
 
-def _jumps(name: str, joint: Joint, frozen: Frozen | None) -> Iterator[Finding]:
+def _jumps(name: str, joint: Joint, frozen: Frozen | None) -> Iterator[Notice]:
     """Jumps of the position, but for those with which one that was frozen catches up."""
     jumps = joint.jumps - (frozen.stretches if frozen and not joint.wraps else 0)
     if jumps > 0:
         meaning = "velocity and acceleration are wrong around each jump; unwrap q, or cut the log there"
         if joint.wraps:
             number = f"{counted(jumps, 'jump')} of q by about a full turn"
-            yield Finding("problem", name, number, meaning, "wrapped_position")
+            yield Notice("wrapped_position", "problem", name, number, meaning)
         else:
-            yield Finding("problem", name, f"{counted(jumps, 'jump')} of q", meaning)
+            yield Notice("position_jumps", "problem", name, f"{counted(jumps, 'jump')} of q", meaning)
 
 
-def torque_source(name: str, joint: Joint) -> Iterator[Finding]:
+def torque_source(name: str, joint: Joint) -> Iterator[Notice]:
     """A torque that looks commanded."""
     if joint.torque and joint.torque.kind == "commanded":
         meaning = "what the drive made of the command is not in it: expect a `time_delay` and a `torque_gain`"
-        yield Finding("note", name, f"tau looks commanded: {joint.torque.reason}", meaning)
+        yield Notice("torque_commanded", "note", name, f"tau looks commanded: {joint.torque.reason}", meaning)

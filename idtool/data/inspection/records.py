@@ -6,9 +6,10 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-Severity = Literal["note", "warning", "problem"]
+from idtool.common.notice import Notice
+
 FaultKind = Literal[
     "wrong_unit",
     "wrong_sign",
@@ -20,36 +21,12 @@ FaultKind = Literal[
     "time_jitter",
     "wrapped_position",
 ]
+FAULT_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Something that is wrong with a log, or worth knowing.
-
-    Attributes
-    ----------
-    severity
-        ``note``: nothing to do; ``warning``: the fit gets worse by it; ``problem``: the joint, or the log, can't be
-        used like this.
-    joint
-        The joint it concerns; None: the whole log.
-    what
-        One sentence with the figure.
-    meaning
-        What it means for the fit, and what to do about it. The same words for the same defect, whatever the joint.
-    fault
-        The kind of data fault, which a diagnosis names too; None: too little to spoil a fit, of no kind in the table
-        of `idtool.diagnosis.data_faults`, or for the model to decide.
-    undone
-        Whether the fault is undone, so that nothing is to be done.
-    """
-
-    severity: Severity
-    joint: str | None
-    what: str
-    meaning: str
-    fault: FaultKind | None = None
-    undone: bool = False
+def data_fault(notice: Notice) -> FaultKind | None:
+    """Kind of data fault that a notice is about; None for all other notices. A fault of severity ``note`` is undone."""
+    return next((kind for kind in FAULT_KINDS if kind == notice.code), None)
 
 
 @dataclass(frozen=True)
@@ -268,9 +245,9 @@ class Inspection:
     joints
         By name, in the log's order.
     findings
-        Problems first, then warnings, then notes; those with the same meaning side by side.
-    warnings
-        Of the reader; a doubtful unit of the times is among the findings.
+        Problems first, then warnings, then notes; those with the same advice side by side.
+    reading
+        Notices of the reader, but for those that are among the findings.
     """
 
     path: str
@@ -282,8 +259,8 @@ class Inspection:
     segments: int
     stamps: Stamps
     joints: Mapping[str, Joint]
-    findings: tuple[Finding, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Notice, ...]
+    reading: tuple[Notice, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, finite or None, as JSON takes them."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from idtool.data.inspection.records import Finding, Severity, Stamps
+from idtool.common.notice import Notice, Severity
+from idtool.data.inspection.records import Stamps
 from idtool.data.inspection.sentences import counted
-from idtool.data.logs.log import Log
-from idtool.data.logs.times import describe_doubt
 
 JITTER = 0.1  # samples that a step is off: differencing neighbouring positions is then wrong by a tenth of the velocity
 HICCUP = 0.005  # share of samples repeated or lost without a gap: fewer are not worth a word
@@ -21,13 +20,7 @@ TOO_SHORT = 0.5  # the same, from which on hardly anything remains
 _DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit takes the logged v where it is less so"
 
 
-def time_unit(log: Log, unit: str) -> Finding:
-    """The finding that the stamps seem to be in another unit than seconds."""
-    evidence, advice = describe_doubt(log.dt, unit, log.signals)
-    return Finding("problem", None, evidence, advice, "wrong_unit")
-
-
-def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Finding]:
+def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """Stamps that are not even, or samples that were not taken at their stamps.
 
     The steps from stamp to stamp count: a clock that drifts does a fit no harm.
@@ -36,14 +29,14 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Finding]:
     if stamps.step_jitter > JITTER:
         deviation = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
-        yield Finding("warning", None, deviation, advice, "time_jitter")
+        yield Notice("time_jitter", "warning", None, deviation, advice)
     elif off > JITTER:
         deviation = f"by the joints' motion the samples were taken {off:.2g} samples rms off the stamps' even clock"
         advice = f"the stamps were rounded or made up; {_DIFFERENTIATED}; log the sensor's own time"
-        yield Finding("warning", None, deviation, advice, "time_jitter")
+        yield Notice("time_jitter", "warning", None, deviation, advice)
 
 
-def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Finding]:
+def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """Samples that were lost without a gap in the stamps.
 
     Where the stamps stray they may show the loss, so that it is no fault beside the jitter.
@@ -55,9 +48,9 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Finding]:
         share = f"by the joints' motion {stamps.sampling.skipped:.1%} of the steps took the time of two samples or more"
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
         if net > SKIPPED and stamps.step_jitter <= JITTER:
-            yield Finding("warning", None, share, meaning, "dropped_samples")
+            yield Notice("dropped_samples", "warning", None, share, meaning)
         else:
-            yield Finding("note", None, share, meaning)
+            yield Notice("few_samples_dropped", "note", None, share, meaning)
 
 
 def _unevenness(dt: float, stamps: Stamps) -> float:
@@ -65,18 +58,18 @@ def _unevenness(dt: float, stamps: Stamps) -> float:
     return 0.0 if stamps.sampling is None else stamps.sampling.jitter_ms / (1e3 * dt)
 
 
-def repeated_rows(stamps: Stamps) -> Iterator[Finding]:
+def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
     if stamps.repeated > HICCUP:
         share = f"{stamps.repeated:.1%} of the samples repeat the one before in every joint"
         meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
         if stamps.repeated > REPEATED:
-            yield Finding("warning", None, share, meaning, "stale")
+            yield Notice("stale", "warning", None, share, meaning)
         else:
-            yield Finding("note", None, share, meaning)
+            yield Notice("few_samples_stale", "note", None, share, meaning)
 
 
-def gaps(duration: float, stamps: Stamps) -> Iterator[Finding]:
+def gaps(duration: float, stamps: Stamps) -> Iterator[Notice]:
     """Time that was lost between segments; ``duration`` is that of the log [s]."""
     if stamps.gaps:
         longest = stamps.longest_gaps[0]
@@ -86,12 +79,12 @@ def gaps(duration: float, stamps: Stamps) -> Iterator[Finding]:
         )
         meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
         if stamps.lost > LOST * duration:
-            yield Finding("warning", None, extent, meaning, "dropped_samples")
+            yield Notice("dropped_samples", "warning", None, extent, meaning)
         else:
-            yield Finding("note", None, extent, meaning)
+            yield Notice("small_gaps", "note", None, extent, meaning)
 
 
-def short_segments(segments: int, stamps: Stamps) -> Iterator[Finding]:
+def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     """Segments too short to be of use; ``segments`` is the number of all."""
     if segments < 2 or stamps.short < SHORT:
         return
@@ -100,17 +93,20 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Finding]:
     severity: Severity = "problem" if too_short else "warning"
     rest = "hardly anything is left to fit" if too_short else "they may be lost to a fit"
     meaning = f"shorter than a filter takes to settle, {rest}: fill in single missing values, or log without gaps"
-    yield Finding(severity, None, extent, meaning, "dropped_samples" if stamps.gaps else None)
+    if stamps.gaps:
+        yield Notice("dropped_samples", severity, None, extent, meaning)
+    else:
+        yield Notice("short_stretches", severity, None, extent, meaning)
 
 
-def disordered_stamps(samples: int, stamps: Stamps) -> Iterator[Finding]:
+def disordered_stamps(samples: int, stamps: Stamps) -> Iterator[Notice]:
     """Stamps that do not advance; ``samples`` is the number of all."""
     if stamps.duplicates:
         severity: Severity = "warning" if stamps.duplicates > DUPLICATES * samples else "note"
         number = f"{counted(stamps.duplicates, 'stamp')} equal to the one before"
         meaning = "a coarse clock, or rows written twice; name the sensor's own time in `log.columns` if it is logged"
-        yield Finding(severity, None, number, meaning)
+        yield Notice("duplicate_stamps", severity, None, number, meaning)
     if stamps.backward:
         number = f"{counted(stamps.backward, 'stamp')} earlier than the one before"
         meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
-        yield Finding("warning", None, number, meaning)
+        yield Notice("backward_stamps", "warning", None, number, meaning)

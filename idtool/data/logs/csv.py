@@ -13,9 +13,10 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import log_of
-from idtool.data.logs.log import SIGNALS, Log
+from idtool.data.logs.log import SIGNALS, Log, truncation
 from idtool.data.logs.series import Samples, Series
 from idtool.data.logs.table import Table
 from idtool.data.logs.times import in_seconds
@@ -60,15 +61,18 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     if not len(series):
         raise LogError(path, "has no samples after its first line")
     t, joints, arrays = series.arrays()
-    warnings = []
+    notices: list[Notice] = []
     if found.unused:
-        warnings.append(f"columns that hold no joint signal were ignored: {some(found.unused)}")
+        message = f"columns that hold no joint signal were ignored: {some(found.unused)}"
+        advice = "if one of them does, name it under log.columns in the configuration"
+        notices.append(Notice("unused_columns", "note", None, message, advice))
     if others:
-        warnings.append(f"{others} rows that hold no joint signal were passed over")
-    warnings += in_seconds(t)
+        message = f"{others} rows that hold no joint signal were passed over"
+        notices.append(Notice("unused_rows", "note", None, message))
+    notices += in_seconds(t)
     if table.cut:
-        warnings.append(f"the file was cut off in mid-write; kept: {len(t)} samples, up to t = {t[-1]:.3f} s")
-    return log_of(path, t, joints, arrays, tuple(warnings))
+        notices.append(truncation("the file", f"{len(t)} samples, up to t = {t[-1]:.3f} s"))
+    return log_of(path, t, joints, arrays, tuple(notices))
 
 
 def write(file: BinaryIO, log: Log) -> None:

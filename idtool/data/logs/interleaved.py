@@ -12,6 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.logs.log import Log, make_log
 
 _BLOCK = 1 << 14  # samples looked at together
@@ -22,17 +23,17 @@ def log_of(
     t: Array,
     joints: tuple[str, ...],
     signals: Mapping[str, Array],
-    warnings: tuple[str, ...] = (),
+    notices: tuple[Notice, ...] = (),
 ) -> Log:
     """The log that `make_log` makes, without what keeps its samples from being complete.
 
     Where no two samples in a row hold every joint and signal, those that one kind of sample holds are kept: the kind
-    that holds a position, and most values over all. A warning names what is left out.
+    that holds a position, and most values over all. A notice names what is left out.
 
     Parameters and errors are those of `make_log`.
     """
     if "q" not in signals or _complete(signals):
-        return make_log(path, t, joints, signals, warnings)
+        return make_log(path, t, joints, signals, notices)
     filled = np.stack([~np.isnan(array) for array in signals.values()], axis=1)  # (N, ns, nj)
     _, kind = np.unique(np.packbits(filled.reshape(len(t), -1), axis=1), axis=0, return_inverse=True)
     values = filled.sum(axis=(1, 2)) * filled[:, list(signals).index("q")].any(axis=1)
@@ -42,15 +43,16 @@ def log_of(
     names = np.array([[f"{name}_{joint}" for joint in joints] for name in signals])
     lost = [f"{(~rows).sum()} samples"] * (not rows.all()) + names[filled.any(axis=0) & ~kept].tolist()
     few = tuple(np.array(joints)[held].tolist())
-    warnings += (
+    message = (
         "no two samples in a row hold every signal, as where several sources take turns; "
-        f"kept the {rows.sum()} samples of {some(few)}, left out {some(lost)}",
+        f"kept the {rows.sum()} samples of {some(few)}, left out {some(lost)}"
     )
+    notices += (Notice("interleaved_signals", "warning", None, message, "log position and torque in the same message"),)
     fitting = {
         name: np.where(has, array[rows], np.nan)[:, held]
         for (name, array), has in zip(signals.items(), kept, strict=True)
     }
-    return make_log(path, t[rows], few, fitting, warnings)
+    return make_log(path, t[rows], few, fitting, notices)
 
 
 def _complete(signals: Mapping[str, Array]) -> bool:

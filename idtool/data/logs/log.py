@@ -14,8 +14,9 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
+from idtool.common.notice import Notice
 from idtool.common.provenance import Source
-from idtool.data.logs.times import describe_doubt, doubtful_unit
+from idtool.data.logs.times import doubtful_unit, wrong_time_unit
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
@@ -42,8 +43,8 @@ class Log:
         Runs of samples without a gap, as slices into the first axis.
     dt
         Nominal sample time [s].
-    warnings
-        What the reader had to say, one plain sentence each.
+    notices
+        What the reader had to say.
     sources
         The files that it was read from.
     """
@@ -54,7 +55,7 @@ class Log:
     signals: Mapping[str, Array]
     segments: tuple[slice, ...]
     dt: float
-    warnings: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     sources: tuple[Source, ...] = ()
 
     def __len__(self) -> int:
@@ -68,12 +69,18 @@ class Log:
         return bool(np.isfinite(column[:1]).any() or np.isfinite(column).any())
 
 
+def truncation(what: str, kept: str) -> Notice:
+    """Notice that a file was cut off while it was written, and what of it was kept."""
+    advice = "record again if what was kept is too short"
+    return Notice("log_truncated", "warning", None, f"{what} was cut off in mid-write; kept: {kept}", advice)
+
+
 def make_log(
     path: Path,
     t: Array,
     joints: tuple[str, ...],
     signals: Mapping[str, Array],
-    warnings: tuple[str, ...] = (),
+    notices: tuple[Notice, ...] = (),
 ) -> Log:
     """Check what a reader has read and split it into segments.
 
@@ -90,7 +97,7 @@ def make_log(
         Joint names.
     signals
         Any of `SIGNALS`, each of shape (N, nj).
-    warnings
+    notices
         What the reader had to say.
 
     Raises
@@ -113,10 +120,12 @@ def make_log(
     if not segments:
         raise LogError(path, "no two consecutive samples are complete; check for missing values")
     if bad.any():
-        warnings += (f"{int(bad.sum())} samples hold values that are not finite and were left out",)
+        message = f"{int(bad.sum())} samples hold values that are not finite and were left out"
+        advice = "nothing to do if they are few; else see what idtool inspect says"
+        notices += (Notice("not_finite", "note", None, message, advice),)
     if unit := doubtful_unit(dt, segments, held):
-        warnings += (": ".join(describe_doubt(dt, unit, held)),)
-    return Log(path, joints, t, held, segments, dt, warnings)
+        notices += (wrong_time_unit(dt, unit, held),)
+    return Log(path, joints, t, held, segments, dt, notices)
 
 
 def _incomplete(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:

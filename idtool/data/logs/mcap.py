@@ -14,10 +14,11 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.logs.bag import MCAP, ZSTD, files_of
 from idtool.data.logs.files import records
 from idtool.data.logs.interleaved import log_of
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import Log, truncation
 from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.data.logs.series import Series
 from idtool.data.logs.times import in_seconds
@@ -60,16 +61,21 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     if cut and not len(topics):
         raise LogError(path, "was cut off before its first message")
     states, commands = topics.chosen()
-    warnings = [f"{name} was cut off in mid-write; kept: {_kept(*states.held(i))}" for i, name in cut.items()]
+    notices: list[Notice] = []
+    for i, name in cut.items():
+        notices.append(truncation(name, _kept(*states.held(i))))
     t, joints, signals = states.arrays()
     if commands:
         try:
             signals |= _aligned(commands, t, joints)
         except ValueError as error:
-            warnings.append(f"the commands were left out: {error}")
+            advice = "nothing to do if the log holds the measured torque"
+            message = f"the commands were left out: {error}"
+            notices.append(Notice("commands_left_out", "warning", None, message, advice))
     if columns:
-        warnings.append(f"log.columns names columns of CSV, of which MCAP has none; ignored: {some(columns)}")
-    return log_of(path, t, joints, signals, (*warnings, *in_seconds(t)))
+        message = f"log.columns names columns of CSV, of which MCAP has none; ignored: {some(columns)}"
+        notices.append(Notice("columns_ignored", "note", None, message))
+    return log_of(path, t, joints, signals, (*notices, *in_seconds(t)))
 
 
 def _kept(samples: int, end: float) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice
 
 _UNITS = {"ns": 1e9, "us": 1e6, "ms": 1e3}  # to the second
 _LOOKED_AT, _FEW = 1 << 14, 16  # samples
@@ -17,7 +18,7 @@ _SLOWEST = 0.2  # s from sample to sample, with which no log of a motion is made
 _AGREES = 1.25  # ratio of v to dq/dt, or of dq/dt to v, that is no other unit
 
 
-def in_seconds(t: Array) -> list[str]:
+def in_seconds(t: Array) -> list[Notice]:
     """Convert times that can't be seconds, in place: their epoch or their step would be far off.
 
     Parameters
@@ -27,14 +28,14 @@ def in_seconds(t: Array) -> list[str]:
 
     Returns
     -------
-    list of str
-        What was done, for the log's warnings.
+    A notice of what was done, if anything was.
     """
     unit = _unit(t[:_LOOKED_AT])
     if unit is None:
         return []
     t /= _UNITS[unit]
-    return [f"its times are in {unit}; they were converted to seconds"]
+    message = f"its times are in {unit}; they were converted to seconds"
+    return [Notice("times_converted", "note", None, message, "nothing to do if that is right")]
 
 
 def _unit(t: Array) -> str | None:
@@ -77,8 +78,8 @@ def doubtful_unit(dt: float, segments: Sequence[slice], signals: Mapping[str, Ar
     return unit if 1 / _AGREES < scale * _UNITS[unit] < _AGREES else None
 
 
-def describe_doubt(dt: float, unit: str, signals: Mapping[str, Array]) -> tuple[str, str]:
-    """Why times are doubtful, and what to do about it.
+def wrong_time_unit(dt: float, unit: str, signals: Mapping[str, Array]) -> Notice:
+    """Notice that the times seem to be in another unit than seconds.
 
     Parameters
     ----------
@@ -90,4 +91,5 @@ def describe_doubt(dt: float, unit: str, signals: Mapping[str, Array]) -> tuple[
         Those of the log, by name.
     """
     evidence = f"which are in {unit}, as v tells" if "v" in signals else f"which look like {unit}"
-    return f"samples are {dt:.3g} s apart by their times, {evidence}", "write them in seconds"
+    message = f"samples are {dt:.3g} s apart by their times, {evidence}"
+    return Notice("wrong_unit", "problem", None, message, "write them in seconds")

@@ -24,26 +24,23 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.data.inspection import FaultKind, Inspection, inspect_log
+from idtool.common.notice import Notice
+from idtool.data.inspection import FAULT_KINDS, Inspection, data_fault, inspect_log
 from idtool.data.inspection.channel_findings import STUCK
 from idtool.data.inspection.velocity_findings import DISAGREEMENT
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
 from idtool.diagnosis.data_faults.channel_search import ChannelSearch
-from idtool.diagnosis.data_faults.fault import Fault
 from idtool.diagnosis.data_faults.torque_scale import cut_off, torque_unit
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
-__all__ = ["Fault", "find_data_faults"]
-
-_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
+__all__ = ["find_data_faults"]
 
 
-def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Fault, ...]:
+def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice, ...]:
     """Faults of the logs.
 
     Single channels and the clock are judged by themselves, from stretches spread over the logs. Signs, order and units
@@ -63,12 +60,12 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Fault,
     """
     logs = [run.signals.log for run in experiment.runs]
     inspections: list[Inspection] = []
-    faults: list[tuple[int | None, Fault]] = []  # with the number of the log; None for all logs
+    faults: list[tuple[int | None, Notice]] = []  # with the number of the log; None for all logs
     for k, log in enumerate(logs):
         progress("inspecting the logs", k / len(logs))
         inspections.append(inspect_log(log))
         own = inspection_faults(inspections[-1], experiment.model.names)
-        wrong_time = [fault for fault in own if (fault.fault, fault.joint) == ("wrong_unit", None)]
+        wrong_time = [fault for fault in own if (fault.code, fault.subject) == ("wrong_unit", None)]
         if wrong_time:  # with it, all derivatives are wrong
             return tuple(wrong_time)
         faults += [(k, fault) for fault in own]
@@ -76,19 +73,18 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Fault,
     return _merged(faults, [log.path.name for log in logs])
 
 
-def inspection_faults(inspection: Inspection, joints: Sequence[str]) -> list[Fault]:
+def inspection_faults(inspection: Inspection, joints: Sequence[str]) -> list[Notice]:
     """The findings of an inspection that are faults, of the log and of the model's joints."""
     faults = []
     for finding in inspection.findings:
-        if finding.fault is not None and (finding.joint is None or finding.joint in joints):
-            detail = f"{finding.what}: {finding.meaning}"
-            faults.append(Fault(finding.fault, finding.joint, detail, finding.undone))
+        if data_fault(finding) is not None and (finding.subject is None or finding.subject in joints):
+            faults.append(finding)
     return faults
 
 
 def _model_faults(
     experiment: Experiment, fit: ChannelFit, inspections: Sequence[Inspection], progress: Progress
-) -> Iterator[Fault]:
+) -> Iterator[Notice]:
     """Faults that the model tells."""
     model = experiment.model
     commands = [run.signals.command for run in experiment.runs]
@@ -124,7 +120,7 @@ def _gains(inspections: Sequence[Inspection]) -> dict[str, float]:
     return gains
 
 
-def _merged(faults: Sequence[tuple[int | None, Fault]], logs: Sequence[str]) -> tuple[Fault, ...]:
+def _merged(faults: Sequence[tuple[int | None, Notice]], logs: Sequence[str]) -> tuple[Notice, ...]:
     """One fault a kind and joint: that of the first log that has it, which is named where there are several logs.
 
     Parameters
@@ -134,15 +130,16 @@ def _merged(faults: Sequence[tuple[int | None, Fault]], logs: Sequence[str]) -> 
     logs
         Names of the logs.
     """
-    alike: dict[tuple[str, str | None], list[tuple[int | None, Fault]]] = defaultdict(list)
+    alike: dict[tuple[str, str | None], list[tuple[int | None, Notice]]] = defaultdict(list)
     for k, fault in faults:
-        alike[fault.fault, fault.joint].append((k, fault))
+        alike[fault.code, fault.subject].append((k, fault))
     merged = []
     for entries in alike.values():
         first, fault = entries[0]
         if first is not None and len(logs) > 1:
             more = len({k for k, _ in entries if k is not None}) - 1
             others = f" and {more} more log{'s' if more > 1 else ''}" if more else ""
-            fault = replace(fault, detail=f"{fault.detail} ({logs[first]}{others})")
+            fault = replace(fault, message=f"{fault.message} ({logs[first]}{others})")
         merged.append(fault)
-    return tuple(sorted(merged, key=lambda fault: _KINDS.index(fault.fault)))
+    kinds: list[str] = list(FAULT_KINDS)
+    return tuple(sorted(merged, key=lambda fault: kinds.index(fault.code)))

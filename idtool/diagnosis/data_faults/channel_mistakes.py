@@ -13,10 +13,10 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.inspection import FaultKind
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import Change
-from idtool.diagnosis.data_faults.fault import Fault
 from idtool.robot.urdf.reading import Joint
 
 _FEW = 4  # joints of which any may be turned at once
@@ -50,7 +50,7 @@ class Mistake:
     position: Change | None = None
     others: tuple[Mistake, ...] = ()
 
-    def faults(self, names: Sequence[str], before: float, after: float, computed: Set[str]) -> Iterator[Fault]:
+    def faults(self, names: Sequence[str], before: float, after: float, computed: Set[str]) -> Iterator[Notice]:
         """The mistake as faults, one a joint.
 
         Parameters
@@ -69,7 +69,7 @@ class Mistake:
         for joint, (defect, advice) in zip(self.joints, self.details, strict=True):
             if names[joint] in computed:
                 advice = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"
-            yield Fault(self.fault, names[joint], f"{defect} ({shares}{or_else}): {advice}")
+            yield Notice(self.fault, "problem", names[joint], f"{defect} ({shares}{or_else})", advice)
 
 
 def possible_mistakes(

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.notice import Notice
 from idtool.data.inspection.velocity_findings import is_another_unit
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import EXPLAINED, Change, ChannelFit
 from idtool.diagnosis.data_faults.channel_mistakes import Mistake, possible_mistakes, torque_order
-from idtool.diagnosis.data_faults.fault import Fault
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import Joint
 
@@ -75,7 +75,7 @@ class ChannelSearch:
         self.position: Change = _as_logged
         self._sample = self.fit.reduced(self.position)
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[Notice]:
         """All faults of signs, order and units that the motion tells."""
         self.progress(_STAGE, 0.0)
         u = self._sample.unexplained(self.T)
@@ -86,9 +86,9 @@ class ChannelSearch:
             yield from self._beyond(u)
         yield from self._velocities()
 
-    def _mistakes(self, u: Array) -> Iterator[Fault]:
+    def _mistakes(self, u: Array) -> Iterator[Notice]:
         """Undo one mistake after the other, as long as that helps; yield those that make sense in the end."""
-        faults: list[tuple[Indices, Fault]] = []
+        faults: list[tuple[Indices, Notice]] = []
         order = self._order(u)
         chosen: dict[int | None, Mistake] = {None: order} if order is not None and self._helps(u, order) else {}
         for _ in range(_ROUNDS):
@@ -200,7 +200,7 @@ class ChannelSearch:
         """Joints whose wrong unit is among the accepted mistakes."""
         return {j for mistake in self.accepted if mistake.fault == "wrong_unit" for j in mistake.joints}
 
-    def _beyond(self, u: Array) -> Iterator[Fault]:
+    def _beyond(self, u: Array) -> Iterator[Notice]:
         """Positions that can't be, where the torque does not mind or, being computed from them, can't tell."""
         known = self._of_wrong_unit()
         outside = self._outside()
@@ -210,19 +210,21 @@ class ChannelSearch:
             far = 0 < range_ < np.inf and high - low > max(_RANGES * range_, np.pi)
             if j not in known and (far or spoilt):
                 travel = f"q goes from {low:.4g} to {high:.4g}, by the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
-                yield Fault("wrong_unit", joint.name, f"{travel}, as degrees, mm or counts do: set its `log.scale`")
+                message = f"{travel}, as degrees, mm or counts do"
+                yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
-    def _velocities(self) -> Iterator[Fault]:
+    def _velocities(self) -> Iterator[Notice]:
         """Velocities that have another sign or unit than their positions, where it is not the positions' fault."""
         put_right = {(mistake.fault, j) for mistake in self.accepted if mistake.position for j in mistake.joints}
         for j, joint in enumerate(self.joints):
             gain = self.gains.get(joint.name, 1.0)
             if gain < 0 and ("wrong_sign", j) not in put_right:
                 ratio = f"v is {gain:.3g} times the derivative of q, which agrees with tau"
-                yield Fault("wrong_sign", joint.name, f"{ratio}: set the `log.scale` of v to -1")
+                yield Notice("wrong_sign", "problem", joint.name, ratio, "set the `log.scale` of v to -1")
             if is_another_unit(gain) and ("wrong_unit", j) not in put_right:
                 ratio = f"v is {abs(gain):.4g} times the derivative of q in size"
-                yield Fault("wrong_unit", joint.name, f"{ratio}: set the `log.scale` of v to {1 / gain:.4g}")
+                advice = f"set the `log.scale` of v to {1 / gain:.4g}"
+                yield Notice("wrong_unit", "problem", joint.name, ratio, advice)
 
 
 def _gain(before: Array, after: Array, which: Indices) -> float:

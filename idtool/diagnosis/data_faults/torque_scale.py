@@ -13,9 +13,9 @@ from scipy.optimize import nnls
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.data.inspection import Joint
 from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
-from idtool.diagnosis.data_faults.fault import Fault
 from idtool.estimation.dataset.reduction import Factor
 
 _WEIGHT, _INERTIA = 0.03, 0.3  # share of a torque's power that either must make up to tell the unit
@@ -27,7 +27,7 @@ _BEYOND = 3.0  # standard errors, and
 _BEYOND_SHARE = 0.01  # of the extreme, that the torque must go on beyond it
 
 
-def torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Fault]:
+def torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Notice]:
     """A fault where all torques are another multiple of what the URDF's bodies take than a wrong URDF explains.
 
     Weight is believed before inertia, to which rotors may add any amount.
@@ -49,8 +49,9 @@ def torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Fault]:
         return
     factor = float(np.exp(np.median(logs)))
     ratio = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
-    advice = "if it is a motor's torque, a current, mN·m or the like set its `log.scale`"
-    yield Fault("wrong_unit", None, f"{ratio} at {some(list(factors))}: {advice}; else the URDF's masses are wrong")
+    cause = "if it is a motor's torque, a current, mN·m or the like"
+    advice = f"{cause} set its `log.scale`; else the URDF's masses are wrong"
+    yield Notice("wrong_unit", "problem", None, f"{ratio} at {some(list(factors))}", advice)
 
 
 def _place_holders(fit: ChannelFit) -> bool:
@@ -86,7 +87,7 @@ def _factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str, float
     return weight, inertia
 
 
-def cut_off(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Fault]:
+def cut_off(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Notice]:
     """A fault where the torque of joint j goes on beyond the extremes at which its channel stays.
 
     A drive's limit keeps the torque itself there, which is no fault. So the torque equation gets a column more, which
@@ -119,7 +120,7 @@ def cut_off(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Fault]:
     if missing > max(_BEYOND * error, _BEYOND_SHARE * level):
         extremes = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
         beyond = f"where by the motion it goes on for {missing:.2g} in the mean"
-        yield Fault("clipped", name, f"{extremes}, {beyond}: excite less, or raise the limit")
+        yield Notice("clipped", "problem", name, f"{extremes}, {beyond}", "excite less, or raise the limit")
 
 
 def _missing(factor: Factor) -> tuple[float, float]:

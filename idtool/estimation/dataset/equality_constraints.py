@@ -15,6 +15,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
+from idtool.common.notice import Notice
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import Config, Measured, Mirror
 from idtool.robot.ellipsoid import Ellipsoid
@@ -120,7 +121,7 @@ def equality_constraints(config: Config, model: Model, equation: LinearModel) ->
 
 
 def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
-    """The model with every copy bounded as its original, and a warning where a copy has other bounds of its own."""
+    """The model with every copy bounded as its original, and a notice where a copy has other bounds of its own."""
     bodies = list(model.bodies)
     overruled = []
     for copy, (original, signs) in equalities.copies.items():
@@ -128,11 +129,11 @@ def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
         bodies[copy] = own.bounded_as(bodies[original], signs)
         if own.bounds and not _are_close(own.ellipsoids, bodies[copy].ellipsoids):
             overruled.append(own.name)
-    warnings = model.warnings
+    notices = model.notices
     if overruled:
-        warning = f"copies, bounded as what they are copies of and not as configured: {some(overruled)}"
-        warnings = (*warnings, warning)
-    return replace(model, bodies=tuple(bodies), warnings=warnings)
+        message = f"copies, bounded as what they are copies of and not as configured: {some(overruled)}"
+        notices = (*notices, Notice("copies_bounds_overruled", "warning", None, message))
+    return replace(model, bodies=tuple(bodies), notices=notices)
 
 
 def _are_close(ellipsoids: Sequence[Ellipsoid], others: Sequence[Ellipsoid]) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import shown, some
+from idtool.common.notice import Notice
 from idtool.common.provenance import Source
 from idtool.data.command import commanded
 from idtool.data.logs import Log, read_log
@@ -75,30 +76,33 @@ class Experiment:
     runs: tuple[Run, ...]
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about model and logs, a plain sentence each."""
-        warnings = [*self.model.warnings, *self._moving_joints_warning()]
+    def notices(self) -> tuple[Notice, ...]:
+        """Notices about model and logs."""
+        notices = [*self.model.notices, *self._moving_joints_notice()]
         sources = [source for run in self.runs if run.train for source in run.signals.log.sources]
         hashes = [source.sha256 for source in sources]
         duplicates = {Path(source.path).name for source in sources if hashes.count(source.sha256) > 1}
         if duplicates:
             names = ", ".join(sorted(duplicates))
-            warnings.append(f"{names}: the same log more than once; standard errors are too small")
+            message = f"{names}: the same log more than once; standard errors are too small"
+            notices.append(Notice("duplicate_log", "warning", None, message))
         fitted = {run.signals.log.path.resolve() for run in self.runs if run.train}
         validated = {run.signals.log.path.resolve() for run in self.runs if not run.train}
         for path in sorted(fitted & validated):
-            warnings.append(f"{path.name} is fitted to and validated on: its error says little")
+            message = "fitted to and validated on, so that its error says little"
+            notices.append(Notice("validated_on_training_log", "warning", path.name, message))
         controller = self.config.controller
         by_command = any(run.signals.command.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            warnings.append("controller.delay is auto, and no command is fitted to here: 0 is taken; fit finds it")
+            message = "auto, and no command is fitted to here: 0 is taken; fit finds it"
+            notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         for run in self.runs:
-            prefix = f"{run.signals.log.path.name}: " if len(self.runs) > 1 else ""
-            warnings += [prefix + warning for warning in (*run.signals.log.warnings, *run.signals.warnings)]
-        return tuple(warnings)
+            for notice in (*run.signals.log.notices, *run.signals.notices):
+                notices.append(notice.about(run.signals.log.path.name) if len(self.runs) > 1 else notice)
+        return tuple(notices)
 
-    def _moving_joints_warning(self) -> Iterator[str]:
-        """Warning about joints that move though they are not in the model, on one branch with joints that are."""
+    def _moving_joints_notice(self) -> Iterator[Notice]:
+        """Notice about joints that move though they are not in the model, on one branch with joints that are."""
         moved = []
         robot = self.model.robot
         for joint in robot.joints.values():
@@ -112,11 +116,12 @@ class Experiment:
                 place = self.config.locked_joints.get(joint.name, 0.0)
                 moved.append(f"{shown(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
         if moved:
-            yield (
+            message = (
                 f"taken as standing still, though they move in the log: {', '.join(moved)}; what their motion does to "
-                "the other joints' torque is not in the model and falsifies the parameters: add them to joints, or log "
-                "them at rest"
+                "the other joints' torque is not in the model and falsifies the parameters"
             )
+            advice = "add them to joints, or log them at rest"
+            yield Notice("moving_joints_held_still", "warning", None, message, advice)
 
     @property
     def sources(self) -> tuple[Source, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
+from idtool.common.notice import Notice
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
@@ -241,8 +242,8 @@ def _windows(
     return [(signals, windows) for signals, windows in jobs if windows], available
 
 
-def simulation_notes(rollouts: RolloutEvaluation | None, model: str) -> list[str]:
-    """Warnings about rollouts, a plain sentence each.
+def simulation_notices(rollouts: RolloutEvaluation | None, model: str) -> list[Notice]:
+    """Notices about rollouts.
 
     Parameters
     ----------
@@ -253,11 +254,15 @@ def simulation_notes(rollouts: RolloutEvaluation | None, model: str) -> list[str
     """
     if rollouts is None:
         return []
-    notes = []
+    notices = []
     for name in (model, "prior"):
         which = "the prior" if name == "prior" else "the model"
         if name in rollouts.failed:
-            notes.append(f"no simulation of {which}: {rollouts.failed[name]}")
+            message = f"no simulation of {which}: {rollouts.failed[name]}"
+            advice = "fit within full or a tighter constraint set; give a prior's links and rotors their inertias"
+            notices.append(Notice("simulation_failed", "warning", None, message, advice))
         elif diverged := rollouts.diverged.get(name):
-            notes.append(f"{diverged} of {rollouts.windows} simulations of {which} ran away and were stopped")
-    return notes
+            message = f"{diverged} of {rollouts.windows} simulations of {which} ran away and were stopped"
+            advice = "simulate for shorter with simulation.window; look for a joint of little inertia"
+            notices.append(Notice("simulation_diverged", "warning", None, message, advice))
+    return notices

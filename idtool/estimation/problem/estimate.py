@@ -256,7 +256,7 @@ def solve_locally(problem: Problem, name: str, start: Array) -> tuple[Array, Cer
 
 
 def stuck_note(certificate: Certificate) -> str:
-    """Warning about a cost that is not certified to be the least; empty if it is."""
+    """Message about a cost that is not certified to be the least; empty if it is."""
     if certificate.certified:
         return ""
     if certificate.holds:
@@ -272,14 +272,14 @@ def stuck_note(certificate: Certificate) -> str:
 
 
 def unfinished_note(certificate: Certificate) -> str:
-    """Warning about a convex solver's optimum whose parameters are not at it; empty if they are."""
+    """Message about a convex solver's optimum whose parameters are not at it; empty if they are."""
     error = certificate.parameter_error
     if certificate.name in LOCAL or (error is not None and error <= PARAMETER_TOLERANCE):
         return ""
     far = "an unknown share" if error is None else f"{error:.1g}"
     return (
         "the cost is the least, but not all parameters are at the optimum: those that the prior alone holds may be off "
-        f"by {far} of their body's mass and size; a larger regularization.weight holds them better"
+        f"by {far} of their body's mass and size"
     )
 
 

@@ -16,6 +16,7 @@ from scipy.spatial import ConvexHull
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.reduction import Reduction
@@ -59,14 +60,14 @@ class PriorBodies:
         The torque equation with these as its prior.
     placeholders
         Names of the bodies that are filled evenly.
-    warnings
+    notices
         Plain sentences for the user.
     """
 
     bodies: tuple[Body, ...]
     equation: LinearModel
     placeholders: tuple[str, ...]
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 def prior_bodies(config: Config, model: Model, equation: LinearModel, reduction: Reduction) -> PriorBodies:
@@ -94,25 +95,26 @@ def prior_bodies(config: Config, model: Model, equation: LinearModel, reduction:
             for i, body in enumerate(bodies)
         )
     bodies = _at_known_masses(config, bodies)
-    warnings = []
+    notices = []
     if unit_densities:
         densities = [float(bodies[i].pi[0] / unit[0]) for i, unit in unit_densities.items()]
-        warnings.append(_placeholder_warning(reasons, densities, source))
+        notices.append(_placeholder_notice(reasons, densities, source))
     if bodies is not model.bodies:
         effects = build_effects(replace(model, bodies=bodies), config)
         equation = LinearModel(equation.joints, effects, equation.operating_point)
-    return PriorBodies(bodies, equation, tuple(reasons), tuple(warnings))
+    return PriorBodies(bodies, equation, tuple(reasons), tuple(notices))
 
 
-def _placeholder_warning(reasons: Mapping[str, str], densities: Sequence[float], source: str) -> str:
-    """Warning about placeholders, with their densities [kg/m³], which differ where single masses are known."""
+def _placeholder_notice(reasons: Mapping[str, str], densities: Sequence[float], source: str) -> Notice:
+    """Notice about placeholders, with their densities [kg/m³], which differ where single masses are known."""
     first_reason = next(iter(reasons.values()))
     lowest, highest = f"{min(densities):.0f}", f"{max(densities):.0f}"
     density = lowest if lowest == highest else f"{lowest} to {highest}"
-    return (
+    message = (
         f"the URDF's inertia is a placeholder for {some(list(reasons))} ({first_reason}): the prior is an even density "
         f"of {density} kg/m³, {source}"
     )
+    return Notice("placeholder_inertia", "warning", None, message)
 
 
 def placeholder_reasons(bodies: Sequence[Body]) -> dict[str, str]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, SolverError
+from idtool.common.notice import Notice
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
@@ -98,7 +99,7 @@ class Study:
         The validation error against numbers of samples.
     online
         Remark 5.
-    warnings
+    notices
         Plain sentences for the user.
     seconds
         Wall time of everything.
@@ -113,7 +114,7 @@ class Study:
     curves: dict[str, Curve]
     draws: int
     online: Online
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
     seconds: float
 
 
@@ -145,15 +146,15 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)
     noise = free_noise(equation, total, experiment.equalities)
-    warnings = [*experiment.warnings, *(delay.warnings if delay else ())]
+    notices = [*experiment.notices, *(delay.notices if delay else ())]
     names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
     problem_of = {name: _problem_builder(experiment, name, noise) for name in names}
     candidates = {}
     for name in names:
         problem = problem_of[name](total)
         candidates[name] = partial(_entry, experiment, name, problem, partial(solve, problem))
-    sets = _solved_entries(candidates, warnings, progress)
-    estimators = _solved_entries(_estimators(experiment, total, noise), warnings, progress)
+    sets = _solved_entries(candidates, notices, progress)
+    estimators = _solved_entries(_estimators(experiment, total, noise), notices, progress)
 
     tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
     models = {"identified": sets[tightest].theta, "prior": equation.prior}
@@ -166,7 +167,8 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)
     unsolved = [f"{name} {curve.unsolved}" for name, curve in curves.items() if curve.unsolved]
     if unsolved:
-        warnings.append(f"draws that the solver gave up on: {', '.join(unsolved)}")
+        message = f"draws that the solver gave up on: {', '.join(unsolved)}"
+        notices.append(Notice("draws_not_solved", "warning", None, message))
     rows = weighted_rows(equation, total, noise)[:, :-1]
     online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)
     return Study(
@@ -179,7 +181,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
         curves=curves,
         draws=draws,
         online=online,
-        warnings=tuple(warnings),
+        notices=tuple(notices),
         seconds=time.perf_counter() - started,
     )
 
@@ -218,16 +220,16 @@ def _entry(
 
 
 def _solved_entries(
-    candidates: Mapping[str, Callable[[], StudyEntry]], warnings: list[str], progress: Progress
+    candidates: Mapping[str, Callable[[], StudyEntry]], notices: list[Notice], progress: Progress
 ) -> dict[str, StudyEntry]:
-    """Entries of all candidates that can be solved, and a warning about each of the others."""
+    """Entries of all candidates that can be solved, and a notice about each of the others."""
     entries = {}
     for done, (name, solve_candidate) in enumerate(candidates.items()):
         progress(f"solving {name}", done / len(candidates))
         try:
             entries[name] = solve_candidate()
         except SolverError as error:
-            warnings.append(f"{name}: {error}")
+            notices.append(Notice("estimator_failed", "warning", name, str(error)))
     return entries
 
 

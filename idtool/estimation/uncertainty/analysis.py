@@ -10,6 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.identification import Identification
@@ -25,7 +26,13 @@ from idtool.estimation.uncertainty.repeatability import Repeatability, repeatabi
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.inertia import SIZE
 
-UNCHECKED = "least squares is not checked for bias: the logs are long, or instruments cannot be had; see --method iv"
+_BIAS_UNCHECKED = Notice(
+    "bias_unchecked",
+    "note",
+    None,
+    "least squares is not checked for bias: the logs are long, or instruments cannot be had",
+    "see --method iv",
+)
 _AGREEMENT = 1.5  # ratio of two standard errors of the same coefficient, above which they do not agree
 _UNKNOWN_SHARE = 0.01  # of the samples, above which a joint's prediction is warned of
 _TINY = float(np.finfo(float).tiny)
@@ -53,8 +60,8 @@ class UncertaintyAnalysis:
         The logs against each other; None for a single one, or where it was not asked for.
     bias
         Least squares beside instrumental variables; None where it was not asked for or would take long.
-    warnings
-        Plain sentences for the user.
+    notices
+        Notices for the user.
     """
 
     theta: Array
@@ -65,7 +72,7 @@ class UncertaintyAnalysis:
     identifiability: Identifiability | None
     repeatability: Repeatability | None
     bias: BiasCheck | None
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
     def interval(self, rows: Array) -> Array:
         """95 % intervals of combinations of the coefficients, shape (k, p) to (k, 2); infinite where not determined.
@@ -164,13 +171,13 @@ def uncertainty_analysis(
                 rng,
             )
 
-    warnings = (
-        *_cluster_warnings(robust, data),
-        *_repeatability_warnings(logs),
-        *_mass_warnings(parameters, experiment),
-        *_bias_warnings(bias, is_instrumental),
-        *([UNCHECKED] if thorough and pair is None else []),
-        *_prediction_warnings(torque_errors, equation.joints),
+    notices = (
+        *_cluster_notices(robust, data),
+        *_repeatability_notices(logs),
+        *_mass_notices(parameters, experiment),
+        *_bias_notices(bias, is_instrumental),
+        *([_BIAS_UNCHECKED] if thorough and pair is None else []),
+        *_prediction_notices(torque_errors, equation.joints),
     )
     return UncertaintyAnalysis(
         theta=estimate.theta,
@@ -181,7 +188,7 @@ def uncertainty_analysis(
         identifiability=parameters,
         repeatability=logs,
         bias=bias,
-        warnings=warnings,
+        notices=notices,
     )
 
 
@@ -197,41 +204,47 @@ def _at_least_spectral(uncertainty: Uncertainty, independent: Mapping[str, float
     return replace(uncertainty, covariance_y=covariance * max(required / inflation, 1.0))
 
 
-def _cluster_warnings(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[str]:
+def _cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[Notice]:
     if robust.bootstrap is None:
         seconds = sum(len(log) * log.seconds for log in data)
         few = f"{seconds:.2g} s are less than the {FEWEST_CLUSTERS} blocks it takes to see how the residual scatters"
-        return [f"{few}: standard errors follow from its spectrum alone; log for longer"]
-    warnings = []
+        message = f"{few}: standard errors follow from its spectrum alone"
+        return [Notice("few_blocks", "warning", None, message, "log for longer")]
+    notices = []
     if robust.correlated_beyond_clusters:
         long = f"the residual is correlated for longer than the {robust.cluster_seconds:.2g} s"
-        advice = "standard errors may be too small; log for longer, or model what is missing"
-        warnings.append(f"{long} that a block can last here: {advice}")
+        message = f"{long} that a block can last here: standard errors may be too small"
+        advice = "log for longer, or model what is missing"
+        notices.append(Notice("correlated_residual", "warning", None, message, advice))
     ratio = robust.bootstrap_ratio
     if ratio is not None and not 1 / _AGREEMENT < ratio < _AGREEMENT:
-        warnings.append(
-            f"resampled standard errors are {ratio:.2g} times the analytic ones: trust neither to a factor of two"
-        )
-    return warnings
+        message = f"resampled standard errors are {ratio:.2g} times the analytic ones"
+        advice = "trust neither to a factor of two"
+        notices.append(Notice("standard_errors_disagree", "warning", None, message, advice))
+    return notices
 
 
-def _repeatability_warnings(logs: Repeatability | None) -> list[str]:
+def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     if logs is None:
         return []
-    warnings = []
+    notices = []
     if logs.duplicates:
         advice = f"leave out {some(logs.duplicates)}"
-        warnings.append(f"data that are given twice make intervals too short; {advice}")
+        notices.append(
+            Notice("duplicate_data", "warning", None, "data that are given twice make intervals too short", advice)
+        )
     if logs.agrees.all():
-        return warnings
+        return notices
     count = int(np.count_nonzero(~logs.agrees))
     differ = f"{count} of {len(logs.agrees)} base parameters differ between logs by more than their intervals"
     if logs.outlier is not None:
-        return [*warnings, f"{differ}; the odd one out is {logs.logs[logs.outlier]}"]
-    return [*warnings, f"{differ}: intervals from these logs together are too short for them"]
+        outlier = logs.logs[logs.outlier]
+        return [*notices, Notice("logs_disagree", "warning", None, f"{differ}; the odd one out is {outlier}")]
+    message = f"{differ}: intervals from these logs together are too short for them"
+    return [*notices, Notice("logs_disagree", "warning", None, message)]
 
 
-def _mass_warnings(parameters: Identifiability | None, experiment: Experiment) -> Iterator[str]:
+def _mass_notices(parameters: Identifiability | None, experiment: Experiment) -> Iterator[Notice]:
     """Masses that the torque does not tell, but a scale would."""
     if parameters is None or experiment.config.known.total_mass is not None:
         return
@@ -239,29 +252,31 @@ def _mass_warnings(parameters: Identifiability | None, experiment: Experiment) -
     masses = parameters.sources[::SIZE]
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
-        yield f"the torque does not tell the mass of {some(unknown)}: weigh what moves and give known.total_mass"
+        message = f"the torque does not tell the mass of {some(unknown)}"
+        yield Notice("mass_undetermined", "warning", None, message, "weigh what moves and give known.total_mass")
 
 
-def _bias_warnings(bias: BiasCheck | None, is_instrumental: bool) -> list[str]:
+def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]:
     if bias is None:
         return []
-    warnings = []
+    notices = []
     if bias.weak and not is_instrumental:  # instrumental variables have said so before
-        warnings.append(f"instruments are weak, so that least squares is not checked for bias: {some(bias.weak)}")
+        message = f"instruments are weak, so that least squares is not checked for bias: {some(bias.weak)}"
+        notices.append(Notice("weak_instruments", "note", None, message))
     if not bias.differs.any():
-        return warnings
+        return notices
     count = int(np.count_nonzero(bias.differs))
     differ = f"{count} of {len(bias.differs)} base parameters differ between least squares and instrumental variables"
     advice = ""
     if not is_instrumental:
-        advice = ": noise in q and v biases them, or the model lacks something; see --method iv"
-    return [*warnings, f"{differ} by more than their intervals{advice}"]
+        advice = "noise in q and v biases them, or the model lacks something; see --method iv"
+    return [*notices, Notice("biased_parameters", "warning", None, f"{differ} by more than their intervals", advice)]
 
 
-def _prediction_warnings(torque_errors: Prediction, joints: Sequence[str]) -> list[str]:
+def _prediction_notices(torque_errors: Prediction, joints: Sequence[str]) -> list[Notice]:
     shares = zip(joints, torque_errors.unknown, strict=True)
     unknown = [name for name, share in shares if share > _UNKNOWN_SHARE]
     if not unknown:
         return []
     what = "moves as the fitted logs did not, in directions that their data do not determine"
-    return [f"held-out motion of {some(unknown)} {what}"]
+    return [Notice("new_motion_held_out", "warning", None, f"held-out motion of {some(unknown)} {what}")]

@@ -10,7 +10,6 @@ from idtool.reporting.results.base import (
     ReadOnly,
     Record,
     ReproducibleResult,
-    Sentences,
     Units,
     Vector,
     field,
@@ -68,6 +67,5 @@ class AdaptationReport(ReproducibleResult):
     samples: int = field("Number of updates.")
     update_hz: float = field("Updates per second of log: one for each row decimated to the band [Hz].")
     seconds: float = field("Wall time [s].")
-    warnings: Sentences = field("What a user should know, one sentence each.")
     logs: tuple[str, ...] = field("The logs.")
     urdf: str = field("The URDF.")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Self, TypeVar, cast, get_args
 
 import numpy as np
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetPyda
 from pydantic_core import core_schema
 
 from idtool.common.arrays import Array
+from idtool.common.notice import Notice, Severity, unique
 from idtool.common.provenance import Source as ProvenanceSource
 from idtool.common.provenance import provenance
 from idtool.common.version import VERSION
@@ -108,11 +109,31 @@ class Record(BaseModel):
         return repr(self)
 
 
+class NoticeReport(Record):
+    """Something that a user should know."""
+
+    code: str = field("What it is; [Notices](notices.md) lists all codes.")
+    severity: Severity = field(
+        "`note`: nothing has to be done; `warning`: the result may be worse for it; `problem`: what it is about can't "
+        "be used as it is."
+    )
+    subject: str | None = field("The joint, link, file or setting that it is about; null: several, or all.")
+    message: str = field("What is to be known of the subject, with figures.")
+    advice: str = field("What it means and what to do; empty where the message is enough.")
+
+    @property
+    def sentence(self) -> str:
+        """Subject and message."""
+        return f"{self.subject}: {self.message}" if self.subject else self.message
+
+
 class Result(Record):
     """The whole of what one command found, the content of its JSON file."""
 
     idtool: str = Field(VERSION, description="Version of idtool.")
     schema_version: int = Field(SCHEMA_VERSION, alias="schema", description="Version of this schema.")
+    notices: tuple[NoticeReport, ...] = Field((), description="What a user should know.")
+    warnings: Sentences = Field((), description="The same notices, each as one text: subject, message and advice.")
 
     __eq__ = object.__eq__  # by identity: arrays in it have no truth value
     __hash__ = object.__hash__
@@ -124,8 +145,9 @@ class Result(Record):
         return cast(Self, cls.model_construct(**fields))
 
     def to_json(self) -> dict[str, Any]:
-        """The content of the JSON file, as plain data; a copy."""
-        return self.model_dump(mode="json")
+        """The content of the JSON file, as plain data; a copy. Notices come last."""
+        content = self.model_dump(mode="json")
+        return content | {name: content.pop(name) for name in ("notices", "warnings")}
 
 
 class Source(Record):
@@ -141,6 +163,15 @@ class ReproducibleResult(Result):
 
     versions: Annotated[ReadOnly[str], Keys("library")] = field("Versions of Python and of the libraries that matter.")
     inputs: tuple[Source, ...] = field("All files that were read.")
+
+
+def notice_fields(notices: Iterable[Notice]) -> dict[str, Any]:
+    """``notices`` and ``warnings`` of a `Result`, as keyword arguments; every notice once."""
+    each = unique(notices)
+    return {
+        "notices": [NoticeReport(**asdict(notice)) for notice in each],
+        "warnings": [notice.text for notice in each],
+    }
 
 
 def provenance_fields(sources: Sequence[ProvenanceSource]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from idtool.reporting.results.base import (
     ByJointOrNone,
     Keys,
+    NoticeReport,
     ReadOnly,
     Record,
     ReproducibleResult,
@@ -152,7 +153,12 @@ class DiagnosisReport(ReproducibleResult):
     known: tuple[KnownValue, ...] = field("What was known otherwise.")
     solver: SolverReport = field("The final model's solution.")
     residual_maps: ResidualMaps = field("Residuals for drawing.")
-    warnings: Sentences = field("What a user should know, one sentence each.")
     seconds: float = field("Wall time [s].")
     summary: str = field("The verdict as sentences.")
     next: Sentences = field("What to do next, one sentence each.")
+
+    @property
+    def further_notices(self) -> tuple[NoticeReport, ...]:
+        """Notices that are not about a data fault."""
+        faults = {(fault.fault, fault.joint) for fault in self.data_faults}
+        return tuple(notice for notice in self.notices if (notice.code, notice.subject) not in faults)

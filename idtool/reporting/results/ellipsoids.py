@@ -13,7 +13,6 @@ class EllipsoidsReport(Result):
     bounding_ellipsoids: Annotated[ReadOnly[tuple[Ellipsoid, ...]], Keys("link")] = field(
         "Bounding ellipsoids, as in the [configuration](config.md#where-a-bodys-mass-may-be)."
     )
-    warnings: Sentences = field("What a user should know, one sentence each.")
 
 
 class RepairedLink(Record):

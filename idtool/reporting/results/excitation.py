@@ -10,7 +10,6 @@ from idtool.reporting.results.base import (
     ReadOnly,
     Record,
     ReproducibleResult,
-    Sentences,
     Term,
     Units,
     Vector,
@@ -136,4 +135,3 @@ class ExcitationReport(ReproducibleResult):
     evaluations: int = field("Evaluations of the search.")
     interrupted: bool = field("Whether Ctrl-C ended the search.")
     curves: ExcitationCurves = field("The motion, for drawing.")
-    warnings: Sentences = field("What a user should know, one sentence each.")

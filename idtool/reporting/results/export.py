@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.reporting.results.base import Record, Result, Sentences, field
+from idtool.reporting.results.base import Record, Result, field
 
 
 class ExportedPart(Record):
@@ -21,4 +21,3 @@ class ExportReport(Result):
     file: str | None = field("The model that was written; null where none was.")
     carried: tuple[ExportedPart, ...] = field("What is in it.")
     not_carried: tuple[ExportedPart, ...] = field("What the simulator cannot hold.")
-    warnings: Sentences = field("What a user should know, one sentence each.")

@@ -343,6 +343,5 @@ class FitReport(ReproducibleResult):
     known: tuple[KnownValue, ...] = field("What was known otherwise.")
     solver: SolverReport = field("The solution.")
     seconds: Annotated[ReadOnly[float], Keys("stage")] = field("Wall time by stage [s].")
-    warnings: Sentences = field("What a user should know, one sentence each.")
     logs: tuple[str, ...] = field("The logs.")
     urdf: str = field("The URDF.")

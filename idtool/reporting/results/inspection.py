@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from idtool.reporting.results.base import Keys, ReadOnly, Record, Result, Sentences, field
+from idtool.reporting.results.base import Keys, ReadOnly, Record, Result, field
 
 
 class GapReport(Record):
@@ -111,4 +111,3 @@ class InspectionReport(Result):
     stamps: StampsReport = field("The time stamps.")
     joints: Annotated[ReadOnly[JointReport], Keys("joint")] = field("The joints.")
     findings: tuple[FindingReport, ...] = field("Problems first, then warnings, then notes.")
-    warnings: Sentences = field("What the reading of the file had to say.")

@@ -46,5 +46,4 @@ class InitReport(Result):
     found: Sentences = field("What was found, one line each.")
     left: tuple[TodoReport, ...] = field("What is left to fill in.")
     needed: tuple[str, ...] = field("Keys of `left` that `idtool fit` cannot do without.")
-    warnings: Sentences = field("What a user should know, one sentence each.")
     next: str = field("The next command.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.reporting.results.base import ByJoint, Record, Result, Sentences, Units, field
+from idtool.reporting.results.base import ByJoint, Record, Result, Units, field
 from idtool.reporting.results.rollouts import RolloutKind
 
 
@@ -29,4 +29,3 @@ class SimulationReport(Result):
     rmse: MotionRmse = field("RMS errors.")
     urdf: str = field("The URDF.")
     log: str = field("The log that drove the simulation.")
-    warnings: Sentences = field("What a user should know, one sentence each.")

@@ -11,7 +11,6 @@ from idtool.reporting.results.base import (
     Record,
     ReproducibleResult,
     Samples,
-    Sentences,
     Units,
     Vector,
     field,
@@ -98,7 +97,6 @@ class StudyReport(ReproducibleResult):
     estimators: Annotated[ReadOnly[EstimatorReport], Keys("estimator")] = field("All priors and local solvers.")
     learning: Learning = field("Errors against the number of samples.")
     adaptation: Convergence = field("The online estimate.")
-    warnings: Sentences = field("What a user should know, one sentence each.")
     logs: tuple[str, ...] = field("The logs.")
     urdf: str = field("The URDF.")
     seconds: float = field("Wall time [s].")

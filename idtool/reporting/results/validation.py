@@ -14,7 +14,6 @@ from idtool.reporting.results.base import (
     Record,
     ReproducibleResult,
     Result,
-    Sentences,
     Units,
     field,
 )
@@ -50,7 +49,6 @@ class ValidationReport(ReproducibleResult):
     )
     bound: ByJoint = field("Bounds of `--max-rms`, by joint or `overall` [N·m or N].")
     ok: Annotated[ReadOnly[bool], Keys("joint")] = field("Whether each bound was met.")
-    warnings: Sentences = field("What a user should know, one sentence each.")
 
 
 class RegressionCase(Record):

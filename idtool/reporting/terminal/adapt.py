@@ -20,7 +20,7 @@ def show_adaptation(terminal: Terminal, report: AdaptationReport, folder: Path) 
     for name, body in report.final.bodies.items():
         table.add_row(name, figure(body.mass), "yes" if body.realizable else "NO")
     terminal.show(table)
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)
     updates = f"{report.samples} updates, one for each decimated row: {report.update_hz:.4g} Hz"
     terminal.say(f"{updates}, in {report.seconds:.1f} s")
     terminal.say(f"written: {folder}/adapt.json, adapt.html")

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 from idtool.common.interrupt import as_python_has_it
-from idtool.reporting.terminal.advice import advice
+from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.terminal.progress import progress_bar
 from idtool.reporting.terminal.tables import Column, Table, printable
 
@@ -50,13 +50,13 @@ class Terminal:
             self.console.print(line, soft_wrap=True)
         self.say("")
 
-    def warn(self, warnings: Sequence[str]) -> None:
-        """What a user should know, at the end, and what to do about it, once for those alike."""
-        for what, alike in itertools.groupby(warnings, advice):
-            for warning in alike:
-                self.say(f"note: {warning}", "yellow")
-            for line in what:
-                self.say(f"    {line}")
+    def notices(self, notices: Sequence[NoticeReport]) -> None:
+        """Print notices, and below those with the same advice, the advice."""
+        for advice, alike in itertools.groupby(notices, key=lambda notice: notice.advice):
+            for notice in alike:
+                self.say(f"{notice.severity}: {notice.sentence}", STYLE[notice.severity])
+            if advice:
+                self.say(f"    {advice}")
 
     def result(self, result: Mapping[str, Any]) -> None:
         """The result as JSON, if it was asked for."""

@@ -47,7 +47,7 @@ def show_diagnosis(
         _show_rejected(terminal, report.steps)
     for text in report.next:
         terminal.say(f"next: {text}")
-    terminal.warn(report.warnings)
+    terminal.notices(report.further_notices)
     terminal.say(f"written: {folder}/{', '.join(files)}")
 
 

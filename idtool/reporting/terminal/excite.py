@@ -38,6 +38,6 @@ def show_excitation(terminal: Terminal, report: ExcitationReport) -> None:
     if near and near.distance is not None:
         links = " and ".join(near.links)
         terminal.say(f"nearest links: {links}, {1000 * near.distance:.3g} mm after {near.t:.4g} s")
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)
     if report.file is not None:
         terminal.say(f"written: {report.file} and {Path(report.file).with_suffix('.html').name}")

@@ -19,4 +19,4 @@ def show_export(terminal: Terminal, report: ExportReport) -> None:
         size = ", up to {:.3g} {}".format(*max(sizes)) if sizes else ""
         terminal.say(f"not carried: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
     terminal.say(f"written: {report.file}")
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)

@@ -55,7 +55,7 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
         reason = regularization.automatic.reason
         terminal.say(f"the prior's weight is {regularization.weight:.2g}: {reason}")
     terminal.say(_optimality(report.solver))
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)
     terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html")
 
 

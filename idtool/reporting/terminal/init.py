@@ -16,7 +16,7 @@ def show_start(terminal: Terminal, report: InitReport) -> None:
         for name in before:
             table.add_row(name, figure(before[name]), figure(after.get(name)))
         terminal.show(table)
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)
     for line in report.found:
         terminal.say(f"found: {line}")
     for left in report.left:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
-
 from idtool.reporting.figures import figure
 from idtool.reporting.results.inspection import InspectionReport
-from idtool.reporting.terminal.base import STYLE, Terminal, new_table
+from idtool.reporting.terminal.base import Terminal, new_table
 from idtool.reporting.terminal.tables import Words
 
 
@@ -39,9 +37,4 @@ def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
             joint.torque.kind if joint.torque else "-",
         )
     terminal.show(table)
-    for meaning, group in itertools.groupby(inspection.findings, key=lambda finding: finding.meaning):
-        for finding in group:
-            where = f"{finding.joint}: " if finding.joint else ""
-            terminal.say(f"{finding.severity}: {where}{finding.what}", STYLE[finding.severity])
-        terminal.say(f"    {meaning}")
-    terminal.warn(inspection.warnings)
+    terminal.notices(inspection.notices)

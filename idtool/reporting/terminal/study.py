@@ -37,5 +37,5 @@ def show_study(terminal: Terminal, report: StudyReport, folder: Path) -> None:
     for name, seconds in settled.items():
         table.add_row(name, "not reached" if seconds is None else figure(seconds))
     terminal.show(table)
-    terminal.warn([*(e.note for e in report.estimators.values() if e.note), *report.warnings])
+    terminal.notices(report.notices)
     terminal.say(f"written: {folder}/study.json, study.html ({report.seconds:.0f} s)")

@@ -29,7 +29,7 @@ def show_validation(terminal: Terminal, report: ValidationReport, folder: Path) 
         )
     terminal.show(table)
     show_simulation(terminal, report.simulation)
-    terminal.warn(report.warnings)
+    terminal.notices(report.notices)
     terminal.say(f"written: {folder}/validation.json, validation.html")
 
 

@@ -1,4 +1,4 @@
-"""Warnings about a fit: solver failures, implausible bodies, large torque errors."""
+"""Notices about a fit: solver failures, implausible bodies, large torque errors."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import some
+from idtool.common.notice import Notice
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.identification import Identification
@@ -24,10 +25,10 @@ _ABSURD = 30.0  # the prior's torque error relative to the measured torque's spr
 _THIN_SHAPES = ("plate", "needle", "point")  # by how many axes a body has no extent along
 
 
-def fit_warnings(
+def fit_notices(
     experiment: Experiment, identification: Identification, evaluation: Evaluation, held_out: bool
-) -> list[str]:
-    """Warnings about an identified model, a plain sentence each.
+) -> list[Notice]:
+    """Notices about an identified model.
 
     Parameters
     ----------
@@ -41,80 +42,88 @@ def fit_warnings(
         True if these are on held-out data.
     """
     return [
-        *_solver_warnings(experiment, identification),
-        *_realizability_warnings(experiment, identification),
-        *_mass_warnings(experiment, identification),
-        *_shape_warnings(experiment, identification),
-        *_error_warnings(experiment, evaluation, identification, held_out),
+        *_solver_notices(experiment, identification),
+        *_realizability_notices(experiment, identification),
+        *_mass_notices(experiment, identification),
+        *_shape_notices(experiment, identification),
+        *_error_notices(experiment, evaluation, identification, held_out),
     ]
 
 
-def _solver_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+def _solver_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
     """Solvers that failed or fell short."""
     certificate = identification.estimate.certificate
     if experiment.config.solver.name == "clarabel" != certificate.name:
-        yield f"Clarabel could not solve the problem as it was stated directly; {certificate.name} solved it"
+        message = f"Clarabel could not solve the problem as it was stated directly; {certificate.name} solved it"
+        yield Notice("other_solver_used", "note", None, message)
     if stuck := stuck_note(certificate):
-        yield stuck
+        yield Notice("not_certified", "warning", None, stuck)
     if unfinished := unfinished_note(certificate):
-        yield unfinished
+        advice = "a larger regularization.weight holds them better"
+        yield Notice("parameters_not_at_optimum", "warning", None, unfinished, advice)
 
 
-def _realizability_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+def _realizability_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
     """Bodies that are not realizable."""
     unreal = [body.name for body, pi in _bodies(identification) if not is_realizable(pi)]
     if unreal:
-        yield f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them"
+        message = f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them"
+        yield Notice("not_realizable", "problem", None, message)
     as_given = identification.prior is experiment.model.bodies
     moved = moved_priors(experiment.equation, identification.prior, identification.regularization) if as_given else ()
     if moved:
-        yield f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it"
+        message = f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it"
+        yield Notice("prior_not_realizable", "warning", None, message)
 
 
-def _mass_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+def _mass_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
     """Masses that differ from the prior's by more than is plausible."""
     measured = experiment.config.known.total_mass
-    cure = "" if measured else "; weigh the robot and give known.total_mass"
+    advice = "" if measured else "weigh the robot and give known.total_mass"
     prior = sum(float(body.pi[0]) for body in identification.prior)
     total = sum(float(pi[0]) for _, pi in _bodies(identification))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
-        yield f"the total mass is {total:.3g} kg, in the prior {prior:.3g} kg: the logs seldom tell it{cure}"
+        message = f"the total mass is {total:.3g} kg, in the prior {prior:.3g} kg: the logs seldom tell it"
+        yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
     for body, pi in _bodies(identification):
         if body.pi[0] > 0 and not 1 / _MASS_RATIO < pi[0] / body.pi[0] < _MASS_RATIO:
             changes[body.name] = f"{pi[0]:.3g} kg for {body.pi[0]:.3g}"
     if changes:
         masses = " and ".join(list(changes.values())[:2])
-        yield (
+        message = (
             f"{some(list(changes))}: over three times heavier or lighter than in the prior ({masses}): the mass stands "
-            f"in for what the model lacks, such as rotors, springs or larger bounding ellipsoids{cure}"
+            f"in for what the model lacks, such as rotors, springs or larger bounding ellipsoids"
         )
+        yield Notice("implausible_mass", "warning", None, message, advice)
 
 
-def _shape_warnings(experiment: Experiment, identification: Identification) -> Iterator[str]:
+def _shape_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
     """Bodies with next to no extent along an axis, or at the rim of their bounding ellipsoid."""
     has_default_prior = (
         experiment.config.regularization.is_automatic and identification.regularization.kind == "entropic"
     )
-    cure = "" if has_default_prior else "; leave regularization at its default, entropic and auto"
+    advice = "log a motion that turns the link about more axes (idtool excite)"
+    if not has_default_prior:
+        advice += "; leave regularization at its default, entropic and auto"
     thin: dict[str, list[str]] = {}
     for body, pi in _bodies(identification):
         flat = int(np.count_nonzero(_gyration(pi) < _THIN * _gyration(body.pi)))
         if flat:
             thin.setdefault(_THIN_SHAPES[flat - 1], []).append(body.name)
     for shape, names in thin.items():
-        yield (
-            f"{some(names)}: nearly a {shape}, as no real link is: the motion does not show the inertia about every "
-            f"axis; log one that turns the link about more axes (idtool excite){cure}"
-        )
+        unseen = "the motion does not show the inertia about every axis"
+        message = f"{some(names)}: nearly a {shape}, as no real link is: {unseen}"
+        yield Notice("implausible_shape", "warning", None, message, advice)
     at_rim = [
         body.name for body, pi in _bodies(identification) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)
     ]
     if at_rim:
-        yield (
+        message = (
             f"{some(at_rim)}: all mass lies at the rim of the bounding ellipsoid: it may be too small, or the mass "
             "stands in for what the model lacks, such as rotors"
         )
+        yield Notice("mass_at_rim", "warning", None, message)
 
 
 def _bodies(identification: Identification) -> Iterator[tuple[Body, Array]]:
@@ -140,20 +149,20 @@ def _is_at_rim(body: Body, pi: Array) -> bool:
     return bool(np.trace(pseudo_inertia(pi) @ body.ellipsoids[0].Q) < _RIM * pi[0])
 
 
-def _error_warnings(
+def _error_notices(
     experiment: Experiment, evaluation: Evaluation, identification: Identification, held_out: bool
-) -> Iterator[str]:
+) -> Iterator[Notice]:
     """Torque errors that no noise explains."""
     joints = experiment.equation.joints
     own = evaluation.errors["identified"].rms(joints)["overall"]
     prior = evaluation.errors["prior"].rms(joints)["overall"]
     spread = float(np.sqrt(np.mean(np.square(list(evaluation.spread.values())))))
     if prior > _ABSURD * spread > 0 and identification.prior is experiment.model.bodies:
-        yield (
-            f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque: a unit in the "
-            "URDF or the configuration may be wrong"
-        )
+        message = f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque"
+        advice = "a unit in the URDF or the configuration may be wrong"
+        yield Notice("prior_error_large", "warning", None, message, advice)
     if held_out and own > prior:
-        yield (
+        message = (
             f"the identified model predicts what was held out worse than the URDF does ({own:.3g} against {prior:.3g})"
         )
+        yield Notice("worse_than_prior", "problem", None, message)
