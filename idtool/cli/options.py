@@ -70,9 +70,7 @@ HoldoutOption = Annotated[float, typer.Option(help="Fraction at the end of every
 ValidateOption = Annotated[
     list[Path] | None, typer.Option(help="A whole log for validation, instead of the holdout; repeatable.")
 ]
-NoSimulationOption = Annotated[
-    bool, typer.Option("--no-simulation", help="Skip the forward simulation (faster).")
-]
+NoSimulationOption = Annotated[bool, typer.Option("--no-simulation", help="Skip the forward simulation (faster).")]
 QuickOption = Annotated[
     bool,
     typer.Option("--quick", help="Only the fit: skip the simulation and the uncertainty analysis."),
