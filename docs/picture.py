@@ -86,14 +86,14 @@ def panel(traces: list[Any], start: float, top: float, height: float, title: str
     return lines
 
 
-def main() -> None:
+def main(file: Path = PICTURE) -> None:
     """Fit the leg and write the picture."""
     samples = ROOT / "sample_logs"
     result = idtool.fit(
         samples / "leg.urdf", samples / "leg_train.mcap", validate=samples / "leg_validate.mcap", quick=True
     )
-    PICTURE.parent.mkdir(exist_ok=True)
-    PICTURE.write_text(picture(result))
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(picture(result))
 
 
 if __name__ == "__main__":
