@@ -1,6 +1,6 @@
 """Draw the picture in README.md: ``python docs/picture.py`` writes ``docs/pages/images/report.svg``.
 
-It fits the sample leg, and draws torque and residual of four seconds that were not fitted, as report.html does.
+It fits the sample leg, and plots torque and residual over four seconds of the validation log, as in report.html.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ PICTURE = ROOT / "docs" / "pages" / "images" / "report.svg"
 LENGTH = 4.0  # s
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 800, 64, 12, 44, 40  # px
 TORQUE, RESIDUAL, GAP = 120, 60, 14  # heights, and the space below each joint [px]
-LABELS = {"measured": "measured", "predicted": "identified model", "prior": "URDF as given", "residual": "residual"}
+LABELS = {"measured": "measured", "predicted": "identified model", "prior": "original URDF", "residual": "residual"}
 
 
 def picture(result: idtool.FitResult) -> str:
     """The SVG: for every joint a panel with the torques, and one with the residual of the identified model."""
-    traces = list(result.plot().data)  # four a joint: measured, predicted, prior, residual
-    start = float(np.min(traces[0].x))
+    traces = list(result.plot().data)  # four for each joint: measured, predicted, prior, residual
+    start = float(np.floor(traces[0].x[0]))
     height = TOP + len(result.joints) * (TORQUE + RESIDUAL + GAP) + BOTTOM
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="sans-serif" '
@@ -45,7 +45,7 @@ def picture(result: idtool.FitResult) -> str:
 
 
 def across(seconds: float) -> float:
-    """Horizontal place of a time since the start of the picture [px]."""
+    """Horizontal position of a time since the start of the picture [px]."""
     return LEFT + seconds / LENGTH * (WIDTH - LEFT - RIGHT)
 
 
