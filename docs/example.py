@@ -1,43 +1,43 @@
-"""idtool from Python: identify the sample leg, look at it, simulate it, ask what it lacks.
+"""idtool from Python: identify the sample leg, inspect the result, simulate the model, and look for missing effects.
 
-Run it from the repository's root, as a script or cell by cell in an editor that knows ``# %%``.
+Run it in the root of the repository, as a script or cell by cell in an editor that supports ``# %%``.
 """
 
 # %% A log and a model
 import idtool
 
 log = idtool.Log("sample_logs/leg_train.mcap")
-model = idtool.Model("sample_logs/leg.urdf")  # takes leg.yaml beside it
+model = idtool.Model("sample_logs/leg.urdf")  # also reads leg.yaml beside it
 print(log)
 print(model)
 
-# %% Identify, and validate on a log that was not fitted
+# %% Identify, and validate on a log that was not used for the fit
 result = idtool.fit(model, log, validate="sample_logs/leg_validate.mcap", quick=True)
 print(result)
 
-# %% What was found
+# %% Errors and identified parameters
 for name, error in result.rms.validation.items():
     print(f"{name}: {error:.3g} N·m, before {result.rms.prior_validation[name]:.3g}")
 print(result.bodies["shank_link"])
 print(result.bodies["shank_link"].inertia)
 print(result.friction["hip"])
 
-# %% Measured torque, predicted torque and what is left
-figure = result.plot()  # a plotly figure: a notebook shows it, figure.show() opens it in a browser
+# %% Measured torque, predicted torque and residual
+figure = result.plot()  # a Plotly figure: a notebook shows it, figure.show() opens it in a browser
 
-# %% The identified model is a model like any other
+# %% The identified model can be used like any other model
 validation = idtool.validate(result.model, "sample_logs/leg_validate.csv", prior=model, simulation=False)
 print(validation)
 
-# %% Run it forwards, half a second at a time
+# %% Simulate it, with a restart every half second
 run = idtool.simulate(result.model, "sample_logs/leg_validate.mcap", window=0.5)
 print(run)
 motion = run.log.q  # (N, joints)
 
-# %% What does the given model lack? Here nothing; without `effects` all effects compete, which takes minutes
+# %% Look for missing effects. There are none here. Without `effects`, all effects are tried, which takes minutes
 diagnosis = idtool.diagnose(model, log, effects=["parallel_spring", "stribeck_friction"], simulation=False)
 print(diagnosis)
 
-# %% The files that the commands write
+# %% Write the same files as the commands
 for path in (*result.save("leg_idtool"), *run.save("leg_idtool"), *diagnosis.save("leg_idtool", report_only=True)):
     print(path)

@@ -26,13 +26,11 @@ def adapt_command(
     logs: LogsArgument,
     config: ConfigOption = None,
     out: OutOption = None,
-    forgetting: Annotated[
-        float, typer.Option(help="Time constant with which samples lose their weight, s; inf: never.")
-    ] = 20.0,
+    forgetting: Annotated[float, typer.Option(help="Time constant of forgetting, s; inf: no forgetting.")] = 20.0,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Identify online, one update for each decimated row, within the constraints; write the parameters over time."""
+    """Identify online, with one update per decimated row, and write the parameters over time."""
     from idtool.api.adapt import adapt
     from idtool.api.model import Model
     from idtool.reporting.terminal import Terminal

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-FIRST, MODEL, QUESTIONS, USE = "First steps", "Identify and check", "What the data are worth", "Use the model"
+FIRST, MODEL, QUESTIONS, USE = "First steps", "Identify and check", "Further analysis", "Use the model"
 
 _ORDER = (  # in which a user needs them
     *("inspect", "init", "ellipsoids", "excite"),
@@ -28,15 +28,15 @@ app = typer.Typer(
     name="idtool",
     cls=_Commands,
     help="Identify the dynamics of robot legs and arms from logged joint data.\n\n"
-    "Reads a URDF and logs of q, v and tau, writes a URDF with inertias that some body can have, friction and rotors, "
-    "and says how far to trust it.",
+    "Reads a URDF and logs of q, v and tau. Writes a URDF with physically realizable inertias, a configuration with "
+    "friction and rotors, and a report of how well the model predicts held-out data.",
     epilog="From logs to a model:\n\n"
     "idtool inspect run1.mcap\n\n"
     "idtool init robot.urdf run1.mcap\n\n"
     "idtool fit robot.urdf run1.mcap run2.mcap --validate run3.mcap\n\n"
     "idtool diagnose robot.urdf run1.mcap run2.mcap --validate run3.mcap\n\n"
-    "Each command's --help has its options and an example. "
-    "Exit codes: 0 done, 1 a bound was not met, 2 the input is unusable.",
+    "COMMAND --help shows the options of a command and an example. "
+    "Exit codes: 0 done, 1 a bound was not met, 2 the input cannot be used.",
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",

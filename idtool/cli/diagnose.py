@@ -49,7 +49,7 @@ def diagnose_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Find where model and data disagree, name the missing effect, add it, and show the gap shrink."""
+    """Find where model and data disagree, identify the missing effects, and add them to the model."""
     from idtool.api.diagnose import diagnose
     from idtool.api.model import Model
     from idtool.reporting.terminal import Terminal

@@ -21,23 +21,23 @@ if TYPE_CHECKING:
 def ellipsoids_command(
     urdf: UrdfArgument,
     config: ConfigOption = None,
-    out: Annotated[Path | None, typer.Option(help="YAML file to write to; default: standard output.")] = None,
-    margin: Annotated[float, typer.Option(min=0.0, help="Share by which the semi-axes grow.")] = 0.05,
+    out: Annotated[Path | None, typer.Option(help="YAML file to write; default: standard output.")] = None,
+    margin: Annotated[float, typer.Option(min=0.0, help="Fraction by which the semi-axes are enlarged.")] = 0.05,
     check: Annotated[
         bool,
         typer.Option(
             "--check",
-            help="List the links whose inertia no body can have, within the configuration's bounds where it has any; "
-            "exit code 1 if there are some.",
+            help="List the links whose inertia is not realizable, within the configuration's bounds if there are any; "
+            "exit code 1 if there are such links.",
         ),
     ] = False,
     repair: Annotated[
-        Path | None, typer.Option(help="With --check: write the nearest URDF whose bodies can exist to this file.")
+        Path | None, typer.Option(help="With --check: write the nearest realizable URDF to this file.")
     ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write bounding ellipsoids of the links' meshes and primitives, or check the links' inertias."""
+    """Compute bounding ellipsoids from the links' meshes and primitives, or check the links' inertias."""
     from idtool.common.outputs import check_file
     from idtool.reporting.terminal import Terminal
 

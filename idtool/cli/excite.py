@@ -26,39 +26,47 @@ def excite_command(
     config: ConfigOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Log to write, MCAP or CSV by its ending; default: <urdf stem>_idtool/excitation.mcap."),
+        typer.Option(
+            help="Log to write, MCAP or CSV according to its extension; default: <urdf stem>_idtool/excitation.mcap."
+        ),
     ] = None,
     log: Annotated[
-        list[Path] | None, typer.Option(help="A log that there is already: designs what to do next; repeatable.")
+        list[Path] | None, typer.Option(help="An existing log, whose information is taken into account; repeatable.")
     ] = None,
-    pattern: Annotated[str, typer.Option(help="fourier, bspline, or shell, the paper's motion.")] = "fourier",
+    pattern: Annotated[str, typer.Option(help="fourier, bspline, or shell (the motion of the paper).")] = "fourier",
     criterion: Annotated[
-        str, typer.Option(help="d: all parameters; a: the mean error; e: the worst combination; or condition.")
+        str, typer.Option(help="d: all parameters; a: mean error; e: worst combination; condition: condition number.")
     ] = "d",
     favour: Annotated[
         list[str] | None,
-        typer.Option(help="What the criterion is for: a body, a joint's friction, or a parameter (hip.coulomb)."),
+        typer.Option(help="Optimize for a body, a joint's friction or a parameter (hip.coulomb); repeatable."),
     ] = None,
-    duration: Annotated[float, typer.Option(help="Of the trajectory, s.")] = 20.0,
-    slow: Annotated[float, typer.Option(help="Share of it for slow sweeps and standstill, for friction.")] = 0.2,
-    rate: Annotated[float, typer.Option(help="Samples a second, Hz.")] = 1000.0,
+    duration: Annotated[float, typer.Option(help="Duration of the trajectory, s.")] = 20.0,
+    slow: Annotated[
+        float, typer.Option(help="Fraction of the duration for slow sweeps and standstill (friction).")
+    ] = 0.2,
+    rate: Annotated[float, typer.Option(help="Sampling rate, Hz.")] = 1000.0,
     highest: Annotated[
-        float | None, typer.Option("--max-frequency", help="Highest frequency, Hz; default: by the limits.")
+        float | None, typer.Option("--max-frequency", help="Highest frequency, Hz; default: from the limits.")
     ] = None,
     noise: Annotated[
         list[str] | None,
-        typer.Option(help="Torque noise in the filter's band, N·m rms: 0.1, or hip=0.1. Default: from --log, or 1 %."),
+        typer.Option(help="RMS torque noise in the filter's band, N·m: 0.1 or hip=0.1; default: from --log, or 1 %."),
     ] = None,
-    margin: Annotated[float, typer.Option(help="Share of each limit left unused; of the effort, twice that.")] = 0.1,
-    clearance: Annotated[float, typer.Option(help="How near links may come to each other, m.")] = 0.01,
-    start: Annotated[list[str] | None, typer.Option(help="Pose at start and end: hip=0.5; repeatable.")] = None,
-    tip: Annotated[str | None, typer.Option(help="Link that follows the shell; default: every limb's last.")] = None,
-    iterations: Annotated[int, typer.Option(min=1, help="Of the search.")] = 200,
-    seed: Annotated[int | None, typer.Option(help="Of what is drawn; default: the configuration's.")] = None,
+    margin: Annotated[float, typer.Option(help="Unused fraction of each limit; twice that for the effort.")] = 0.1,
+    clearance: Annotated[float, typer.Option(help="Minimum distance between links, m.")] = 0.01,
+    start: Annotated[
+        list[str] | None, typer.Option(help="Joint position at start and end: hip=0.5; repeatable.")
+    ] = None,
+    tip: Annotated[
+        str | None, typer.Option(help="Link that follows the shell; default: the last link of every limb.")
+    ] = None,
+    iterations: Annotated[int, typer.Option(min=1, help="Iterations of the search.")] = 200,
+    seed: Annotated[int | None, typer.Option(help="Random seed; default: that of the configuration.")] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Design a trajectory that makes the parameters visible, and print the standard errors to expect."""
+    """Design an exciting trajectory within the limits, and print the expected standard errors."""
     from idtool.api.excite import excite
     from idtool.api.model import Model
     from idtool.common.outputs import check_log

@@ -14,23 +14,22 @@ from idtool.cli.options import JsonOption, QuietOption, finish
 @app.command("export", rich_help_panel=USE, epilog="Example: idtool export leg_idtool --to mujoco")
 def export_command(
     folder: Annotated[
-        Path, typer.Argument(help="The folder that idtool fit wrote to.", metavar="OUT", show_default=False)
+        Path,
+        typer.Argument(help="Folder with the results of idtool fit or diagnose.", metavar="OUT", show_default=False),
     ],
-    to: Annotated[Literal["mujoco", "drake"], typer.Option("--to", help="The simulator.", show_default=False)],
-    out: Annotated[
-        Path | None, typer.Option(help="File to write to; default: OUT/mujoco.xml or OUT/drake.urdf.")
-    ] = None,
+    to: Annotated[Literal["mujoco", "drake"], typer.Option("--to", help="Simulator.", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="File to write; default: OUT/mujoco.xml or OUT/drake.urdf.")] = None,
     rotor_bodies: Annotated[
         bool,
         typer.Option(
             "--rotor-bodies",
-            help="For MuJoCo: a rotor that joint inertias cannot carry in full becomes a body that a constraint holds.",
+            help="For MuJoCo: create bodies, held by constraints, for rotors that armature cannot fully represent.",
         ),
     ] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write the identified model for a simulator, and tell what the simulator cannot carry."""
+    """Write the identified model for a simulator, and list what the simulator cannot represent."""
     from idtool.api.export import export
     from idtool.common.outputs import check_file
     from idtool.reporting.terminal import Terminal

@@ -17,16 +17,14 @@ def init_command(
     logs: LogsArgument,
     config: Annotated[
         Path | None,
-        typer.Option(
-            "--config", help="What is known already, such as controller gains: its keys are kept as they are."
-        ),
+        typer.Option("--config", help="Known keys, such as controller gains; they are kept unchanged."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default: <urdf stem>.yaml beside the URDF.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a commented configuration with all that URDF and logs tell; what they do not is left to fill in."""
+    """Write a commented configuration from URDF and logs, with templates for what has to be filled in."""
     from idtool.api.init import check_configuration, default_configuration, init
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.init import show_start

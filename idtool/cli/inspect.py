@@ -16,11 +16,13 @@ def inspect_command(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="A log: MCAP, CSV or a rosbag2 folder.", show_default=False)
     ],
-    config: Annotated[Path | None, typer.Option("--config", help="Configuration; its log section is used.")] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Configuration; only its log section is used.")
+    ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Tell what is in a log, what is wrong with it, and what that means for the fit."""
+    """Show the contents of a log, its faults, and their effect on the fit."""
     from idtool.api.inspect import inspect
     from idtool.api.log import Log
     from idtool.reporting.terminal import Terminal

@@ -54,8 +54,8 @@ LogsArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG",
-        help="Logs: MCAP, CSV or rosbag2 folders. Where the first one is a bag with /robot_description, the URDF may "
-        "be left out.",
+        help="Logs: MCAP, CSV or rosbag2 folders. If the first one is a bag with /robot_description, the URDF may "
+        "be omitted.",
         show_default=False,
         default_factory=list,
         callback=some_log,
@@ -66,21 +66,20 @@ ConfigOption = Annotated[
 ]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to; default: <urdf stem>_idtool/.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
-HoldoutOption = Annotated[float, typer.Option(help="Share at the end of every log that is kept for validation.")]
+HoldoutOption = Annotated[float, typer.Option(help="Fraction at the end of every log that is kept for validation.")]
 ValidateOption = Annotated[
-    list[Path] | None, typer.Option(help="A whole log kept for validation, in place of the holdout; repeatable.")
+    list[Path] | None, typer.Option(help="A whole log for validation, instead of the holdout; repeatable.")
 ]
-NoSimulationOption = Annotated[
-    bool, typer.Option("--no-simulation", help="Leave out running the model forwards; quicker.")
-]
+NoSimulationOption = Annotated[bool, typer.Option("--no-simulation", help="Skip the forward simulation (faster).")]
 QuickOption = Annotated[
     bool,
-    typer.Option("--quick", help="Only the fit: nothing run forwards, and not asked what each number rests on."),
+    typer.Option("--quick", help="Only the fit: skip the simulation and the uncertainty analysis."),
 ]
 MethodOption = Annotated[
     Literal["ls", "iv"],
     typer.Option(
-        "--method", help="Least squares, or instrumental variables, which noise in q and v does not bias; slower."
+        "--method",
+        help="ls: least squares; iv: instrumental variables, which are not biased by noise in q and v but slower.",
     ),
 ]
 RerunOption = Annotated[
@@ -88,41 +87,39 @@ RerunOption = Annotated[
     typer.Option(
         "--rerun",
         metavar="FILE.rrd",
-        help="Write a recording for rerun's viewer too; needs idtool's extra of that name.",
+        help="Also write a recording for the rerun viewer; needs the extra 'rerun' of idtool.",
         callback=_recordable,
     ),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 MaxRmsOption = Annotated[
     list[str] | None,
     typer.Option(
         "--max-rms",
-        help="Largest RMS torque error in the band that is accepted, for all joints together (0.5) or one (hip=0.5); "
-        "exit code 1 above it.",
+        help="Largest accepted RMS torque error in the filter's band, for all joints together (0.5) or one (hip=0.5); "
+        "exit code 1 if it is exceeded; repeatable.",
     ),
 ]
 InertiaOption = Annotated[
     Literal["refit", "fixed"],
     typer.Option(
-        help="Identify the inertia anew at every step, or take the URDF's as true, so that a payload, a torque gain or "
-        "a tilted base can be told from it."
+        help="Identify the inertia again at every step, or keep that of the URDF fixed, so that payloads, torque gains "
+        "and tilted bases can be found."
     ),
 ]
-EffectsOption = Annotated[
-    str | None, typer.Option(help="The effects that may be named, with commas between; default: all.")
-]
-MaxEffectsOption = Annotated[int, typer.Option(min=1, help="The most effects that are added.")]
+EffectsOption = Annotated[str | None, typer.Option(help="Effects to search for, separated by commas; default: all.")]
+MaxEffectsOption = Annotated[int, typer.Option(min=1, help="Largest number of effects to add.")]
 AssumeOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="EFFECT:JOINT",
-        help="Start with this effect, on a joint or link, or on none where it has none; repeatable.",
+        help="Start with this effect, on a joint or link if it has one; repeatable.",
     ),
 ]
 ReportOnlyOption = Annotated[
     bool, typer.Option("--report-only", help="Write diagnosis.json and diagnosis.html, but no model.")
 ]
-ExplainOption = Annotated[bool, typer.Option("--explain", help="Tell why each candidate that was rejected lost.")]
+ExplainOption = Annotated[bool, typer.Option("--explain", help="Show why each candidate was rejected.")]
 
 
 def folder_for(urdf: Path, given: Path | None) -> Path:

@@ -28,35 +28,37 @@ LogArgument = Annotated[
     Path | None,
     typer.Argument(
         metavar="LOG",
-        help="A log or, with --track, a trajectory: MCAP, CSV or a rosbag2 folder. Without a URDF, a bag with "
-        "/robot_description.",
+        help="A log or, with --track, a trajectory: MCAP, CSV or a rosbag2 folder. A bag with /robot_description "
+        "needs no URDF.",
         show_default=False,
         callback=some_log,
     ),
 ]
 LogOutOption = Annotated[
     Path | None,
-    typer.Option(help="Log to write, MCAP or CSV by its ending; default: <urdf stem>_idtool/simulated.mcap."),
+    typer.Option(
+        help="Log to write, MCAP or CSV according to its extension; default: <urdf stem>_idtool/simulated.mcap."
+    ),
 ]
 WindowOption = Annotated[
     float | None,
     typer.Option(
-        help="Start again from the measured state this often, s; 0: never. Default: the configuration's "
-        "simulation.window under the logged torque, never under the controller."
+        help="Time between restarts from the measured state, s; 0: no restarts. Default: the configuration's "
+        "simulation.window under the logged torque, no restarts under the controller."
     ),
 ]
 ClosedLoopOption = Annotated[
     bool,
     typer.Option(
         "--closed-loop",
-        help="Let the configuration's controller drive the joints on the logged command, not the logged torque.",
+        help="Drive the joints with the configuration's controller and the logged command, not with the logged torque.",
     ),
 ]
 TrackOption = Annotated[
     bool,
     typer.Option(
         "--track",
-        help="Let the controller track the log's qcmd and vcmd, else its q and v, from their first state on.",
+        help="Let the controller track the log's qcmd and vcmd (or q and v) from their first state.",
     ),
 ]
 
@@ -74,7 +76,7 @@ def simulate_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a model forwards along a log, or along a trajectory under its controller, and write the motion as a log."""
+    """Simulate a model under a log's torque or under its controller, and write the motion as a log."""
     from idtool.api.model import Model
     from idtool.api.simulate import FILE, simulate
     from idtool.common.outputs import check_log

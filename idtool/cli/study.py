@@ -30,11 +30,11 @@ def study_command(
     out: OutOption = None,
     holdout: HoldoutOption = 0.3,
     validate: ValidateOption = None,
-    draws: Annotated[int, typer.Option(min=5, help="Random draws of samples for each count.")] = 40,
+    draws: Annotated[int, typer.Option(min=5, help="Random draws for each number of samples.")] = 40,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Compare all constraint sets, priors and estimators on the same data, and error against sample count."""
+    """Compare all constraint sets, priors and estimators on the same data, and for fewer samples."""
     from idtool.api.model import Model
     from idtool.api.study import study
     from idtool.reporting.terminal import Terminal

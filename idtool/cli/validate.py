@@ -43,7 +43,7 @@ def validate_command(
         Path | None,
         typer.Option("--config", help="Configuration; default: <urdf stem>.yaml or model.yaml beside the URDF."),
     ] = None,
-    prior: Annotated[Path | None, typer.Option(help="A URDF to compare with.")] = None,
+    prior: Annotated[Path | None, typer.Option(help="Another URDF for comparison.")] = None,
     out: OutOption = None,
     max_rms: MaxRmsOption = None,
     no_simulation: NoSimulationOption = False,
@@ -51,7 +51,7 @@ def validate_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Tell how well a model predicts the torque and the motion of logs; without arguments, run the regression."""
+    """Compute the torque and motion errors of a model on logs; without arguments, run the regression."""
     from idtool.api.data import experiment_of
     from idtool.api.model import Model
     from idtool.api.validate import prior_model, validate_experiment

@@ -188,10 +188,11 @@ def test_examples_in_the_docstrings_are_true(beside: Path) -> None:
     assert tried == 7  # the package, Log, Model and the four functions
 
 
-def test_the_readmes_python_runs(beside: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    section = (CHECKOUT / "README.md").read_text().partition("## From Python\n")[2].partition("\n## ")[0]
+def test_the_short_example_of_the_python_page_runs(beside: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = CHECKOUT / "docs" / "pages" / "python.md"
+    section = page.read_text().partition("## In short\n")[2].partition("\n## ")[0]
     (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
-    exec(compile(code, "README.md", "exec"), {})  # noqa: S102
+    exec(compile(code, page.name, "exec"), {})  # noqa: S102
     assert {path.name for path in (beside / "out").iterdir()} == {
         *("identified.urdf", "model.yaml", "report.json", "report.html"),
     }

@@ -153,15 +153,15 @@ class Result(Record):
 class Source(Record):
     """A file that was read."""
 
-    kind: str = field("`URDF`, `configuration` or `log`; of `--prior`, `prior's URDF` and `prior's configuration`.")
-    path: str = field("The file as it was named; of a rosbag2 folder, each of its files.")
-    sha256: str | None = field("SHA-256 of its bytes; null for a log that was made of arrays.")
+    kind: str = field("`URDF`, `configuration` or `log`; for `--prior`: `prior's URDF` and `prior's configuration`.")
+    path: str = field("Path as given; for a rosbag2 folder, each of its files.")
+    sha256: str | None = field("SHA-256 of its bytes; null for a log that was created from arrays.")
 
 
 class ReproducibleResult(Result):
     """A result that names what it was computed from, and with which versions."""
 
-    versions: Annotated[ReadOnly[str], Keys("library")] = field("Versions of Python and of the libraries that matter.")
+    versions: Annotated[ReadOnly[str], Keys("library")] = field("Versions of Python and of the main libraries.")
     inputs: tuple[Source, ...] = field("All files that were read.")
 
 
@@ -182,7 +182,7 @@ def provenance_fields(sources: Sequence[ProvenanceSource]) -> dict[str, Any]:
 class Samples(Record):
     """Number of samples of all logs together."""
 
-    train: int = field("Samples that were fitted.")
+    train: int = field("Samples used for the fit.")
     validation: int = field("Samples that were held out.")
 
 
@@ -195,8 +195,8 @@ class Ellipsoid(Record):
 
 
 class Term(Record):
-    """A coefficient's part in a combination."""
+    """A term of a combination of coefficients."""
 
     of: str = field("Body or joint that the coefficient belongs to.")
     what: str = field("The coefficient's name.")
-    share: float = field("Factor by which the coefficient enters the combination.")
+    share: float = field("Factor of the coefficient.")

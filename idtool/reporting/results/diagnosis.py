@@ -31,12 +31,12 @@ ByState = Annotated[ReadOnly[Vector], Keys("state")]
 
 
 class ErrorLevel(Record):
-    """RMS errors of a model by joint, and `overall` joints and samples."""
+    """RMS errors of a model by joint; `overall` is the RMS over all joints and samples."""
 
-    train: ByJointOrNone = field("Torque error on the data that were fitted [N·m or N].")
-    validation: ByJointOrNone | None = field("Torque error on held-out data; null where nothing was held out.")
+    train: ByJointOrNone = field("Torque error on the fitted data [N·m or N].")
+    validation: ByJointOrNone | None = field("Torque error on held-out data; null if nothing was held out.")
     simulation: ByJointOrNone | None = field(
-        "Position error of the rollouts [rad or m]; null where nothing was simulated."
+        "Position error of the rollouts [rad or m]; null if nothing was simulated."
     )
 
 
@@ -44,35 +44,35 @@ class Location(Record):
     """Where model and data disagree."""
 
     joints: tuple[str, ...] = field("The joints.")
-    windows: tuple[tuple[float, float], ...] = field("Stretches of time [s].")
+    windows: tuple[tuple[float, float], ...] = field("Time windows [s].")
     region: str = field("The region of the state space, as a sentence.")
 
 
 class CandidateReport(Record):
-    """An effect that was weighed."""
+    """A candidate effect."""
 
     effect: str = field("Its id, see [Effects](effects.md).")
     joint: str | None = field("The joint it acts on; null if it has none.")
     link: str | None = field("The link it acts on; null if it has none.")
-    score: float | None = field("Share of the residual that it explains on data it was not fitted to.")
+    score: float | None = field("Fraction of the residual that it explains on data to which it was not fitted.")
     standard_error: float | None = field("Standard error of the score.")
-    parameters: int = field("How many parameters it has.")
+    parameters: int = field("Number of parameters.")
     reason: str = field("Why it was not chosen.")
 
 
 class Evidence(Record):
-    """What speaks for a step."""
+    """Evidence for a step."""
 
-    score: float | None = field("Share of the residual that it explains on data it was not fitted to.")
+    score: float | None = field("Fraction of the residual that it explains on data to which it was not fitted.")
     standard_error: float | None = field("Standard error of the score.")
-    significance: float | None = field("Its gain in standard errors.")
-    pair: bool = field("Whether the data cannot tell it from the first alternative.")
-    separate: str = field("The experiment that would tell the two apart; empty without a pair.")
+    significance: float | None = field("Gain in standard errors.")
+    pair: bool = field("Whether the data cannot distinguish it from the first alternative.")
+    separate: str = field("Experiment that would distinguish the two; empty without a pair.")
     simulation_before: ByJointOrNone | None = field("Position error of the rollouts before the step [rad or m].")
     simulation_after: ByJointOrNone | None = field("Position error of the rollouts after the step.")
     rollout_worse: tuple[str, ...] = field("Joints whose rollouts got worse while the torque got better.")
     sentence: str = field("The step as a sentence.")
-    doubt: str = field("What speaks against it, such as a payload heavier than the robot; empty: nothing.")
+    doubt: str = field("Reason for doubt, such as a payload heavier than the robot; empty: none.")
 
 
 class StepReport(Record):
@@ -82,13 +82,13 @@ class StepReport(Record):
     joint: str | None = field("The joint it acts on; null if it has none.")
     link: str | None = field("The link it acts on; null if it has none.")
     parameters: ByParameter = field("Its parameters, see [Effects](effects.md).")
-    standard_error: ByParameter = field("Their standard errors.")
+    standard_error: ByParameter = field("Standard errors.")
     units: Annotated[ReadOnly[str | None], Keys("parameter")] = field("Their units; null: none.")
     where: Location = field("Where model and data disagreed.")
-    evidence: Evidence = field("What speaks for it.")
+    evidence: Evidence = field("Evidence for the effect.")
     validation_rms_before: ByJointOrNone = field("Held-out torque error before the step [N·m or N].")
     validation_rms_after: ByJointOrNone = field("Held-out torque error after the step.")
-    alternatives: tuple[CandidateReport, ...] = field("Candidates that came near.")
+    alternatives: tuple[CandidateReport, ...] = field("Candidates that explain nearly as much.")
     rejected: tuple[CandidateReport, ...] = field("All other candidates.")
 
     @property
@@ -98,16 +98,16 @@ class StepReport(Record):
 
 
 class DataFault(Record):
-    """Something that is wrong with the logs."""
+    """A fault of the logs."""
 
-    fault: str = field("Its id, see [Reading a diagnosis](howto/diagnosis.md#1-faults-of-the-data).")
+    fault: str = field("Its id, see [Reading a diagnosis](howto/diagnosis.md#1-data-faults).")
     joint: str | None = field("The joint; null: the log, or all joints.")
-    detail: str = field("What was seen and what to do.")
-    undone: bool = field("Whether idtool undoes it, so that nothing is to be done.")
+    detail: str = field("What was observed, and what to do.")
+    undone: bool = field("Whether idtool corrects it, so that no action is needed.")
 
 
 class ResidualMap(Record):
-    """A joint's residual against its state, for drawing."""
+    """A joint's residual against its state, for plots."""
 
     against: ByState = field("Centres of the bins of `position`, `velocity`, `torque`, `acceleration` and `time`.")
     mean: ByState = field("Mean of the residual in each bin [N·m or N].")
@@ -121,7 +121,7 @@ class ResidualMap(Record):
 class ResidualMaps(Record):
     """Residuals before and after the diagnosis."""
 
-    before: Annotated[ReadOnly[ResidualMap], Keys("joint")] = field("Residuals of the model as given.")
+    before: Annotated[ReadOnly[ResidualMap], Keys("joint")] = field("Residuals of the original model.")
     after: Annotated[ReadOnly[ResidualMap], Keys("joint")] = field("Residuals of the model with the effects.")
 
 
@@ -132,17 +132,17 @@ class DiagnosisReport(ReproducibleResult):
     logs: tuple[str, ...] = field("The logs.")
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
-    inertia: Literal["refit", "fixed"] = field("Whether inertia was identified anew at every step or kept.")
+    inertia: Literal["refit", "fixed"] = field("Whether inertia was identified again at every step or kept fixed.")
     verdict: Literal["no_disagreement", "explained", "partly_explained", "unexplained"] = field("The verdict.")
     before: ErrorLevel = field("Errors of the model without the effects.")
     after: ErrorLevel = field("Errors of the model with the effects.")
-    noise_floor: ByJointOrNone = field("Torque error that no model can go below [N·m or N].")
-    gap_closed: ByJointOrNone = field("(before − after) / (before − floor); null where there was next to no gap.")
+    noise_floor: ByJointOrNone = field("Noise floor: torque error that no model can go below [N·m or N].")
+    gap_closed: ByJointOrNone = field("(before − after) / (before − noise floor); null if there was almost no gap.")
     rollout_worse: tuple[str, ...] = field("Joints whose rollouts got worse while the torque got better.")
     steps: tuple[StepReport, ...] = field("Effects that were added, in order.")
     removed: Sentences = field("Effects that were added and removed again, one sentence each.")
     data_faults: tuple[DataFault, ...] = field("Faults of the logs.")
-    samples: Samples = field("Samples used.")
+    samples: Samples = field("Number of samples used.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Friction of the final model.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
@@ -150,12 +150,12 @@ class DiagnosisReport(ReproducibleResult):
         "Reflected inertia of the final model's rotors."
     )
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Bodies of the final model.")
-    known: tuple[KnownValue, ...] = field("What was known otherwise.")
+    known: tuple[KnownValue, ...] = field("Known values.")
     solver: SolverReport = field("The final model's solution.")
-    residual_maps: ResidualMaps = field("Residuals for drawing.")
+    residual_maps: ResidualMaps = field("Residuals for plots.")
     seconds: float = field("Wall time [s].")
     summary: str = field("The verdict as sentences.")
-    next: Sentences = field("What to do next, one sentence each.")
+    next: Sentences = field("Suggested next steps, one sentence each.")
 
     @property
     def further_notices(self) -> tuple[NoticeReport, ...]:

@@ -11,7 +11,7 @@ class EllipsoidsReport(Result):
     """Result of `idtool ellipsoids`."""
 
     bounding_ellipsoids: Annotated[ReadOnly[tuple[Ellipsoid, ...]], Keys("link")] = field(
-        "Bounding ellipsoids, as in the [configuration](config.md#where-a-bodys-mass-may-be)."
+        "Bounding ellipsoids, as in the [configuration](config.md#bounds-of-the-bodies)."
     )
 
 
@@ -21,15 +21,15 @@ class RepairedLink(Record):
     mass: float = field("Mass [kg].")
     com: Vector = field("Centre of mass, shape (3,) [m].")
     inertia_com: Vector = field("Inertia about the centre of mass: [xx, xy, yy, xz, yz, zz] [kg·m²].")
-    moved: float = field("Largest change of the inertia about the centre of mass, over its largest entry.")
+    moved: float = field("Largest change of the inertia about the centre of mass, divided by its largest entry.")
 
 
 class CheckedLink(Record):
-    """A link and whether a body can have its inertia."""
+    """A link, and whether its inertia is realizable."""
 
     mass: float = field("Mass [kg].")
-    violations: Sentences = field("Why no body can have its inertia, one sentence each.")
-    nearest: RepairedLink | None = field("With `--repair`, what is in the new URDF; null where nothing was changed.")
+    violations: Sentences = field("Reasons why its inertia is not realizable, one sentence each.")
+    nearest: RepairedLink | None = field("With `--repair`, the inertia in the new URDF; null if it was not changed.")
 
 
 class CheckReport(Result):

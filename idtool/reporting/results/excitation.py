@@ -21,12 +21,12 @@ class MotionPart(Record):
     """A part of the trajectory."""
 
     pattern: str = field("Its pattern.")
-    start: float = field("When it begins [s].")
-    end: float = field("When it ends [s].")
+    start: float = field("Start [s].")
+    end: float = field("End [s].")
 
 
 class Criteria(Record):
-    """All criteria of a motion; null where a combination is not determined."""
+    """All criteria of a motion; null if a combination is not determined."""
 
     d: float | None = field("D-optimality: mean logarithm of the relative standard errors.")
     a: float | None = field("A-optimality: mean relative standard error.")
@@ -35,34 +35,36 @@ class Criteria(Record):
 
 
 class ExpectedParameter(Record):
-    """A combination that the torque depends on, and how well the motion will determine it."""
+    """A base parameter, and how well the motion will determine it."""
 
     name: str = field("The combination as text.")
-    terms: tuple[Term, ...] = field("What it is the sum of.")
+    terms: tuple[Term, ...] = field("Terms of the combination.")
     unit: str = field("Its unit.")
     prior: float = field("Value of the prior.")
-    standard_error: float | None = field("Standard error to expect; null: not determined.")
-    relative: float | None = field("Standard error over the prior; null for a prior that is next to zero.")
-    logged_standard_error: float | None = field("Standard error with the logs of `--log` alone.")
+    standard_error: float | None = field("Expected standard error; null: not determined.")
+    relative: float | None = field("Standard error divided by the prior; null for a prior close to zero.")
+    logged_standard_error: float | None = field("Standard error with only the logs of `--log`.")
     favoured: bool = field("Whether `--favour` names it.")
 
 
 class ExpectedBody(Record):
-    """How well the motion will determine a body."""
+    """Expected standard errors of a body."""
 
-    standard_error: Vector = field("Of the ten parameters; null where no motion determines one by itself.")
+    standard_error: Vector = field(
+        "Standard errors of the ten parameters; null if no motion determines a parameter by itself."
+    )
 
 
 class ExpectedTerm(Record):
-    """How well the motion will determine friction or another effect."""
+    """Expected standard error of friction or another effect."""
 
     prior: float = field("Value of the prior.")
-    standard_error: float | None = field("Standard error to expect; null: not determined.")
+    standard_error: float | None = field("Expected standard error; null: not determined.")
     unit: str = field("Its unit.")
 
 
 class JointLimitsReport(Record):
-    """Limits that the motion keeps to."""
+    """Limits of the motion."""
 
     position: tuple[float, float] = field("Lower and upper position [rad or m].")
     velocity: float = field("Velocity [rad/s or m/s].")
@@ -71,7 +73,7 @@ class JointLimitsReport(Record):
 
 
 class LimitUtilization(Record):
-    """Largest share of each limit that is used."""
+    """Largest fraction of each limit that the motion uses."""
 
     position: float = field("Of the position range.")
     velocity: float = field("Of the velocity.")
@@ -80,16 +82,16 @@ class LimitUtilization(Record):
 
 
 class Clearance(Record):
-    """The links that come nearest to each other."""
+    """The closest pair of links."""
 
     links: tuple[str, ...] = field("The two links.")
-    distance: float | None = field("Their least distance [m].")
-    t: float | None = field("When [s].")
-    wanted: float = field("Distance that was asked for [m].")
+    distance: float | None = field("Smallest distance between them [m].")
+    t: float | None = field("Time of the smallest distance [s].")
+    wanted: float = field("Requested distance [m].")
 
 
 class JointCurves(Record):
-    """A joint's motion and predicted torque, for drawing."""
+    """A joint's motion and predicted torque, for plots."""
 
     q: Vector = field("Position [rad or m].")
     v: Vector = field("Velocity [rad/s or m/s].")
@@ -98,7 +100,7 @@ class JointCurves(Record):
 
 
 class ExcitationCurves(Record):
-    """The motion and its predicted torque, for drawing."""
+    """The motion and its predicted torque, for plots."""
 
     t: Vector = field("Time [s].")
     joints: Annotated[ReadOnly[JointCurves], Keys("joint")] = field("By joint.")
@@ -107,11 +109,11 @@ class ExcitationCurves(Record):
 class ExcitationReport(ReproducibleResult):
     """Result of `idtool excite`."""
 
-    file: str | None = field("The log that was written; null where none was.")
+    file: str | None = field("The log that was written; null if none was.")
     urdf: str = field("The URDF.")
     logs: tuple[str, ...] = field("Logs of `--log`.")
-    seed: int = field("Seed of what is drawn.")
-    samples: int = field("Samples of the log.")
+    seed: int = field("Seed of the random draws.")
+    samples: int = field("Number of samples.")
     joints: tuple[str, ...] = field("Joints.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     duration: float = field("Duration [s].")
@@ -119,19 +121,19 @@ class ExcitationReport(ReproducibleResult):
     highest_hz: float = field("Highest frequency of the pattern [Hz].")
     parts: tuple[MotionPart, ...] = field("Parts of the motion.")
     home: ByJoint = field("Pose at start and end [rad or m].")
-    noise: ByJoint = field("RMS torque noise that standard errors are computed with [N·m or N].")
+    noise: ByJoint = field("RMS torque noise assumed for the standard errors [N·m or N].")
     criterion: str = field("`d`, `a`, `e` or `condition`.")
     criteria: Annotated[ReadOnly[Criteria], Keys("motion")] = field(
-        "Criteria of a `random` motion, of the `design` and, with `--log`, of what is `logged`."
+        "Criteria of a `random` motion, of the `design` and, with `--log`, of the existing logs (`logged`)."
     )
-    base_parameters: tuple[ExpectedParameter, ...] = field("What the torque depends on.")
+    base_parameters: tuple[ExpectedParameter, ...] = field("Base parameters.")
     bodies: Annotated[ReadOnly[ExpectedBody], Keys("body")] = field("Standard errors of bodies.")
     terms: Annotated[ReadOnly[Annotated[ReadOnly[ExpectedTerm], Keys("term")]], Keys("joint")] = field(
         "Standard errors of friction and other effects."
     )
-    limits: Annotated[ReadOnly[JointLimitsReport], Keys("joint")] = field("Limits that are kept.")
-    use: Annotated[ReadOnly[LimitUtilization], Keys("joint")] = field("Share of the limits that is used.")
-    clearance: Clearance | None = field("Nearest links; null without geometry.")
-    evaluations: int = field("Evaluations of the search.")
+    limits: Annotated[ReadOnly[JointLimitsReport], Keys("joint")] = field("Limits of the joints.")
+    use: Annotated[ReadOnly[LimitUtilization], Keys("joint")] = field("Fraction of the limits that the motion uses.")
+    clearance: Clearance | None = field("Closest pair of links; null without geometry.")
+    evaluations: int = field("Number of evaluations in the search.")
     interrupted: bool = field("Whether Ctrl-C ended the search.")
-    curves: ExcitationCurves = field("The motion, for drawing.")
+    curves: ExcitationCurves = field("The motion, for plots.")

@@ -10,60 +10,60 @@ from idtool.reporting.results.base import Keys, ReadOnly, Record, Result, field
 class GapReport(Record):
     """A gap in the stamps."""
 
-    start: float = field("When it begins, after the first stamp [s].")
+    start: float = field("Start, from the first stamp [s].")
     lost: float = field("Time that was lost [s].")
 
 
 class SamplingReport(Record):
-    """The instants at which samples were really taken, as q and v tell them."""
+    """Actual sampling times, estimated from q and v."""
 
-    skipped: float = field("Share of steps that took the time of two samples or more.")
-    jitter_ms: float | None = field("Standard deviation of the instants about an even spacing [ms].")
-    stamp_error_ms: float | None = field("Standard deviation of the instants about the stamps [ms].")
+    skipped: float = field("Fraction of steps that are two or more sample periods long.")
+    jitter_ms: float | None = field("Standard deviation of the sampling times from an even spacing [ms].")
+    stamp_error_ms: float | None = field("Standard deviation of the sampling times from the stamps [ms].")
 
 
 class StampsReport(Record):
     """The time stamps of a log."""
 
-    step_jitter: float | None = field("Standard deviation of the steps from stamp to stamp, in samples.")
-    jitter_rms_ms: float | None = field("RMS deviation from an even clock [ms].")
-    jitter_max_ms: float | None = field("Largest deviation from an even clock [ms].")
-    step_ms: float | None = field("Smallest common step of the stamps [ms]; null: none.")
-    duplicates: int = field("Stamps equal to the one before.")
-    backward: int = field("Stamps earlier than the one before.")
+    step_jitter: float | None = field("Standard deviation of the steps between stamps, in sample periods.")
+    jitter_rms_ms: float | None = field("RMS deviation from evenly spaced stamps [ms].")
+    jitter_max_ms: float | None = field("Largest deviation from evenly spaced stamps [ms].")
+    step_ms: float | None = field("Step of which all stamps are multiples [ms]; null: none.")
+    duplicates: int = field("Number of stamps equal to the previous one.")
+    backward: int = field("Number of stamps earlier than the previous one.")
     gaps: int = field("Number of gaps.")
     lost: float = field("Time lost in gaps [s].")
     longest_gaps: tuple[GapReport, ...] = field("The longest gaps, longest first.")
-    short: float = field("Share of the samples in stretches of less than half a second.")
-    repeated: float = field("Share of the samples, while anything moves, that equal the one before in all joints.")
-    sampling: SamplingReport | None = field("Real instants of the samples; null where the motion does not tell them.")
+    short: float = field("Fraction of the samples in segments shorter than half a second.")
+    repeated: float = field("Fraction of the samples during motion that equal the previous one in all joints.")
+    sampling: SamplingReport | None = field("Actual sampling times; null if the motion does not determine them.")
 
 
 class SignalReport(Record):
     """A signal of a joint, in its own unit."""
 
-    minimum: float | None = field("Least finite sample.")
-    maximum: float | None = field("Greatest finite sample.")
+    minimum: float | None = field("Smallest finite sample.")
+    maximum: float | None = field("Largest finite sample.")
     rms: float | None = field("RMS of the finite samples.")
-    not_finite: int = field("Samples that are not finite.")
-    step: float | None = field("Quantisation step; null where the signal is continuous.")
+    not_finite: int = field("Number of samples that are not finite.")
+    step: float | None = field("Quantization step; null if the signal is continuous.")
     noise: float | None = field("Standard deviation of the white noise.")
-    stale: float | None = field("Share of samples that repeat the one before while the signal changes.")
-    stuck: float = field("Share of samples at the least or greatest value, as on an end stop.")
+    stale: float | None = field("Fraction of samples that repeat the previous one while the signal changes.")
+    stuck: float = field("Fraction of samples at the smallest or largest value, as on an end stop.")
 
 
 class VelocityReport(Record):
-    """A measured velocity against the derivative of the position."""
+    """Comparison of the measured velocity with the derivative of the position."""
 
-    lag_ms: float | None = field("Lag of v [ms]; null where v has nothing to do with q.")
+    lag_ms: float | None = field("Lag of v [ms]; null if v is unrelated to q.")
     lag_error_ms: float | None = field("Standard error of the lag [ms].")
-    gain: float | None = field("v over dq/dt.")
-    agreement: float | None = field("Share of the power of v that dq/dt explains.")
-    residual: float | None = field("RMS of the rest [rad/s or m/s].")
+    gain: float | None = field("Ratio of v to dq/dt.")
+    agreement: float | None = field("Fraction of the power of v that dq/dt explains.")
+    residual: float | None = field("RMS of the remainder [rad/s or m/s].")
 
 
 class TorqueSourceReport(Record):
-    """Whether the torque looks measured or commanded."""
+    """Whether the torque seems to be measured or commanded."""
 
     kind: Literal["measured", "commanded", "unknown"] = field("`measured`, `commanded` or `unknown`.")
     reason: str = field("Why.")
@@ -73,41 +73,41 @@ class JointReport(Record):
     """A joint of a log."""
 
     signals: Annotated[ReadOnly[SignalReport], Keys("signal")] = field(
-        "Of `q`, `v`, `tau`, `qcmd`, `vcmd` those present."
+        "Those of `q`, `v`, `tau`, `qcmd`, `vcmd` that are present."
     )
     moves: bool = field("Whether the joint moves.")
-    standstill: float | None = field("Share of the time at rest.")
+    standstill: float | None = field("Fraction of the time at rest.")
     speed_rms: float | None = field("RMS speed [rad/s or m/s].")
     band_hz: float | None = field("Frequency below which 99 % of the velocity's power lies [Hz]; null at rest.")
-    jumps: int = field("Single steps of q that its speed cannot explain.")
+    jumps: int = field("Number of steps of q that are too large for its speed.")
     wraps: bool = field("Whether these jumps are full turns.")
-    velocity: VelocityReport | None = field("v against the derivative of q; null where that cannot be told.")
-    torque: TorqueSourceReport | None = field("Source of the torque; null without a torque that changes.")
+    velocity: VelocityReport | None = field("Comparison of v with the derivative of q; null if it is not possible.")
+    torque: TorqueSourceReport | None = field("Source of the torque; null if there is no torque or it is constant.")
 
 
 class FindingReport(Record):
-    """Something that is wrong with a log, or worth knowing."""
+    """A fault or a notable property of a log."""
 
     severity: Literal["note", "warning", "problem"] = field(
-        "`note`: nothing to do; `warning`: the fit gets worse by it; `problem`: not to be used like this."
+        "`note`: no action needed; `warning`: it makes the fit worse; `problem`: the log cannot be used as it is."
     )
     joint: str | None = field("The joint; null: the whole log.")
     what: str = field("What was found.")
     meaning: str = field("What it means for the fit, and what to do.")
-    fault: str | None = field("Id of the data fault, which a diagnosis names too; null: too little to spoil a fit.")
-    undone: bool = field("Whether idtool undoes it, so that nothing is to be done.")
+    fault: str | None = field("Id of the data fault, as in a diagnosis; null: too small to affect a fit.")
+    undone: bool = field("Whether idtool corrects it, so that no action is needed.")
 
 
 class InspectionReport(Result):
-    """Result of `idtool inspect`; units are those of the log as `log.scale` turns them: rad, rad/s, N·m."""
+    """Result of `idtool inspect`; units are those after `log.scale`: rad, rad/s, N·m."""
 
     path: str = field("The log.")
     duration: float = field("Time from the first to the last stamp [s].")
-    samples: int = field("Rows of the log.")
+    samples: int = field("Number of rows.")
     dt: float = field("Median step of the stamps [s].")
     rate_hz: float = field("1/`dt` [Hz].")
-    mean_rate_hz: float = field("Samples over time within the segments [Hz].")
-    segments: int = field("Stretches without a gap.")
+    mean_rate_hz: float = field("Number of samples divided by the duration of the segments [Hz].")
+    segments: int = field("Number of segments without a gap.")
     stamps: StampsReport = field("The time stamps.")
     joints: Annotated[ReadOnly[JointReport], Keys("joint")] = field("The joints.")
     findings: tuple[FindingReport, ...] = field("Problems first, then warnings, then notes.")

@@ -10,14 +10,14 @@ RolloutKind = Literal["open_loop", "closed_loop"]
 
 
 class WindowCount(Record):
-    """How many windows of the logs were simulated; of long logs, a selection spread over them."""
+    """Number of simulated windows; for long logs, a selection spread over them."""
 
-    simulated: int = field("Windows that were simulated.")
-    of: int = field("Windows that there are.")
+    simulated: int = field("Number of windows that were simulated.")
+    of: int = field("Total number of windows.")
 
 
 class MotionErrors(Record):
-    """RMS errors of a simulated motion; null where rollouts diverged."""
+    """RMS errors of a simulated motion; null if rollouts diverged."""
 
     position: ByJointOrNone = field("RMS position error [rad or m].")
     velocity: ByJointOrNone = field("RMS velocity error [rad/s or m/s].")
@@ -33,19 +33,19 @@ class Horizon(Record):
 
 
 class Simulation(Record):
-    """How far a model run forwards is from the measured motion."""
+    """Forward simulation of a model, compared with the measured motion."""
 
     kind: RolloutKind = field("`open_loop`: under the logged torque; `closed_loop`: under the controller.")
     window: float | None = field("Time between restarts from the measured state [s]; null: never restarted.")
-    windows: WindowCount = field("How many windows were simulated.")
+    windows: WindowCount = field("Number of simulated windows.")
     seconds: float = field("Simulated time [s].")
     units: Units = field("`rad` or `m`.")
     position: ByJointOrNone = field("RMS position error of the model [rad or m].")
     velocity: ByJointOrNone = field("RMS velocity error of the model [rad/s or m/s].")
     baseline: MotionErrors = field(
-        "Errors of a robot that stays where it was (open loop) or follows its command at once (closed loop)."
+        "Errors of a robot that keeps its position (open loop) or follows its command exactly (closed loop)."
     )
     prior: MotionErrors | None = field("Errors of the prior; null without one.")
     horizon: tuple[Horizon, ...] = field("Errors against the time since a restart; empty in closed loop.")
-    lost: int = field("Rollouts of the model that diverged and were stopped.")
-    prior_lost: int | None = field("Rollouts of the prior that diverged; null without one.")
+    lost: int = field("Number of rollouts of the model that diverged and were stopped.")
+    prior_lost: int | None = field("Number of rollouts of the prior that diverged; null without one.")

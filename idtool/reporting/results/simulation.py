@@ -7,7 +7,7 @@ from idtool.reporting.results.rollouts import RolloutKind
 
 
 class MotionRmse(Record):
-    """RMS errors against the measured motion, or against the trajectory; null where there is none."""
+    """RMS errors relative to the measured motion or the trajectory; null if there is none."""
 
     position: ByJoint | None = field("RMS position error [rad or m].")
     velocity: ByJoint | None = field("RMS velocity error [rad/s or m/s].")
@@ -16,14 +16,14 @@ class MotionRmse(Record):
 class SimulationReport(Result):
     """Result of `idtool simulate`."""
 
-    file: str | None = field("The log that was written; null where none was.")
+    file: str | None = field("The log that was written; null if none was.")
     joints: tuple[str, ...] = field("Joints, in the order of the log.")
     units: Units = field("`rad` or `m`.")
     kind: RolloutKind = field("`open_loop`: under the logged torque; `closed_loop`: under the controller.")
     window: float | None = field("Time between restarts from the measured state [s]; null: never restarted.")
     rollouts: int = field("Number of rollouts.")
-    lost: int = field("Rollouts that diverged and were stopped.")
-    samples: int = field("Samples of the log.")
+    lost: int = field("Number of rollouts that diverged and were stopped.")
+    samples: int = field("Number of samples.")
     seconds: float = field("Simulated time [s].")
     wall_seconds: float = field("Wall time [s].")
     rmse: MotionRmse = field("RMS errors.")

@@ -18,23 +18,23 @@ from idtool.reporting.results.base import (
 
 
 class StudyErrors(Record):
-    """RMS torque errors by joint, and `overall` joints and samples."""
+    """RMS torque errors by joint; `overall` is the RMS over all joints and samples."""
 
-    train: ByJoint = field("On the data that were fitted [N·m or N].")
-    validation: ByJoint = field("On held-out data.")
+    train: ByJoint = field("Error on the fitted data [N·m or N].")
+    validation: ByJoint = field("Error on held-out data.")
 
 
 class SetReport(Record):
     """The fit within one constraint set."""
 
     rms: StudyErrors = field("RMS torque errors within the filter's band.")
-    seconds: float = field("Time of the solution [s].")
+    seconds: float = field("Solution time [s].")
     objective: float = field("Cost at the solution.")
-    duality_gap: float = field("Bound on the relative distance to the least cost.")
+    duality_gap: float = field("Bound on the relative distance to the minimum cost.")
     iterations: int = field("Iterations of the solver.")
     lmi: str = field("Inequalities for one body.")
-    violations: int = field("Bodies that no material could have.")
-    worst_margin: float = field("Least eigenvalue of the worst body, in units of its mass and size.")
+    violations: int = field("Number of bodies that are not realizable.")
+    worst_margin: float = field("Smallest eigenvalue of the worst body, in units of its mass and size.")
     masses: Annotated[ReadOnly[float], Keys("body")] = field("Identified masses [kg].")
 
 
@@ -42,15 +42,15 @@ class EstimatorReport(Record):
     """The fit with one prior or local solver."""
 
     rms: StudyErrors = field("RMS torque errors within the filter's band.")
-    seconds: float = field("Time of the solution [s].")
-    duality_gap: float = field("Bound on the relative distance to the least cost.")
+    seconds: float = field("Solution time [s].")
+    duality_gap: float = field("Bound on the relative distance to the minimum cost.")
     iterations: int = field("Iterations of the solver.")
-    status: str = field("How it ended.")
-    note: str | None = field("What to know of it.")
+    status: str = field("Status at the end.")
+    note: str | None = field("Remark.")
 
 
 class LearningCurve(Record):
-    """Validation error against the number of samples."""
+    """Validation error as a function of the number of samples."""
 
     median: Vector = field("Median over the draws [N·m or N].")
     lower: Vector = field("Lower quartile.")
@@ -65,7 +65,7 @@ class Advantage(Record):
 
 
 class Learning(Record):
-    """Errors against the number of samples."""
+    """Errors as functions of the number of samples."""
 
     counts: tuple[int, ...] = field("Sample counts.")
     draws: int = field("Draws for each count.")
@@ -81,9 +81,9 @@ class Convergence(Record):
     t: Vector = field("Time [s].")
     error: Annotated[ReadOnly[Vector], Keys("set")] = field("Parameter error, relative to that of the prior.")
     time_to_10_percent: Annotated[ReadOnly[float | None], Keys("set")] = field(
-        "Time from which on the error stays below a tenth [s]; null: never."
+        "Time after which the error remains below a tenth [s]; null: never."
     )
-    forgetting: float | None = field("Time constant of forgetting [s]; null: none.")
+    forgetting: float | None = field("Time constant of forgetting [s]; null: no forgetting.")
 
 
 class StudyReport(ReproducibleResult):
@@ -92,10 +92,10 @@ class StudyReport(ReproducibleResult):
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
-    samples: Samples = field("Samples used.")
-    sets: Annotated[ReadOnly[SetReport], Keys("set")] = field("All constraint sets.")
-    estimators: Annotated[ReadOnly[EstimatorReport], Keys("estimator")] = field("All priors and local solvers.")
-    learning: Learning = field("Errors against the number of samples.")
+    samples: Samples = field("Number of samples used.")
+    sets: Annotated[ReadOnly[SetReport], Keys("set")] = field("Results by constraint set.")
+    estimators: Annotated[ReadOnly[EstimatorReport], Keys("estimator")] = field("Results by prior and local solver.")
+    learning: Learning = field("Errors as functions of the number of samples.")
     adaptation: Convergence = field("The online estimate.")
     logs: tuple[str, ...] = field("The logs.")
     urdf: str = field("The URDF.")

@@ -21,10 +21,10 @@ from idtool.reporting.results.rollouts import Simulation
 
 
 class ModelErrors(Record):
-    """RMS torque errors by joint, and `overall` joints and samples."""
+    """RMS torque errors by joint; `overall` is the RMS over all joints and samples."""
 
-    model: ByJoint = field("Of the model [N·m or N].")
-    prior: ByJoint | None = Field(None, description="Of `--prior`; absent without it.")
+    model: ByJoint = field("Error of the model [N·m or N].")
+    prior: ByJoint | None = Field(None, description="Error of the `--prior` URDF; absent without this option.")
 
     @model_serializer(mode="wrap")
     def _without_absent_prior(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -39,13 +39,13 @@ class ValidationReport(ReproducibleResult):
 
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
-    samples: int = field("Samples used.")
+    samples: int = field("Number of samples used.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     rms: ModelErrors = field("RMS torque errors within the filter's band.")
     rms_raw: ModelErrors = field("RMS torque errors against the torque as logged.")
-    nrms: ByJointOrNone = field("`rms.model` over the standard deviation of the measured torque.")
+    nrms: ByJointOrNone = field("`rms.model` divided by the standard deviation of the measured torque.")
     simulation: Simulation | None = field(
-        "The model run forwards; null with `--no-simulation`, or where the model cannot be simulated."
+        "Forward simulation; null with `--no-simulation`, or if the model cannot be simulated."
     )
     bound: ByJoint = field("Bounds of `--max-rms`, by joint or `overall` [N·m or N].")
     ok: Annotated[ReadOnly[bool], Keys("joint")] = field("Whether each bound was met.")
@@ -58,7 +58,7 @@ class RegressionCase(Record):
     joint: str = field("A joint, or `overall`.")
     rms: float = field("RMS torque error [N·m or N].")
     bound: float = field("Its bound.")
-    prior: float = field("Error of the URDF as given.")
+    prior: float = field("Error of the original URDF.")
     ok: bool = field("Whether the bound was met.")
 
 

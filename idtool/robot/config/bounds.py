@@ -25,7 +25,7 @@ class Bounding(Record):
 
 
 class Placed(Record):
-    """A bounding shape's place: centre [m], roll–pitch–yaw [rad]."""
+    """Pose of a bounding shape: centre [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
@@ -39,7 +39,7 @@ class BoxBound(Placed):
 
 
 class CylinderBound(Placed):
-    """A cylinder about its own z [m]."""
+    """A cylinder about its z axis: radius [m], length [m]."""
 
     kind: Literal["cylinder"]
     radius: Length
@@ -47,7 +47,7 @@ class CylinderBound(Placed):
 
 
 class CapsuleBound(Placed):
-    """A cylinder about its own z with half a ball on each end; ``length`` is the cylinder's [m]."""
+    """A capsule about its z axis: a cylinder of ``length`` [m] with a hemisphere at each end."""
 
     kind: Literal["capsule"]
     radius: Length
@@ -55,7 +55,7 @@ class CapsuleBound(Placed):
 
 
 class HullBound(Record):
-    """The convex hull of a mesh: ``file``, from the URDF's folder, or else what the URDF gives the link."""
+    """The convex hull of a mesh: ``file``, relative to the URDF's folder, or the link's geometry in the URDF."""
 
     kind: Literal["hull"]
     file: str | None = None

@@ -1,4 +1,4 @@
-"""`Config`: everything a URDF does not say."""
+"""`Config`: everything that a URDF does not contain."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class Config(Record):
-    """Everything a URDF does not say."""
+    """The configuration: everything that a URDF does not contain."""
 
     joints: Annotated[tuple[str, ...], AfterValidator(_once_each)] | None = None
     locked_joints: dict[str, Finite] = Field(default_factory=dict)

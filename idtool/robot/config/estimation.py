@@ -27,9 +27,10 @@ Weight = Annotated[
 class Regularization(Record):
     """The prior's kind and weight (27); the weight ``auto`` is chosen by cross-validation.
 
-    The prior's masses count as known ``mass_precision`` times better than its inertias: relative standard errors of 6 %
-    for 30 %, say. That is 5 with the weight ``auto``, and 1, the plain distance, with a number. The Euclidean distance
-    is taken in units of each body's own mass and size, or, as the paper has it, in SI units.
+    The prior's masses are taken as ``mass_precision`` times more accurate than its inertias: with 5, relative standard
+    errors of 6 % and 30 %, for example. The default is 5 with the weight ``auto``, and 1 with a number, which leaves
+    the distance unchanged. The Euclidean distance is in units of each body's own mass and size or, as in the paper, in
+    SI units.
     """
 
     kind: Literal["none", "euclidean", "entropic", "pullback"] = "entropic"
@@ -87,7 +88,7 @@ WEAK = Regularization(kind="euclidean", weight=1e-6)
 
 
 class Measured(Uncertain):
-    """A positive number measured by other means; with a standard error it is soft, without exact."""
+    """A known positive number; a soft constraint with a standard error, exact without."""
 
     value: Positive
     standard_error: Positive | None = None
@@ -101,9 +102,9 @@ class Known(Record):
 
 
 class Mirror(Record):
-    """A body that is a copy of another, equal or mirrored in a plane of the link frames, or a joint with its friction.
+    """A body that is an equal or mirrored copy of another, or a joint with the same friction as another.
 
-    Friction that depends on the direction, an offset, is left to each joint.
+    The torque offset (direction-dependent friction) is not copied.
     """
 
     body: str | None = None
@@ -123,7 +124,7 @@ class Mirror(Record):
 
 
 class Solver(Record):
-    """The conic solver, one of those that cvxpy knows, or a local one on a manifold of realizable bodies."""
+    """The conic solver, a solver of cvxpy, or a local solver on a manifold of realizable bodies."""
 
     name: Literal["clarabel", "cvxpy", "log_cholesky", "manifold"] = "clarabel"
     backend: str | None = None

@@ -12,7 +12,7 @@ from idtool.robot.config.bounds import Bounding
 
 
 class Origin(Record):
-    """A frame's place: xyz [m], roll–pitch–yaw [rad]."""
+    """Origin of a frame: xyz [m], roll–pitch–yaw [rad]."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
@@ -29,7 +29,7 @@ class Inertial(Record):
 class Rotor(Record):
     """A body that spins with a joint, or with a combination of joint velocities.
 
-    A rotor that bears the name of a URDF link on a fixed joint is that link: what is left out here comes from there.
+    A rotor with the same name as a URDF link on a fixed joint is that link; missing keys are taken from the URDF.
     """
 
     joint: str | None = None

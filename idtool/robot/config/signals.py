@@ -21,7 +21,7 @@ Factors = dict[str, Annotated[Finite, AfterValidator(_keeps_the_signal)]]
 
 
 class Scale(Record):
-    """SI per logged unit, by joint."""
+    """Factors from logged units to SI units, by joint."""
 
     q: Factors = Field(default_factory=dict)
     v: Factors = Field(default_factory=dict)
@@ -39,7 +39,7 @@ class LogOptions(Record):
 
 
 class Filter(Record):
-    """The zero-phase low-pass. No cut-off: 40 Hz, or a fifth of the sampling rate where that is lower."""
+    """The zero-phase low-pass. Default cut-off: 40 Hz, or a fifth of the sampling rate if that is lower."""
 
     kind: Literal["butterworth"] = "butterworth"
     cutoff_hz: Positive | None = None

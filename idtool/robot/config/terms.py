@@ -37,7 +37,7 @@ Dissipation = Annotated[Term, AfterValidator(_dissipates)]
 
 
 class Friction(Record):
-    """Which friction terms a joint has, or their values [N·m·s/rad, N·m, N·m], as prior for `fit`, as is elsewhere."""
+    """Friction terms of a joint: on, off, or a value [N·m·s/rad, N·m, N·m]."""
 
     viscous: Dissipation = True
     coulomb: Dissipation = True
@@ -52,7 +52,7 @@ def friction_form(data: Any) -> str:
 
 
 class EffectEntry(Record):
-    """An effect that the model carries; parameters in SI, each a number or a value with its standard error."""
+    """An effect of the model; parameters in SI units, each a number or a value with its standard error."""
 
     effect: str
     joint: str | None = None

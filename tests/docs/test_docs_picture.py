@@ -1,0 +1,30 @@
+"""The picture in README.md agrees with the script that draws it."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+from doc_pages import DOCS, README
+from lxml import etree
+
+COMMITTED = DOCS / "pages" / "images" / "report.svg"
+
+
+def test_the_picture_is_up_to_date(tmp_path: Path) -> None:
+    drawn = tmp_path / "report.svg"
+    runpy.run_path(str(DOCS / "picture.py"))["main"](drawn)
+    new, committed = drawn.read_text(), COMMITTED.read_text()
+    etree.fromstring(new)  # it is well-formed
+    labels = [re.findall(r">([^<]+)</text>", text) for text in (new, committed)]
+    assert labels[0] == labels[1], "run python docs/picture.py"
+    curves_per_joint = 4  # measured, prior, predicted, residual
+    assert new.count("<polyline") == 3 * curves_per_joint
+
+
+@pytest.mark.parametrize("page", [README, DOCS / "pages" / "index.md"], ids=["README.md", "index.md"])
+def test_the_picture_is_small_and_on_the_page(page: Path) -> None:
+    assert COMMITTED.stat().st_size < 200_000
+    assert str(COMMITTED.relative_to(page.parent)) in page.read_text()
