@@ -1,4 +1,4 @@
-"""A new effect is one file, `new_effects/cubic_spring.py`, in every command that concerns it; nothing else knows of it.
+"""A new effect is one file, the one in the documentation, in every command that concerns it; nothing else knows of it.
 
 The logs are of a pendulum with such a spring, simulated here by scipy.
 """
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import idtool
+from doc_pages import PAGES, blocks
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -24,7 +25,6 @@ from idtool.dynamics.effects.init_trial import InitTrial
 
 Array = NDArray[np.float64]
 
-FOLDER = Path(__file__).parent / "helpers" / "new_effects"
 PACKAGE = Path(effects.__file__).parents[2]
 
 STIFFNESS, REST = 0.8, 0.4  # N·m/rad³, rad
@@ -72,12 +72,15 @@ def recorded(path: Path, seed: int) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def added() -> Iterator[None]:
+def added(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The file is there as if it stood beside the package's own effects."""
-    effects.__path__.append(str(FOLDER))
+    folder = tmp_path_factory.mktemp("effects")
+    (example,) = [block for block in blocks(PAGES / "effects.md") if block.language == "python"]
+    (folder / "cubic_spring.py").write_text(example.text)
+    effects.__path__.append(str(folder))
     effect_types.cache_clear()
     yield
-    effects.__path__.remove(str(FOLDER))
+    effects.__path__.remove(str(folder))
     effect_types.cache_clear()
     del sys.modules[f"{effects.__name__}.cubic_spring"]
 
