@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from idtool.dynamics.effects import effect_types
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "idtool"
 
@@ -45,6 +47,17 @@ WALLS = {
     "trimesh": ("robot/meshes.py",),
     "coal": ("robot/collision_geometry.py",),
     "rerun": ("reporting/rerun_recording.py",),
+}
+
+# Where an effect's id stands outside `dynamics/effects`, and why. All else asks the effect.
+EFFECTS = PACKAGE / "dynamics" / "effects"
+IDS_ELSEWHERE = {
+    (
+        "data/inspection/motion_findings.py",
+        "time_delay",
+    ): "a message; data comes before dynamics and can ask none",
+    ("data/inspection/motion_findings.py", "torque_gain"): "likewise",
+    ("reporting/export/transmissions.py", "rotor_inertia"): "Drake's tag, drake:rotor_inertia",
 }
 
 Described = ast.ClassDef | ast.FunctionDef
@@ -176,3 +189,46 @@ def test_help_does_not_wait_for_the_numerics() -> None:
     script = "import sys, idtool.cli; print(*{'numpy', 'scipy', 'cvxpy', 'lxml', 'pydantic'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def strings(path: Path) -> Iterator[str]:
+    """All strings of a file but docstrings: those of a Python file, or the text of another."""
+    if path.suffix != ".py":
+        yield path.read_text()
+        return
+    tree = ast.parse(path.read_text())
+    prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+            yield node.value
+
+
+def names_effect(text: str, effect: str) -> bool:
+    """Whether a text has an effect's id: one that is a plain word counts where the text is nothing else, or quoted."""
+    if "_" in effect:
+        return re.search(rf"\b{effect}\b", text) is not None
+    return text == effect or re.search(rf"""["'`]{effect}["'`]""", text) is not None
+
+
+def test_no_effect_is_known_outside_its_folder() -> None:
+    known = {
+        (name(path), effect)
+        for path in PACKAGE.rglob("*")
+        if path.suffix in (".py", ".html", ".js", ".css") and not path.is_relative_to(EFFECTS)
+        for text in strings(path)
+        for effect in effect_types()
+        if names_effect(text, effect)
+    }
+    assert known == IDS_ELSEWHERE.keys()
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_no_effect_is_imported_outside_its_folder(path: Path) -> None:
+    if path.is_relative_to(EFFECTS):
+        return
+    modules = {kind.__module__ for kind in effect_types().values()}
+    classes = {kind.__name__ for kind in effect_types().values()}
+    assert not modules & set(imports(path))
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("idtool.dynamics.effects"):
+            assert not classes & {alias.name for alias in node.names}

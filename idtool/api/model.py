@@ -14,6 +14,7 @@ from idtool.common.exceptions import IdtoolError
 from idtool.common.names import some, stem
 from idtool.data.description import robot_and_logs
 from idtool.data.logs import read_log
+from idtool.dynamics.effects import friction_types
 from idtool.estimation.fit import Fit
 from idtool.reporting.fit_report import joint_dynamics, model_config
 from idtool.reporting.results.base import ReadOnly
@@ -26,7 +27,6 @@ from idtool.robot.urdf.writing import identified_urdf, moved
 Source = str | os.PathLike[str]
 IDENTIFIED, SETTINGS = "identified.urdf", "model.yaml"  # what fit and diagnose write
 _FOUND = "what was identified"
-_FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
 
 
 class Model:
@@ -163,10 +163,11 @@ class Model:
     @property
     def effects(self) -> ReadOnly[tuple[str, ...]]:
         """What the model carries beside rigid bodies: effect to the joints or links that have it."""
+        friction = friction_types()
         found: dict[str, list[str]] = {}
         for joint in self.joints:
             for term in (name for name, given in self._config.friction_of(joint) if given is not False):
-                found.setdefault(_FRICTION[term], []).append(joint)
+                found.setdefault(friction[term].id, []).append(joint)
         for entry in self._config.effects:
             on = entry.joint or entry.link
             found.setdefault(entry.effect, []).extend([on] if on else [])

@@ -94,10 +94,8 @@ class SelectionStep:
 
 def place_of(probe: Probe) -> Place:
     """What an effect is on; other sources are other effects."""
-    return (
-        *probe.subject,
-        *(f"{probe.nonlinear_values[name]:g}" for name in ("source",) if name in probe.nonlinear_values),
-    )
+    sources = effect_types()[probe.effect].joint_parameters()
+    return (*probe.subject, *(f"{probe.nonlinear_values[name]:g}" for name in sources))
 
 
 def saved(before: LinearizedFit, after: LinearizedFit) -> Array:

@@ -28,10 +28,9 @@ from idtool.diagnosis.model_selection import (
 )
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.search import DETERMINED, assumed, searched, unfitted
-from idtool.diagnosis.trial import FAILURES, Key, tried, value_of, with_effects
+from idtool.diagnosis.trial import FAILURES, Key, tried, with_effects
 from idtool.diagnosis.words import superseded
 from idtool.dynamics.effects import effect_types
-from idtool.dynamics.effects.time_delay import MIN_DELAY_SAMPLES, TimeDelay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
@@ -40,7 +39,6 @@ _MORE = 4.0  # times the information, that a joint must show away from reversals
 _LESS = 0.5  # times the information, that every joint must keep
 _MOST = 0.5  # of the squared residual with that around reversals, that an effect must explain to have its place there
 _POLISHES = 3  # steps of all shape values after an effect was added
-_WITHIN = (EffectEntry(effect=TimeDelay.id, joint=None, parameters={"delay": 0.0}),)
 
 
 @dataclass
@@ -104,7 +102,7 @@ class Search:
         self.failed: dict[tuple[str, str], str] = {}
         self._skipped: set[Place] = set()
         self._plain = experiment.config.effects
-        self._least = MIN_DELAY_SAMPLES * max(run.signals.log.dt for run in experiment.runs)
+        self._dt = max(run.signals.log.dt for run in experiment.runs)
         self._within: tuple[EffectEntry, ...] = ()
         self.here = linearize_fit(experiment, progress)
         self._settled([])
@@ -193,7 +191,7 @@ class Search:
         return tuple(name for name in own if self._effects is None or name in self._effects)
 
     def _bursts(self) -> tuple[tuple[float, float], ...]:
-        if any(one.chosen.effect == "external_contact" for one in self.added):
+        if any(effect_types()[one.chosen.effect].acts_in_bursts for one in self.added):
             return ()
         return bursts(self.here.experiment, self.here.estimate.theta, self.progress)
 
@@ -229,13 +227,13 @@ class Search:
 
     def _settle(self, added: Sequence[EffectEntry]) -> None:
         """Fit all anew, shape values together, the joints weighed by what is left now."""
-        late = any(entry.effect == TimeDelay.id and entry.joint is None for entry in (*self._plain, *added))
+        background = _background([*self._plain, *added])
         errors: Mapping[Key, float] = {}
-        for within in ((),) if late else (self._within or _WITHIN, ()):
+        for within in (self._within or background, ()) if background else ((),):
             errors = self._fitted([*within, *added])
             self._within = self.here.experiment.config.effects[len(self._plain) :][: len(within)]
-            if all(abs(float(value_of(one, "delay"))) < self._least for one in self._within):  # type: ignore[arg-type]
-                break  # a longer one is to be named
+            if all(effect_types()[one.effect].is_background(one, self._dt) for one in self._within):
+                break  # more of it is to be named
         first = len(self._given)
         found = self.here.experiment.config.effects[first:]
         for i, (one, entry) in enumerate(zip(self.added, found, strict=True)):
@@ -296,6 +294,13 @@ class Search:
     def final(self) -> Experiment:
         """The model with all that was found."""
         return with_effects(self.here.experiment, self.entries(len(self.named)), self.here.estimate.theta)
+
+
+def _background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ...]:
+    """Effects of which every log has a little, less those that are among the entries."""
+    present = {(entry.effect, entry.joint, entry.link) for entry in entries}
+    every = [kind.background_entry() for kind in effect_types().values()]
+    return tuple(one for one in every if one is not None and (one.effect, one.joint, one.link) not in present)
 
 
 def _trimmed(one: Added) -> EffectEntry:

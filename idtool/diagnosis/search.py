@@ -36,7 +36,6 @@ _NEAR = 0.4  # of the best gain that a finalist has at least
 _WORSE = 1.01  # times the squared residual of held-out data
 _HARMS = 0.2  # of what it saves, that an effect costs elsewhere
 DETERMINED = 2.5  # standard errors that a shape value is at least from nothing
-_FREE = ("time_constant",)  # a change that has only begun has any
 _MATTERS = 1e-4  # of the first squared residual of a joint, below which the names found so far are no better known
 _SMALL = 3e-3  # of a joint's rms torque: what less is left is as good as none
 _EDGE = 1.02  # of a range's end, within which a shape value is at it
@@ -166,7 +165,8 @@ def _best(
 def _finer(contenders: Sequence[Found], found: Sequence[Found]) -> Iterable[Probe]:
     """Shape values between the neighbours of the best."""
     for one in contenders:
-        for name in (n for n in one.probe.nonlinear_values if n not in ("source",)):
+        joints = effect_types()[one.probe.effect].joint_parameters()
+        for name in (n for n in one.probe.nonlinear_values if n not in joints):
             values = sorted({f.probe.nonlinear_values[name] for f in found if place_of(f.probe) == place_of(one.probe)})
             if len(values) == 1:
                 continue
@@ -219,7 +219,7 @@ def _loose(trial: Trial) -> str:
         if most is None:
             most = value / DETERMINED if held.positive else np.inf
         low, high = trial.ranges.get((last, held.name), (-np.inf, np.inf))
-        if held.name in _FREE:
+        if held.open_ended:
             most = high = np.inf
         if not (error < most and low * _EDGE < value < high / _EDGE):
             return held.name

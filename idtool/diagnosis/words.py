@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from idtool.diagnosis.records import Candidate, Level, Step
 from idtool.dynamics.effects import effect_types
-from idtool.dynamics.effects.payload import Payload
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
@@ -37,20 +36,14 @@ def sentence(step: Step, units: Mapping[str, str]) -> str:
 
 
 def doubted(steps: Sequence[Step], model: Model) -> list[Step]:
-    """The same steps, with a doubt on payloads that together outweigh the robot."""
-    loads = [step for step in steps if step.chosen.effect == Payload.id]
-    mass = sum(float(step.parameters["mass"]) for step in loads)
-    robot = sum(float(body.pi[0]) for body in model.bodies)
-    if mass <= robot:
-        return list(steps)
-    on = " and ".join(step.chosen.on for step in loads)
-    doubt = (
-        f"the payload on {on}, {mass:.3g} kg, is heavier than all moving links and rotors of the URDF, "
-        f"{robot:.3g} kg: it may stand in for what the model lacks, such as rotors, or for masses of the URDF that are "
-        "wrong; weigh the robot and diagnose with known.total_mass and --inertia refit, or log motion that lifts the "
-        "load in other postures"
-    )
-    return [replace(step, doubt=doubt) if step.chosen.effect == Payload.id else step for step in steps]
+    """The same steps, with what speaks against the effects of one kind together."""
+    entries: dict[str, list[EffectEntry]] = {}
+    for step in steps:
+        if step.entry is not None:
+            entry = step.entry.model_copy(update={"parameters": dict(step.parameters)})
+            entries.setdefault(entry.effect, []).append(entry)
+    doubts = {effect: effect_types()[effect].doubt(own, model) for effect, own in entries.items()}
+    return [replace(step, doubt=doubts.get(step.chosen.effect) or step.doubt) for step in steps]
 
 
 def _figure(name: str, value: object, error: object) -> str:

@@ -144,12 +144,14 @@ class LinearizedModel:
         return inertia
 
     def _added_rotor_inertia(self, joint: int) -> float:
-        """Inertia of a joint's rotors that are not bodies: its `rotor_inertia`."""
-        wanted = ("rotor_inertia", self.equation.joints[joint])
+        """Inertia of a joint's rotors that are not bodies."""
         inertia = 0.0
-        for coefficient, value in zip(self.equation.coefficients, self.theta, strict=True):
-            if coefficient.key[:2] == wanted:
-                inertia += float(value)
+        first = 0
+        for effect in self.equation.effects:
+            theta = self.theta[first : first + len(effect.coefficients)]
+            first += len(effect.coefficients)
+            if isinstance(effect, NamedEffect) and effect.is_rotor_inertia:
+                inertia += float(theta[effect.active[joint]].sum())
         return inertia
 
     @cached_property

@@ -26,6 +26,7 @@ from idtool.common.linear_algebra import svd
 from idtool.common.notice import Notice
 from idtool.data.command import LONGEST_DELAY
 from idtool.data.signals import Signals
+from idtool.dynamics.effects import friction_types
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -287,7 +288,8 @@ class _Profile:
         R = np.asarray(np.linalg.qr(rest, mode="r"))
         count = int(np.count_nonzero(bounded))
         self._Y, self._taus = R[:, :count], R[:, count:]
-        owners = [c.owner if c.effect == "viscous_friction" else "" for c in coefficients]
+        viscous_friction = friction_types()["viscous"].id
+        owners = [c.owner if c.effect == viscous_friction else "" for c in coefficients]
         self._owners = np.array(owners)[bounded]
         self._joints = np.array(equation.joints)
 
@@ -347,7 +349,8 @@ class _DelayErrors:
         total = merge_reductions([log.total for log in data])
         Y, taus = (np.concatenate(part) for part in zip(*rows(total), strict=True))
         every = equation.coefficients
-        viscous = np.array([every[i].effect == "viscous_friction" for i in equalities.free])
+        viscous_friction = friction_types()["viscous"].id
+        viscous = np.array([every[i].effect == viscous_friction for i in equalities.free])
         theta, rank = _least_squares(Y, taus @ w)
         with_friction, _ = _least_squares(Y, taus @ slopes)
         without_friction, _ = _least_squares(np.where(viscous, 0.0, Y), taus @ slopes)

@@ -8,6 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.dynamics.effects import friction_types
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.online.adapt import Adaptation
 from idtool.reporting.results.adaptation import (
@@ -78,5 +79,5 @@ def _body(pi: Array) -> AdaptedBody:
 def _friction(theta: Array, experiment: Experiment, joint: str) -> AdaptedFriction:
     inertial = SIZE * len(experiment.model.bodies)
     pairs = zip(experiment.equation.coefficients[inertial:], theta[inertial:], strict=True)
-    own = {c.name: float(value) for c, value in pairs if c.owner == joint}
-    return AdaptedFriction(viscous=own.get("viscous"), coulomb=own.get("coulomb"), offset=own.get("offset"))
+    own = {c.effect: float(value) for c, value in pairs if c.owner == joint}
+    return AdaptedFriction(**{key: own.get(kind.id) for key, kind in friction_types().items()})

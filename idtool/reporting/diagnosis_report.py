@@ -10,6 +10,7 @@ import numpy as np
 
 from idtool.common.notice import Notice
 from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step
+from idtool.dynamics.effects import effect_from_entry
 from idtool.reporting.diagnosis_words import next_steps, summary
 from idtool.reporting.fit_report import fit_report
 from idtool.reporting.results.base import notice_fields
@@ -24,37 +25,10 @@ from idtool.reporting.results.diagnosis import (
     ResidualMaps,
     StepReport,
 )
+from idtool.robot.model import Model
 
 _LITTLE = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
 _WORSE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
-_TORQUE, _ANGLE, _STIFFNESS = ("N·m", "N"), ("rad", "m"), ("N·m/rad", "N/m")
-_UNITS: dict[str, tuple[str, str]] = {  # of a parameter on a revolute and on a prismatic joint
-    "viscous": ("N·m·s/rad", "N·s/m"),
-    "coulomb": _TORQUE,
-    "stribeck": _TORQUE,
-    "velocity": ("rad/s", "m/s"),
-    "drag": ("N·m·s²/rad²", "N·s²/m²"),
-    "amplitude": _TORQUE,
-    "displacement": _ANGLE,
-    "offset": _TORQUE,
-    "level": _TORQUE,
-    "bend": ("1/(N·m)", "1/N"),
-    "periods": ("per turn", "per 2π m"),
-    "phase": ("rad", "rad"),
-    "stiffness": _STIFFNESS,
-    "rest_position": _ANGLE,
-    "position": _ANGLE,
-    "inertia": ("kg·m²", "kg"),
-    "width": _ANGLE,
-    "delay": ("s", "s"),
-    "gravity": ("m/s²", "m/s²"),
-    "mass": ("kg", "kg"),
-    "com": ("m", "m"),
-    "windows": ("s", "s"),
-    "wrench": ("N and N·m", "N and N·m"),
-    "time_constant": ("s", "s"),
-}
-_ACROSS = {(False, True): "m", (True, False): "1/m"}  # torque of a joint over that of another, by which is prismatic
 
 
 def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
@@ -83,7 +57,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         noise_floor=plain(diagnosis.floor),
         gap_closed=_closed(diagnosis),
         rollout_worse=_worse(diagnosis.before, diagnosis.after),
-        steps=[_step(step, model.units) for step in diagnosis.steps],
+        steps=[_step(step, diagnosis.last.experiment.model) for step in diagnosis.steps],
         removed=diagnosis.removed,
         data_faults=[_data_fault(fault) for fault in diagnosis.faults],
         samples=model.samples,
@@ -186,7 +160,7 @@ def _candidate(candidate: Candidate) -> CandidateReport:
     )
 
 
-def _step(step: Step, units: Mapping[str, str]) -> StepReport:
+def _step(step: Step, model: Model) -> StepReport:
     """One entry of ``steps``."""
     chosen, where = step.chosen, step.where
     return StepReport(
@@ -195,7 +169,7 @@ def _step(step: Step, units: Mapping[str, str]) -> StepReport:
         link=chosen.link,
         parameters=plain(step.parameters),
         standard_error=plain(step.standard_error),
-        units={name: _unit(step, name, units) for name in step.parameters},
+        units=_units(step, model),
         where=Location(joints=where.joints, windows=plain(where.windows), region=where.region),
         evidence=Evidence(
             score=plain(chosen.score),
@@ -216,16 +190,12 @@ def _step(step: Step, units: Mapping[str, str]) -> StepReport:
     )
 
 
-def _unit(step: Step, name: str, units: Mapping[str, str]) -> str | None:
-    """The unit of an effect's parameter; None where it has none."""
-    effect, prismatic = step.chosen.effect, units.get(step.chosen.joint or "") == "N"
-    if effect == "encoder_offset":
-        return _ANGLE[prismatic]
-    if effect == "payload" and name == "inertia":
-        return "kg·m²"
-    if effect == "transmission_coupling" and name == "coefficient":
-        return _ACROSS.get((prismatic, units.get(str(step.parameters["source"])) == "N"))
-    return _UNITS[name][prismatic] if name in _UNITS else None
+def _units(step: Step, model: Model) -> dict[str, str | None]:
+    """The units of an effect's parameters; None of one that has none."""
+    if step.entry is None:
+        return dict.fromkeys(step.parameters)
+    units = effect_from_entry(step.entry, model).parameter_units()
+    return {name: None if units.get(name) == "1" else units.get(name) for name in step.parameters}
 
 
 def _residual(residual: Residual) -> ResidualMap:

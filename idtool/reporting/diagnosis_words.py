@@ -4,28 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from idtool.dynamics.effects import NamedEffect, effect_types
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
 
-_OWN_NAMES = {
-    "coulomb_friction": "Coulomb friction",
-    "stribeck_friction": "Stribeck friction",
-    "load_dependent_friction": "load-dependent friction",
-}
-_COUNTED = {"torque_offset", "torque_gain", "parallel_spring", "end_stop", "encoder_offset", "time_delay", "payload"}
-
 
 def effect_name(effect: str) -> str:
     """An effect's id in plain words."""
-    return _OWN_NAMES.get(effect, effect.replace("_", " "))
+    kind = effect_types().get(effect)
+    return (kind.label if kind else "") or effect.replace("_", " ")
 
 
 def on(found: StepReport | CandidateReport) -> str:
     """What an effect of the report acts on."""
-    nothing = "the base" if found.effect == "gravity_tilt" else "all joints"
-    return str(found.joint or found.link or nothing)
+    kind = effect_types().get(found.effect, NamedEffect)
+    return str(found.joint or found.link or kind.whole_robot_owner)
 
 
 def together(units: Mapping[str, str]) -> str:
@@ -103,7 +98,10 @@ def _overall(level: ErrorLevel) -> float | None:
 
 def _named_alone(found: StepReport | CandidateReport) -> str:
     name = effect_name(found.effect)
-    article = "" if found.effect not in _COUNTED else "an " if name[0] in "aeiou" else "a "
+    kind = effect_types().get(found.effect, NamedEffect)
+    article = ""
+    if kind.is_countable:
+        article = "an " if name[0] in "aeiou" else "a "
     return f"{article}{name} on {on(found)}"
 
 

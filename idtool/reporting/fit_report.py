@@ -11,7 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.provenance import Source
-from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry
+from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
@@ -59,8 +59,6 @@ from idtool.robot.inertia import (
 )
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
-
-_FRICTION = {"viscous": "viscous_friction", "coulomb": "coulomb_friction", "offset": "torque_offset"}
 
 
 def fit_report(fit: Fit) -> FitReport:
@@ -233,14 +231,14 @@ def _place(fit: Fit, effect: str, owner: str) -> int | None:
 
 def friction_report(fit: Fit, joint: str) -> FrictionReport:
     """One entry of ``friction``."""
-    terms = {name: _coefficient(fit, effect, joint) for name, effect in _FRICTION.items()}
+    terms = {key: _coefficient(fit, kind.id, joint) for key, kind in friction_types().items()}
     errors = FrictionErrors(**{name: term[1] if term else None for name, term in terms.items()})
     return FrictionReport(**{name: term[0] if term else None for name, term in terms.items()}, standard_error=errors)
 
 
 def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
     """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
-    places = {name: _place(fit, effect, joint) for name, effect in _FRICTION.items()}
+    places = {key: _place(fit, kind.id, joint) for key, kind in friction_types().items()}
     return FrictionIntervals(
         **{name: None if place is None else intervals(fit)[place] for name, place in places.items()}
     )
@@ -248,8 +246,14 @@ def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
 
 def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
     """Friction for the URDF."""
-    reports = {joint: friction_report(fit, joint) for joint in fit.experiment.equation.joints}
-    return {joint: JointDynamics(report.viscous, report.coulomb) for joint, report in reports.items()}
+    return {joint: _dynamics(fit, joint) for joint in fit.experiment.equation.joints}
+
+
+def _dynamics(fit: Fit, joint: str) -> JointDynamics:
+    """What a URDF has of a joint's friction."""
+    report = friction_report(fit, joint)
+    kinds = {key: kind for key, kind in friction_types().items() if kind.urdf_attribute}
+    return JointDynamics(**{kind.urdf_attribute: getattr(report, key) for key, kind in kinds.items()})
 
 
 def model_config(fit: Fit) -> dict[str, Any]:
@@ -285,7 +289,7 @@ def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
 
 
 def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:
-    return {name: _term(fit, effect, joint) for name, effect in _FRICTION.items()}
+    return {key: _term(fit, kind.id, joint) for key, kind in friction_types().items()}
 
 
 def _term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:

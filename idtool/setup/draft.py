@@ -15,7 +15,6 @@ from idtool.setup.trials import Found
 
 _UNITS = {  # of a turning joint, and of a sliding one
     "torque": ("N·m", "N"),
-    "inertia": ("kg·m²", "kg"),
     "stiffness": ("N·m/rad", "N/m"),
     "damping": ("N·m·s/rad", "N·s/m"),
 }

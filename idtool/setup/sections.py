@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import some
-from idtool.robot.config import Config
+from idtool.dynamics.effects import effect_types
+from idtool.robot.config import Config, Friction
 from idtool.setup.draft import Draft
 from idtool.setup.loaded_log import MOST
 from idtool.setup.records import Section, Trial
-from idtool.setup.trials import HOLDOUT
+from idtool.setup.trials import HOLDOUT, term_type, trial_of
 
 HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MOST} samples, where there are more)"
 
@@ -92,15 +93,17 @@ def friction(draft: Draft) -> Section:
     what = "Friction terms: viscous, Coulomb (default), and offset, a constant"
     found = draft.found
     if found is None:
-        return Section("friction", (), None, (f"{what}: not tried, as {draft.untried}.",), _terms(False))
+        return Section("friction", (), None, (f"{what}: not tried, as {draft.untried}.",), Friction().model_dump())
     comments = [f"{what}, where the held-out torque, {HELD_OUT}, needs it (found by trial)."]
+    value: dict[str, Any] = {name: Friction().model_dump() for name in draft.joints}
     for trial in found.trials:
-        if trial.kept and trial.effect == "torque_offset" and trial.joint is not None:
-            size = f"{trial.value:.3g} {draft.unit('torque', [trial.joint])}"
+        if trial.kept and trial.joint is not None and effect_types()[trial.effect].friction_key:
+            size = trial_of(trial.effect).comment.format(value=sized(draft, trial.effect, trial.joint, trial.value))
             comments.append(f"{trial.joint}: {size}, held-out RMS {errors(trial)}")
-    alike = len(found.offsets) in (0, len(draft.joints))
-    value = _terms(bool(found.offsets)) if alike else {name: _terms(name in found.offsets) for name in draft.joints}
-    return Section("friction", tuple(comments), value)
+            value[trial.joint][effect_types()[trial.effect].friction_key] = True
+    first = value[draft.joints[0]]
+    alike = all(terms == first for terms in value.values())
+    return Section("friction", tuple(comments), first if alike else value)
 
 
 def errors(trial: Trial) -> str:
@@ -108,5 +111,7 @@ def errors(trial: Trial) -> str:
     return " -> ".join("unknown" if x is None else f"{x:.3g}" for x in (trial.before, trial.after))
 
 
-def _terms(offset: bool) -> dict[str, Any]:
-    return {"viscous": True, "coulomb": True, "offset": offset}
+def sized(draft: Draft, effect: str, joint: str, value: float) -> str:
+    """The coefficient of an effect on a joint, with its unit."""
+    revolute, prismatic = term_type(effect).units
+    return f"{value:.3g} {prismatic if draft.robot.joints[joint].kind == 'prismatic' else revolute}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import shown, some
 from idtool.common.notice import unique
+from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
@@ -21,7 +22,7 @@ from idtool.setup.gears import gear_ratios, rotor_links
 from idtool.setup.recorded import recorded
 from idtool.setup.records import Section, Start, TodoItem
 from idtool.setup.text import one_line, written
-from idtool.setup.trials import TrialRunner, try_out
+from idtool.setup.trials import Found, TrialRunner, search_of, trial_of, try_out
 
 _SECTIONS: Mapping[str, Callable[[Draft], Section | None]] = {
     "joints": sections.joints,
@@ -110,14 +111,21 @@ def _tried(draft: Draft, model: Model, progress: Progress) -> Draft:
         return replace(draft, untried=f"there is no torque without the gains of {some(draft.ungained)}")
     parts = [_section(draft, key) for key in _FOR_TRIALS]
     data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
-    rotors = [body.ratios for body in model.bodies if body.kind == "rotor"]
-    spinning = {name for j, name in enumerate(model.names) if any(ratios[j] for ratios in rotors)}
-    without = [] if "effects" in draft.given else [name for name in draft.joints if name not in spinning]
     shop = TrialRunner(draft.robot, data, draft.recorded.logs, progress)
-    # a controller's torque is its own, in time with its command
-    late = not draft.recorded.commanded and "effects" not in draft.given
+    on_joints: list[tuple[str, str]] = []
+    searched: list[str] = []
+    for effect, kind in effect_types().items():
+        trial = kind.init_trial
+        is_given = ("friction" if kind.friction_key else "effects") in draft.given
+        if trial is None or is_given or (trial.needs_measured_torque and draft.recorded.commanded):
+            continue
+        if issubclass(kind, JointTerm):
+            able = [name for name in draft.joints if kind.may_act_on(model, model.names.index(name))]
+            on_joints += [(effect, name) for name in able]
+        else:
+            searched.append(effect)
     try:
-        return replace(draft, found=try_out(shop, "friction" not in draft.given, without, late))
+        return replace(draft, found=try_out(shop, on_joints, searched))
     except IdtoolError as error:
         return replace(draft, untried=f"the fit fails: {error}")
 
@@ -164,13 +172,26 @@ def _found(draft: Draft) -> list[str]:
         lines.append(f"bounding ellipsoids of {some(draft.bounds.found)}")
     if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
         lines.append(f"gear ratios of {some(geared)}")
-    if found is not None and found.offsets:
-        lines.append(f"offset of the torque: {some(found.offsets)}")
-    if found is not None and found.inertia:
-        lines.append(f"rotor inertia: {some([f'{name} {x:.3g}' for name, x in found.inertia.items()])}")
-    if found is not None and found.delay:
-        lines.append(f"delay of the torque: {1e3 * found.delay:.3g} ms")
-    return lines
+    return lines if found is None else [*lines, *_found_effects(found)]
+
+
+def _found_effects(found: Found) -> Iterator[str]:
+    """What trials found, a line each effect: friction first, what concerns the whole robot last."""
+    friction: dict[str, list[str]] = {}
+    terms: dict[str, list[str]] = {}
+    whole: list[str] = []
+    for (effect, joint), value in found.values.items():
+        kind = effect_types()[effect]
+        if joint is None:
+            search = search_of(effect)
+            whole.append(f"{search.heading}: {search.shown(value)}")
+        elif kind.friction_key:
+            friction.setdefault(effect, []).append(joint)
+        else:
+            terms.setdefault(effect, []).append(f"{joint} {value:.3g}")
+    for effect, names in (friction | terms).items():
+        yield f"{trial_of(effect).heading}: {some(names)}"
+    yield from whole
 
 
 def _left(draft: Draft) -> list[TodoItem]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import some
+from idtool.dynamics.effects import effect_types
 from idtool.setup.bounds import search_paths
 from idtool.setup.draft import Draft
 from idtool.setup.gears import rotor_template, solid_ellipsoid
 from idtool.setup.records import Section
-from idtool.setup.sections import errors
-from idtool.setup.trials import Found
+from idtool.setup.sections import errors, sized
+from idtool.setup.trials import Found, search_of, searched_entry, term_type, trial_of
 
 
 def rotors(draft: Draft) -> Section:
@@ -28,7 +29,8 @@ def rotors(draft: Draft) -> Section:
         comments.append(
             "A rotor with the name of a URDF link on a fixed joint is that link, with its place and inertia (URDF)."
         )
-    comments.append("A rotor takes the place of its joint's rotor_inertia under effects: remove that one.")
+    replaced = some([effect for effect, kind in effect_types().items() if kind.is_rotor_inertia])
+    comments.append(f"A rotor takes the place of its joint's {replaced} under effects: remove that one.")
     template = {}
     for name in draft.joints:
         link, ratio = draft.rotors.get(name), known.get(name, 1.0)
@@ -50,36 +52,40 @@ def effects(draft: Draft) -> Section:
     found = draft.found
     if found is None:
         return Section("effects", (), None, (f"{what}: not tried, as {draft.untried}.",), [])
-    kept = [trial for trial in found.trials if trial.kept and trial.effect != "torque_offset"]
+    kept = [trial for trial in found.trials if trial.kept and not effect_types()[trial.effect].friction_key]
     if not kept:
         return Section("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose looks for others.",), [])
     comments = [f"{what} (found by trial: held-out RMS torque error without -> with it)."]
     entries: list[dict[str, Any]] = []
     for trial in kept:
-        if trial.joint is None:
-            late = f"torque is logged {1e3 * trial.value:.3g} ms late (below zero: early) against position"
-            comments.append(f"all joints: {late}: {errors(trial)}")
-            entries.append({"effect": trial.effect, "parameters": {"delay": _short(trial.value)}})
+        effect, joint = trial.effect, trial.joint
+        value = found.values[effect, joint]
+        if joint is None:
+            entry = searched_entry(effect, _short(value))
+            owner = effect_types()[effect].whole_robot_owner
+            size = search_of(effect).shown(value)
         else:
-            inertia = found.inertia[trial.joint]
-            size = f"{inertia:.3g} {draft.unit('inertia', [trial.joint])}"
-            comments.append(
-                f"{trial.joint}: reflected rotor inertia {size}, gear ratio² × the rotor's: {errors(trial)}"
-            )
-            entries.append({"effect": trial.effect, "joint": trial.joint, "parameters": {"inertia": _short(inertia)}})
+            entry = term_type(effect).zero_entry(joint)
+            entry.parameters[term_type(effect).name] = _short(value)
+            owner = joint
+            size = sized(draft, effect, joint, value)
+        comments.append(f"{owner}: {trial_of(effect).comment.format(value=size)}: {errors(trial)}")
+        entries.append(entry.model_dump(exclude_none=True))
     return Section("effects", tuple(comments), entries)
 
 
 def _nothing_kept(found: Found) -> str:
     """What was tried, in words, where none of it was kept."""
-    tried = {trial.effect for trial in found.trials}
-    if not tried & {"rotor_inertia", "time_delay"}:
+    names = {effect: kind.init_trial.name for effect, kind in effect_types().items() if kind.init_trial}
+    names = {effect: name for effect, name in names.items() if not effect_types()[effect].friction_key}
+    was_tried = {trial.effect for trial in found.trials}
+    tried = [name for effect, name in names.items() if effect in was_tried]
+    untried = [name for effect, name in names.items() if effect not in was_tried]
+    if not tried:
         return "none was tried"
-    if "time_delay" not in tried:
-        return "found by trial: rotor inertia does not show; a delay was not tried"
-    if "rotor_inertia" not in tried:
-        return "found by trial: a delay does not show; rotor inertia was not tried"
-    return "found by trial: neither rotor inertia nor a delay shows"
+    shows = f"{tried[0]} does not show" if len(tried) == 1 else f"neither {' nor '.join(tried)} shows"
+    others = "".join(f"; {name} was not tried" for name in untried)
+    return f"found by trial: {shows}{others}"
 
 
 def _short(x: float) -> float:

@@ -1,33 +1,32 @@
-"""Terms that the data may show: offsets, reflected rotor inertia and a delay of the torque, by trial.
+"""Effects that the data may show, by trial: those with an `init_trial`.
 
-All are fitted together; then each is left out, and stays out unless that makes the held-out torque error of its joint
-larger, and what is left of it small enough that the log can be believed. A delay is looked for first: it would pass for
-the others.
+Terms of joints are fitted all together; then each is left out, and stays out unless that makes the held-out torque
+error of its joint larger, and what is left of it small enough that the log can be believed. Effects on the whole robot
+whose value is searched, such as a delay of the torque, come first: they would pass for the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from idtool.common.names import some
 from idtool.common.notice import Notice
 from idtool.data.logs import Log
-from idtool.dynamics.effects.time_delay import MIN_DELAY_SAMPLES
+from idtool.dynamics.effects import JointTerm, effect_types
+from idtool.dynamics.effects.init_trial import InitSearch, InitTrial
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
-from idtool.robot.config import Config, parse_config
+from idtool.robot.config import Config, EffectEntry, Friction, parse_config
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.records import Trial
 from idtool.setup.trial_evaluator import TrialEvaluator, Verdict
 
 HOLDOUT = 0.3  # share at the end of every log
 _WORTH = 0.02  # share by which held-out RMS must fall: less is no reason for another parameter
-_STEP = 0.05  # periods of the band's edge, of a delay that is tried: the error is a parabola within
-_LONGEST = 0.1  # s, of a delay
 _ROUNDS = 12
 _NARROWER, _WIDER = 0.4, 2.0
 _FURTHEST = 2.0  # steps from the best so far: a parabola tells no more
@@ -43,12 +42,8 @@ class Found:
 
     Attributes
     ----------
-    offsets
-        Joints with an offset.
-    inertia
-        Reflected rotor inertia by joint [kg·m² or kg].
-    delay
-        Of the torque [s]; 0: none.
+    values
+        Values of what is kept, by effect and joint; joint None: the whole robot.
     trials
         What was tried.
     rms
@@ -59,9 +54,7 @@ class Found:
         What a user should know.
     """
 
-    offsets: tuple[str, ...]
-    inertia: Mapping[str, float]
-    delay: float
+    values: Mapping[tuple[str, str | None], float]
     trials: tuple[Trial, ...]
     rms: Mapping[str, Mapping[str, float]]
     differentiated: tuple[str, ...]
@@ -70,17 +63,42 @@ class Found:
 
 @dataclass(frozen=True)
 class TrialTerms:
-    """What a variant has beside rigid bodies, viscous and Coulomb friction: joints by term, and the delay [s]."""
+    """What a variant has beside rigid bodies, viscous and Coulomb friction.
 
-    offsets: tuple[str, ...] = ()
-    rotors: tuple[str, ...] = ()
-    delay: float = 0.0
+    Attributes
+    ----------
+    on_joints
+        Effects and joints of terms that are fitted.
+    searched
+        Effects on the whole robot, with the value of the parameter that is searched; 0: without it.
+    """
+
+    on_joints: tuple[tuple[str, str], ...] = ()
+    searched: tuple[tuple[str, float], ...] = ()
 
     def without(self, effect: str, joint: str) -> TrialTerms:
         """The same less one term of a joint."""
-        if effect == "torque_offset":
-            return replace(self, offsets=tuple(name for name in self.offsets if name != joint))
-        return replace(self, rotors=tuple(name for name in self.rotors if name != joint))
+        return replace(self, on_joints=tuple(term for term in self.on_joints if term != (effect, joint)))
+
+    def at(self, effect: str, value: float) -> TrialTerms:
+        """The same with a searched parameter at another value."""
+        others = tuple(pair for pair in self.searched if pair[0] != effect)
+        return replace(self, searched=(*others, (effect, value)))
+
+
+def term_type(effect: str) -> type[JointTerm]:
+    """Type of an effect that is tried on joints."""
+    return cast(type[JointTerm], effect_types()[effect])
+
+
+def trial_of(effect: str) -> InitTrial:
+    """How an effect is tried."""
+    return cast(InitTrial, effect_types()[effect].init_trial)
+
+
+def search_of(effect: str) -> InitSearch:
+    """How the value of an effect on the whole robot is searched."""
+    return cast(InitSearch, trial_of(effect))
 
 
 class TrialRunner:
@@ -104,14 +122,24 @@ class TrialRunner:
 
     def config(self, terms: TrialTerms) -> Config:
         """A variant."""
-        data, offsets, rotors, delay = dict(self.data), terms.offsets, terms.rotors, terms.delay
-        if offsets:
-            data["friction"] = {j: {"viscous": True, "coulomb": True, "offset": j in offsets} for j in self.joints}
-        entries = [{"effect": "rotor_inertia", "joint": j, "parameters": {"inertia": 0.0}} for j in rotors]
-        if delay:
-            entries.append({"effect": "time_delay", "parameters": {"delay": delay}})
+        data = dict(self.data)
+        entries: list[EffectEntry] = []
+        friction = {joint: Friction().model_dump() for joint in self.joints}
+        has_friction = False
+        for effect, joint in terms.on_joints:
+            kind = term_type(effect)
+            if kind.friction_key:
+                friction[joint][kind.friction_key] = True
+                has_friction = True
+            else:
+                entries.append(kind.zero_entry(joint))
+        for effect, value in terms.searched:
+            if value:
+                entries.append(searched_entry(effect, value))
+        if has_friction:
+            data["friction"] = friction
         if entries:
-            data["effects"] = [*data.get("effects", ()), *entries]
+            data["effects"] = [*data.get("effects", ()), *(entry.model_dump() for entry in entries)]
         return parse_config(data, "trial")
 
     def bench(self, config: Config) -> TrialEvaluator:
@@ -120,39 +148,44 @@ class TrialRunner:
         return TrialEvaluator(experiment, self.progress)
 
 
-def try_out(shop: TrialRunner, offsets: bool, rotors: Sequence[str], delays: bool) -> Found:
+def searched_entry(effect: str, value: float) -> EffectEntry:
+    """Configuration entry of an effect on the whole robot at a value of the parameter that is searched."""
+    return EffectEntry(effect=effect, parameters={search_of(effect).parameter: value})
+
+
+def try_out(shop: TrialRunner, on_joints: Sequence[tuple[str, str]], searched: Sequence[str]) -> Found:
     """Try what the data may show.
 
     Parameters
     ----------
     shop
         Variants.
-    offsets
-        Whether offsets are tried.
-    rotors
-        Joints on which a rotor's inertia is tried.
-    delays
-        Whether a delay is tried.
+    on_joints
+        Effects and joints of terms that are tried.
+    searched
+        Effects on the whole robot that are tried.
 
     Raises
     ------
     IdtoolError
         If the logs cannot be used, or a problem could not be solved.
     """
-    terms = TrialTerms(tuple(shop.joints) if offsets else (), tuple(rotors))
+    terms = TrialTerms(tuple(on_joints))
     bench = shop.bench(shop.config(terms))
     base, full = bench.judge(shop.config(TrialTerms())), bench.judge(shop.config(terms))
     trials: list[Trial] = []
-    if delays:
-        terms, trials, bench = _delay(shop, terms, bench, full)
+    for effect in searched:
+        terms, trial, bench, full = _searched(shop, terms, bench, full, effect)
+        trials.append(trial)
     kept, more = _pruned(shop, terms, bench)
-    plain, last = (bench.judge(shop.config(variant)) for variant in (TrialTerms(delay=kept.delay), kept))
+    without_terms = TrialTerms(searched=kept.searched)
+    plain, last = (bench.judge(shop.config(variant)) for variant in (without_terms, kept))
     if last.rms() > plain.rms():
-        kept, last, more = TrialTerms(delay=kept.delay), plain, [replace(trial, kept=False) for trial in more]
+        kept, last, more = without_terms, plain, [replace(trial, kept=False) for trial in more]
+    values: dict[tuple[str, str | None], float] = {term: last.values[term] for term in kept.on_joints}
+    values |= {(effect, None): value for effect, value in kept.searched}
     return Found(
-        offsets=kept.offsets,
-        inertia={j: last.values["rotor_inertia", j] for j in kept.rotors},
-        delay=kept.delay,
+        values=values,
         trials=(*trials, *more),
         rms={"friction": _rms(shop.joints, base), "found": _rms(shop.joints, last)},
         differentiated=_differentiated(bench.experiment),
@@ -165,12 +198,12 @@ def _notices(
 ) -> Iterator[Notice]:
     """What speaks against what was found."""
     for trial in trials:
-        if trial.effect == "time_delay" and abs(trial.value) >= _LONGEST:
-            late = "late" if trial.value > 0 else "early"
-            message = (
-                f"the torque fits best when {1e3 * _LONGEST:.0f} ms {late} or more, which is no delay of a recording"
-            )
-            yield Notice("implausible_delay", "warning", None, message)
+        search = trial_of(trial.effect)
+        if isinstance(search, InitSearch) and abs(trial.value) >= search.maximum:
+            positive, negative = search.at_maximum
+            message = positive if trial.value > 0 else negative
+            message = message.format(maximum=search.shown(search.maximum))
+            yield Notice("implausible_trial", "warning", None, message)
     left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (bench.torque(), base.held_out))
     odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
     if odd:
@@ -188,11 +221,9 @@ def _pruned(shop: TrialRunner, terms: TrialTerms, bench: TrialEvaluator) -> tupl
     """The terms without those that the held-out torque of their joint does not need, left out one after the other."""
     trials: list[Trial] = []
     full, most = bench.judge(shop.config(terms)), (_ODD * np.sqrt(bench.torque())).tolist()
-    for effect, joint in [
-        *(("rotor_inertia", j) for j in terms.rotors),
-        *(("torque_offset", j) for j in terms.offsets),
-    ]:
-        shop.progress(f"trying {effect} of {joint}", len(trials) / (len(terms.rotors) + len(terms.offsets)))
+    count = len(terms.on_joints)
+    for effect, joint in terms.on_joints:
+        shop.progress(f"trying {effect} of {joint}", len(trials) / count)
         j, value = shop.joints.index(joint), full.values[effect, joint]
         without = terms.without(effect, joint)
         # what is that small is not missed, with the others fitted anew even less
@@ -206,32 +237,35 @@ def _pruned(shop: TrialRunner, terms: TrialTerms, bench: TrialEvaluator) -> tupl
     return terms, trials
 
 
-def _delay(
-    shop: TrialRunner, terms: TrialTerms, first: TrialEvaluator, full: Verdict
-) -> tuple[TrialTerms, list[Trial], TrialEvaluator]:
-    """The delay at which the training error is least, where the held-out error says so too."""
+def _searched(
+    shop: TrialRunner, terms: TrialTerms, first: TrialEvaluator, full: Verdict, effect: str
+) -> tuple[TrialTerms, Trial, TrialEvaluator, Verdict]:
+    """The value of an effect at which the training error is least, where the held-out error says so too."""
+    kind = effect_types()[effect]
+    search = search_of(effect)
     known = {0.0: (first, full)}
 
-    def cost(delay: float) -> float:
-        if delay not in known:
-            shop.progress("trying a delay of the torque", min(len(known) / (3 * _ROUNDS), 1.0))
-            config = shop.config(replace(terms, delay=delay))
+    def cost(value: float) -> float:
+        if value not in known:
+            shop.progress(f"trying a {search.heading}", min(len(known) / (3 * _ROUNDS), 1.0))
+            config = shop.config(terms.at(effect, value))
             bench = shop.bench(config)
-            known[delay] = bench, bench.judge(config)
-        return float(np.mean(known[delay][1].train / np.maximum(full.train, _TINY)))
+            known[value] = bench, bench.judge(config)
+        return float(np.mean(known[value][1].train / np.maximum(full.train, _TINY)))
 
     dt = min(run.signals.log.dt for run in first.experiment.runs)
-    best = _least(cost, _STEP / first.experiment.band_hz, dt)
+    best = _least(cost, search.step / first.experiment.band_hz, dt, search.maximum)
     cost(best)
     bench, other = known[best]
     ratio = float(np.sqrt(np.nanmean(other.held_out / np.maximum(full.held_out, _TINY))))
     believed = other.rms() < _ODD * float(np.sqrt(np.nanmean(bench.torque())))
-    kept = MIN_DELAY_SAMPLES * dt < abs(best) < _LONGEST and ratio < 1 - _WORTH and believed
-    trial = Trial("time_delay", None, best, full.rms(), other.rms(), kept)
-    return (replace(terms, delay=best), [trial], bench) if kept else (terms, [trial], first)
+    is_real = not kind.is_background(searched_entry(effect, best), dt) and abs(best) < search.maximum
+    kept = is_real and ratio < 1 - _WORTH and believed
+    trial = Trial(effect, None, best, full.rms(), other.rms(), kept)
+    return (terms.at(effect, best), trial, bench, other) if kept else (terms, trial, first, full)
 
 
-def _least(cost: Callable[[float], float], step: float, dt: float) -> float:
+def _least(cost: Callable[[float], float], step: float, dt: float, maximum: float) -> float:
     """Where the cost is least, by parabolas through three values around the best so far; to 10 µs.
 
     Friction that may not be negative gives way to a delay on one side only, so that the parabola is bent: it is made
@@ -243,7 +277,7 @@ def _least(cost: Callable[[float], float], step: float, dt: float) -> float:
         bend = a - 2 * b + c
         shift = 0.5 * (a - c) / bend if bend > 0 else (_FURTHEST if c < a else -_FURTHEST)
         shift = float(np.clip(shift, -_FURTHEST, _FURTHEST))
-        best = round(float(np.clip(best + step * shift, -_LONGEST, _LONGEST)), 5)
+        best = round(float(np.clip(best + step * shift, -maximum, maximum)), 5)
         if abs(shift) < 1:
             step *= _NARROWER
         elif abs(shift) == _FURTHEST:

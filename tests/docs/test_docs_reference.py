@@ -14,13 +14,14 @@ import yaml
 from commands import JOINTS, LEG
 from doc_pages import PAGES, README, pages
 from doc_tables import codes, keys, rows, section
+from paths import CHECKOUT
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 import idtool as idtool_library
 from idtool.cli import app
 from idtool.common.exceptions import ConfigError
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import NamedEffect, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.config import Config, EffectEntry
@@ -130,6 +131,17 @@ def test_an_effect_is_documented_with_its_parameters(effect: str) -> None:
     assert said["form"]
     assert said["confused with"]
     assert said["shows in"] == kind.excitation_hint
+
+
+def test_what_an_effect_may_say_of_itself_exists() -> None:
+    named, own = section("effects.md", "## Adding an effect").split("What else an effect may say")
+    for row in rows(own):
+        for name in codes(row[0]):
+            assert hasattr(NamedEffect, name), name
+    files = "".join(path.read_text() for path in (CHECKOUT / "idtool" / "dynamics" / "effects").glob("*.py"))
+    for row in rows(named):
+        for name in codes(row[0]):
+            assert f"\nclass {name}(" in files, name
 
 
 def test_every_command_and_option_is_documented() -> None:

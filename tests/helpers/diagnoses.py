@@ -66,7 +66,12 @@ def step_of(**changes: Any) -> Step:
         "after": level(0.2, 0.6, 0.4, simulated=0.012),
         "sentence": "hip: friction rises below 0.15 rad/s",
     }
-    return Step(**{**contents, **changes})
+    step = Step(**{**contents, **changes})
+    if "chosen" not in changes or "entry" in changes:
+        return step
+    given = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in step.parameters.items()}
+    entry = EffectEntry(effect=step.chosen.effect, joint=step.chosen.joint, link=step.chosen.link, parameters=given)
+    return replace(step, entry=entry)
 
 
 def unknown_of(before: Level) -> Step:

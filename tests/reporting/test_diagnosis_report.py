@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import JOINTS, LEG, files, idtool, strict_json
-from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, step_of
+from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, level, step_of
 from rich.console import Console
 
 from idtool.diagnosis.diagnose import _verdict
@@ -105,7 +105,7 @@ def test_faults_and_what_is_unknown_are_there(found: Diagnosis) -> None:
 def test_arrays_and_what_is_not_finite_become_plain(found: Diagnosis) -> None:
     step = step_of(
         chosen=Candidate("payload", None, "shank_link", np.float64(0.5), np.float64(np.inf), 10),
-        parameters={"mass": np.float64(0.4), "com": np.array([0.0, 0.1, 0.2]), "inertia": (1e-3,) * 6},
+        parameters={"mass": np.float64(0.4), "com": np.array([0.0, 0.1, 0.2]), "inertia": (1e-3, 0, 1e-3, 0, 0, 1e-3)},
         standard_error={"mass": 0.01, "com": np.array([0.1, np.nan, 0.2]), "inertia": None},
         significance=np.inf,
     )
@@ -237,7 +237,8 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     def loaded(share: float) -> list[Step]:
         links = ("thigh_link", "shank_link")
         loads = [replace(candidate("payload", None), link=link) for link in links]
-        return [step_of(chosen=load, parameters={"mass": share * moving / 2}) for load in loads]
+        parameters = {"mass": share * moving / 2, "com": [0.0] * 3, "inertia": [0.0] * 6}
+        return [step_of(chosen=load, parameters=parameters) for load in loads]
 
     assert doubted(loaded(0.99), model) == loaded(0.99)
     assert _verdict(loaded(0.99)) == "explained"
@@ -275,7 +276,7 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
 
 
 def test_the_terminal_says_faults_first_and_shows_names_as_they_are(found: Diagnosis) -> None:
-    step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"))
+    step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"), entry=STRIBECK)
     text = said(faulty(replace(found, steps=(step,))))
     assert text.startswith(f"fault of the data: hip: velocity lag: {BEHIND}: {BEHIND}\nThe model lacks")
     assert "[bold]hip[/bold]" in next(line for line in text.splitlines() if line.startswith("1 "))

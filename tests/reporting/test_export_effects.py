@@ -13,6 +13,7 @@ from reference import Reference
 
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import JointTerm, effect_types
+from idtool.dynamics.effects.simulator_element import Damping, SimulatorElement, Spring
 from idtool.dynamics.mechanism import Mechanism, TorqueSensor, Transmission
 from idtool.reporting.export import Export, to_drake, to_mujoco
 from idtool.robot.inertia import from_mass_com_inertia
@@ -74,6 +75,19 @@ class Soft(Invented):
         mechanism.transmissions[int(self.joint)] = Transmission(theta[0], 0.1)
 
 
+class Braced(Invented):
+    """A damper and a spring of the same size, which it says that it is."""
+
+    id = "braced"
+
+    def column(self, motion: Motion) -> Array:
+        return np.asarray(motion.v[self.joint] + motion.q[self.joint] - 0.3)
+
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        joint, size = int(self.joint), float(theta[0])
+        return Damping(joint, size), Spring(joint, size, 0.3)
+
+
 class Deaf(Invented):
     """A sensor that reads too little."""
 
@@ -87,7 +101,7 @@ class Deaf(Invented):
 @pytest.fixture
 def urdf(rng: np.random.Generator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A robot whose effects these are."""
-    for kind in (Invented, Misread, Heavy, Laden, Tilted, Soft, Deaf):
+    for kind in (Invented, Misread, Heavy, Laden, Tilted, Soft, Braced, Deaf):
         monkeypatch.setitem(effect_types(), kind.id, kind)
     path = tmp_path / "identified.urdf"
     path.write_text(arm(rng, "0 0 1", "0 1 0"))
@@ -147,6 +161,25 @@ def test_effects_that_mujoco_carries(rng: np.random.Generator, urdf: Path, place
         "transmission_coupling",
         "torque_offset",
     }
+
+
+def test_effects_that_say_what_they_are_to_a_simulator(rng: np.random.Generator, urdf: Path) -> None:
+    """One is carried where the simulator has all of its elements; springs on a joint add up."""
+    spring = {"effect": "parallel_spring", "joint": "j2", "parameters": {"stiffness": 5.0, "rest_position": 0.6}}
+    model = model_of(urdf, effects=[entry("braced", 0.7), spring], friction={"viscous": 0.1, "coulomb": False})
+    export = to_mujoco(model)
+    assert told(export) == {}
+    (part,) = [part for part in export.carried if part.what == "braced"]
+    assert part.detail == "damping and stiffness, springref 0.3"
+    q, v = state(rng, 2)
+    M, h = truth(urdf, q, v)
+    acts = 0.1 * v + np.array([0.0, 0.7 * v[1] + 0.7 * (q[1] - 0.3) + 5.0 * (q[1] - 0.6)])
+    found = InMujoco(export, ["j1", "j2"])
+    np.testing.assert_allclose(found.acceleration(q, v, np.zeros(2)), np.linalg.solve(M, -h - acts), **EXACT)
+
+    drake = to_drake(model)
+    assert told(drake).keys() == {"braced", "parallel_spring"}
+    assert b'damping="0.8"' not in drake.text
 
 
 UNKNOWN: list[tuple[dict[str, Any], float, str]] = [

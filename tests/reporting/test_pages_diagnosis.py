@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import JOINTS
-from diagnoses import BEHIND, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
+from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
 from pages import SCRIPT, Page, complete, evaluation_of, notice_of
 from records import partial
 from rollouts import experiment_of, rollouts_of
@@ -62,6 +62,7 @@ def test_the_page_is_complete_in_itself(found: Diagnosis) -> None:
 def test_names_and_texts_stay_text(found: Diagnosis) -> None:
     step = step_of(
         chosen=candidate(SCRIPT, SCRIPT),
+        entry=STRIBECK,
         parameters={SCRIPT: SCRIPT},
         where=Where((SCRIPT,), (), SCRIPT),
         separate=SCRIPT,

@@ -20,12 +20,13 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
 from idtool.data.signals import Batch, Motion
-from idtool.dynamics.effects import build_effects
+from idtool.dynamics.effects import build_effects, effect_types
+from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.problem.estimate import estimate
-from idtool.robot.config import WEAK, Config, EffectEntry
+from idtool.robot.config import WEAK, Config
 from idtool.robot.sets import choose_set
 
 Change = Callable[[Motion], Motion]
@@ -36,13 +37,6 @@ EXPLAINED = 1e-3  # of a torque's power: a smaller rest is no better explained
 _QUIET = 1e-6  # of a torque's power that its noise is taken to have at least
 _FEWEST = 4.0  # rows for each coefficient, for a joint to have a say
 _RANK = 1e-8  # of the largest singular value
-_PLAIN = {
-    "viscous_friction": {"viscous": 0.0},
-    "coulomb_friction": {"coulomb": 0.0},
-    "torque_offset": {"offset": 0.0},
-    "rotor_inertia": {"inertia": 0.0},
-    "parallel_spring": {"stiffness": 0.0, "rest_position": 0.0},
-}
 
 
 class ChannelFit:
@@ -196,12 +190,8 @@ def _quotient(rest: float, power: float) -> float:
 def _generous(config: Config, joints: tuple[str, ...]) -> Config:
     """The configuration with all plain effects on every joint."""
     present = {(entry.effect, entry.joint) for entry in config.effects}
-    added = [
-        EffectEntry(effect=effect, joint=joint, parameters=values)
-        for joint in joints
-        for effect, values in _PLAIN.items()
-        if (effect, joint) not in present
-    ]
+    plain = [kind for kind in effect_types().values() if kind.is_commonplace and issubclass(kind, JointEffect)]
+    added = [kind.zero_entry(joint) for joint in joints for kind in plain if (kind.id, joint) not in present]
     return config.model_copy(update={"effects": (*config.effects, *added)})
 
 

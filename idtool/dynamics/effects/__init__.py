@@ -1,4 +1,8 @@
-"""Terms of the torque equation, one file each, named by id. A new effect is one new file that nothing else knows of."""
+"""Terms of the torque equation, one file each, named by id. A new effect is one new file that nothing else knows of.
+
+No id is known outside this folder: what another place needs to know of an effect is an attribute or a method of it, see
+`NamedEffect`.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,12 @@ from functools import cache
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown
-from idtool.dynamics.effects.coulomb_friction import CoulombFriction
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.entry_parameters import entry_location
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NamedEffect, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
-from idtool.dynamics.effects.torque_offset import TorqueOffset
-from idtool.dynamics.effects.viscous_friction import ViscousFriction
-from idtool.robot.config import Config, EffectEntry, Uncertain
+from idtool.robot.config import Config, EffectEntry, Friction, Uncertain
 from idtool.robot.model import Model
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "config_parameters",
     "effect_from_entry",
     "effect_types",
+    "friction_types",
 ]
 
 
@@ -43,6 +45,15 @@ def effect_types() -> dict[str, type[NamedEffect]]:
             if issubclass(member, NamedEffect) and member.id and not inspect.isabstract(member):
                 types[member.id] = member
     return types
+
+
+def friction_types() -> dict[str, type[JointTerm]]:
+    """Effects that a configuration has under `friction` too, by the key there and in its order."""
+    types: dict[str, type[JointTerm]] = {}
+    for effect_type in effect_types().values():
+        if effect_type.friction_key and issubclass(effect_type, JointTerm):
+            types[effect_type.friction_key] = effect_type
+    return {key: types[key] for key in Friction.model_fields}
 
 
 def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
@@ -92,15 +103,12 @@ def effect_from_entry(entry: EffectEntry, model: Model) -> NamedEffect:
 def _friction(model: Model, joint: int, config: Config) -> list[JointTerm]:
     """Friction terms of a joint."""
     properties = model.joints[joint]
-    friction = config.friction_of(properties.name)
-    options: tuple[tuple[type[JointTerm], bool | Uncertain, float], ...] = (
-        (ViscousFriction, friction.viscous, properties.damping),
-        (CoulombFriction, friction.coulomb, properties.friction),
-        (TorqueOffset, friction.offset, 0.0),
-    )
+    types = friction_types()
     terms = []
-    for term_type, setting, urdf_value in options:
+    for key, setting in config.friction_of(properties.name):
         if setting:
+            attribute = types[key].urdf_attribute
+            urdf_value = getattr(properties, attribute) if attribute else 0.0
             prior = setting.value if isinstance(setting, Uncertain) else urdf_value
-            terms.append(term_type(model, joint, prior))
+            terms.append(types[key](model, joint, prior))
     return terms

@@ -51,7 +51,7 @@ class Backlash(FixedJointEffect):
     description = "play lets the load go after each reversal of the torque"
     excitation_hint = "quick reversals of the carried torque, and slow ones"
     nonlinear_parameters = (
-        NonlinearParameter("width", positive=True),
+        NonlinearParameter("width", ("rad", "m"), positive=True),
         NonlinearParameter("motor_friction", optional_maximum=1.0),
     )
 

@@ -8,17 +8,26 @@ from typing_extensions import override
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import DryFriction
+from idtool.dynamics.effects.simulator_element import FrictionLoss, SimulatorElement
 
 
 class CoulombFriction(DryFriction):
     """c sign(v) (26)."""
 
     id = "coulomb_friction"
+    label = "Coulomb friction"
     description = "friction that does not depend on speed"
     excitation_hint = "slow motion in both directions"
     name = "coulomb"
+    is_commonplace = True
+    friction_key = "coulomb"
+    urdf_attribute = "friction"
     units = ("N·m", "N")
 
     @override
     def level(self, motion: Motion) -> Array:
         return np.ones_like(motion.t)
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        return (FrictionLoss(int(self.joint), float(theta[0])),)

@@ -23,9 +23,10 @@ class EncoderOffset(FixedJointEffect):
     """True q = measured q + offset. A controller acts on the measured one."""
 
     id = "encoder_offset"
+    is_countable = True
     description = "the encoder's zero is not the joint's"
     excitation_hint = "standstill over the whole travel, the base turned over or tilted by a known angle"
-    nonlinear_parameters = (NonlinearParameter("offset"),)
+    nonlinear_parameters = (NonlinearParameter("offset", ("rad", "m")),)
 
     @classmethod
     @override

@@ -12,6 +12,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NonlinearParameter
+from idtool.dynamics.effects.simulator_element import OneSidedSpring, SimulatorElement
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint
@@ -27,13 +28,16 @@ class EndStop(JointTerm):
     """
 
     id = "end_stop"
+    is_countable = True
     description = "a stop pushes back beyond a position"
     excitation_hint = "slow motion into the region and out of it"
     generalizes = ("parallel_spring", "torque_offset")
     name = "stiffness"
     units = ("N·m/rad", "N/m")
     even = False
-    nonlinear_parameters = (NonlinearParameter("position", distinguishes_instances=True, max_standard_error=0.03),)
+    nonlinear_parameters = (
+        NonlinearParameter("position", ("rad", "m"), distinguishes_instances=True, max_standard_error=0.03),
+    )
 
     def __init__(
         self, model: Model, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
@@ -65,6 +69,12 @@ class EndStop(JointTerm):
         side = self.nonlinear_values["side"]
         depth = np.maximum(side * (motion.q[self.joint] - self.nonlinear_values["position"]), 0.0)
         return np.asarray(side * depth)
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        position = float(self.nonlinear_values["position"])
+        side = float(self.nonlinear_values["side"])
+        return (OneSidedSpring(int(self.joint), float(theta[0]), position, side),)
 
 
 def _side(joint: Joint, position: float) -> float:

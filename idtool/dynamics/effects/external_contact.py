@@ -51,6 +51,7 @@ class ExternalContact(LinkEffect):
     id = "external_contact"
     description = "something pushes against the link"
     excitation_hint = "the same motion without contact"
+    acts_in_bursts = True
     parameter_names = ("windows", "wrench")
 
     def __init__(self, model: Model, link: str, frame: Frame, windows: Array, wrench: Array) -> None:
@@ -120,6 +121,10 @@ class ExternalContact(LinkEffect):
             is_local=True,
             parameter_count=2 * len(windows) + int(joint_count),
         )
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        return {"windows": "s", "wrench": "N and N·m"}
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:

@@ -58,7 +58,7 @@ class FrictionDrift(JointTerms):
     generalizes = ("viscous_friction", "coulomb_friction")
     is_friction = True
     requires = ("coulomb_friction", "presliding_hysteresis")
-    nonlinear_parameters = (NonlinearParameter("time_constant", positive=True),)
+    nonlinear_parameters = (NonlinearParameter("time_constant", ("s", "s"), positive=True, open_ended=True),)
     term_types = (_ViscousChange, _CoulombChange)
 
     @classmethod

@@ -36,6 +36,7 @@ class GravityTilt(FixedEffect):
     """
 
     id = "gravity_tilt"
+    whole_robot_owner = "the base"
     description = "the base is not level"
     excitation_hint = "standstill in many postures of the first joints"
 
@@ -87,6 +88,10 @@ class GravityTilt(FixedEffect):
     @override
     def key(self) -> tuple[str | float, ...]:
         return self.id, "base"
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        return {"gravity": "m/s²"}
 
     @override
     def modify_model(self, model: Model) -> Model:

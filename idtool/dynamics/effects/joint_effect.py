@@ -38,6 +38,8 @@ class JointEffect(NamedEffect):
         Index of the joint.
     owner
         Name of the joint.
+    is_prismatic
+        True for a prismatic joint.
     nonlinear_values
         Values of the nonlinear parameters, and what follows from them.
 
@@ -54,6 +56,7 @@ class JointEffect(NamedEffect):
     def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         self.joint: int | Indices = joint
         self.owner = model.joints[joint].name
+        self.is_prismatic = model.joints[joint].kind == "prismatic"
         self.nonlinear_values: dict[str, Any] = {}
         for parameter in self.nonlinear_parameters:
             if parameter.optional_maximum is not None:
@@ -64,6 +67,19 @@ class JointEffect(NamedEffect):
     @abstractmethod
     def linear_parameters(cls) -> tuple[str, ...]:
         """Names of the parameters that follow from the coefficients."""
+
+    @classmethod
+    def may_act_on(cls, model: Model, joint: int) -> bool:
+        """False on a joint of the robot whose model has the effect in another form."""
+        has_rotor = any(body.kind == "rotor" and body.ratios[joint] for body in model.bodies)
+        return not (cls.is_rotor_inertia and has_rotor)
+
+    @classmethod
+    def zero_entry(cls, joint: str) -> EffectEntry:
+        """Configuration entry on a joint with all parameters at 0 that may not be left out."""
+        names = list(cls.linear_parameters())
+        names += [parameter.name for parameter in cls.nonlinear_parameters if parameter.optional_maximum is None]
+        return EffectEntry(effect=cls.id, joint=joint, parameters=dict.fromkeys(names, 0.0))
 
     @classmethod
     @abstractmethod
@@ -113,7 +129,8 @@ class JointEffect(NamedEffect):
     @classmethod
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
         """Values of the nonlinear parameters to try on a joint; nothing where the joint can't have the effect."""
-        yield {}
+        if cls.may_act_on(summary.model, joint):
+            yield {}
 
     @classmethod
     @abstractmethod
@@ -150,6 +167,13 @@ class JointEffect(NamedEffect):
         for name, value, error in zip(self.linear_parameters(), theta, errors, strict=True):
             parameters[name] = (float(value), float(error) if np.isfinite(error) else None)
         return parameters
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        units = {name: c.unit for name, c in zip(self.linear_parameters(), self.coefficients, strict=True)}
+        for parameter in self.nonlinear_parameters:
+            units[parameter.name] = parameter.units[self.is_prismatic]
+        return units
 
 
 def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Model, joint: int) -> float:

@@ -51,7 +51,7 @@ class JointElasticity(FixedJointEffect):
     uses_measured_torque = True
     acts_at_reversals = True
     nonlinear_parameters = (
-        NonlinearParameter("stiffness", positive=True),
+        NonlinearParameter("stiffness", ("N·m/rad", "N/m"), positive=True),
         NonlinearParameter("motor_friction", optional_maximum=1.0),
     )
 

@@ -15,6 +15,7 @@ class LoadDependentFriction(LoadDependentTerm, DryFriction):
     """c abs(tau_load) sign(v); tau_load is the joint's actuator torque, which the transmission passes on."""
 
     id = "load_dependent_friction"
+    label = "load-dependent friction"
     description = "friction grows with the load"
     excitation_hint = "the same slow sweep with another load"
     name = "coefficient"

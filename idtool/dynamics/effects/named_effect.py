@@ -7,13 +7,16 @@ identified, and nonlinear ones, which a fit leaves as they are and on which its 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.effect import Effect
+from idtool.dynamics.effects.init_trial import InitTrial
 from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.effects.simulator_element import SimulatorElement
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
@@ -28,6 +31,8 @@ class NonlinearParameter:
     ----------
     name
         As in the contract.
+    units
+        On a revolute joint, and on a prismatic one; "1": without a unit.
     positive
         True if it must be above 0.
     is_joint
@@ -38,23 +43,35 @@ class NonlinearParameter:
         Largest standard error with which the effect is still reported; None: a share of the value.
     optional_maximum
         Largest value of a parameter that may be left out and is then 0; None: it may not be left out.
+    open_ended
+        True if the effect is reported whatever the value's standard error and however large the value.
     """
 
     name: str
+    units: tuple[str, str] = ("1", "1")
     positive: bool = False
     is_joint: bool = False
     distinguishes_instances: bool = False
     max_standard_error: float | None = None
     optional_maximum: float | None = None
+    open_ended: bool = False
 
 
 class NamedEffect(Effect):
     """An effect with an id. One that acts on a joint is a `JointEffect`.
 
+    All that other parts of the package need to know of an effect is here, with defaults that suit a new one.
+
     Attributes
     ----------
     id
         Its name in a configuration; empty for a base class or a part of another effect.
+    label
+        Its name in a sentence; empty: the id with spaces.
+    is_countable
+        True if the label takes an article, as in "a payload".
+    whole_robot_owner
+        What it acts on in a sentence, where an entry names neither joint nor link.
     description
         What the effect is, in a few words for the user.
     excitation_hint
@@ -74,9 +91,25 @@ class NamedEffect(Effect):
         True if it shows where a joint reverses, as friction does.
     reportable
         True if it is an answer to what a model lacks; else it is only fitted along, so as not to hide others.
+    acts_in_bursts
+        True if it explains intervals of time in which the residual is unusually large.
+    is_commonplace
+        True if any joint may well have it, so that torque which it explains shows no fault of the data.
+    is_rotor_inertia
+        True for inertia of a joint's rotor, which is on the motor side of a transmission. It is not tried on a joint
+        with a rotor under `rotors`.
+    friction_key
+        Key under `friction` by which a configuration has it too, and by which reports list it; empty: none.
+    urdf_attribute
+        Attribute of `<dynamics>` in a URDF that is its prior; empty: none.
+    init_trial
+        How `init` tries it; None: it does not.
     """
 
     id: str = ""
+    label: str = ""
+    is_countable: bool = False
+    whole_robot_owner: str = "all joints"
     description: str = ""
     excitation_hint: str = ""
     nonlinear_parameters: tuple[NonlinearParameter, ...] = ()
@@ -86,6 +119,12 @@ class NamedEffect(Effect):
     is_friction: bool = False
     acts_at_reversals: bool = False
     reportable: bool = True
+    acts_in_bursts: bool = False
+    is_commonplace: bool = False
+    is_rotor_inertia: bool = False
+    friction_key: str = ""
+    urdf_attribute: Literal["", "damping", "friction"] = ""
+    init_trial: InitTrial | None = None
 
     @classmethod
     def probes(cls, summary: DataSummary) -> Iterator[Probe]:
@@ -101,6 +140,34 @@ class NamedEffect(Effect):
     def grid_parameters(cls) -> tuple[str, ...]:
         """Nonlinear parameters that a search finds by trying values, since the columns jump with them."""
         return ()
+
+    @classmethod
+    def joint_parameters(cls) -> tuple[str, ...]:
+        """Nonlinear parameters that name another joint."""
+        return tuple(parameter.name for parameter in cls.nonlinear_parameters if parameter.is_joint)
+
+    @classmethod
+    def background_entry(cls) -> EffectEntry | None:
+        """Entry that a search fits along without naming it, since every log has a little of it; None: no log has."""
+        return None
+
+    @classmethod
+    def is_background(cls, entry: EffectEntry, dt: float) -> bool:
+        """True if an entry has no more of the effect than every log with a sample time ``dt`` [s]."""
+        return False
+
+    @classmethod
+    def doubt(cls, entries: Sequence[EffectEntry], model: Model) -> str:
+        """Why effects of this kind may stand in for something else, as a sentence; empty: nothing speaks against them.
+
+        Parameters
+        ----------
+        entries
+            All effects of this kind that were found.
+        model
+            The robot.
+        """
+        return ""
 
     @classmethod
     @abstractmethod
@@ -129,6 +196,20 @@ class NamedEffect(Effect):
         covariance
             Covariance of their errors, shape (m, m); infinite where it is not known.
         """
+
+    def parameter_units(self) -> dict[str, str]:
+        """Unit of each parameter; "1" for one without."""
+        return {}
+
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        """What simulators have that together is the effect's torque; empty: they have nothing like it.
+
+        Parameters
+        ----------
+        theta
+            The coefficients, shape (m,).
+        """
+        return ()
 
 
 def config_parameters(values: Mapping[str, ParameterValue]) -> dict[str, dict[str, float]]:

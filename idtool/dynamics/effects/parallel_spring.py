@@ -14,6 +14,7 @@ from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.effects.simulator_element import SimulatorElement, Spring
 from idtool.robot.config import EffectEntry
 
 
@@ -21,12 +22,14 @@ class ParallelSpring(JointTerm):
     """k (q − q0). The rest position q0 is nonlinear; it does not matter on a joint with a torque offset."""
 
     id = "parallel_spring"
+    is_countable = True
     description = "a spring acts across the joint"
     excitation_hint = "slow motion over the whole travel"
     generalizes = ("torque_offset",)
     name = "stiffness"
+    is_commonplace = True
     units = ("N·m/rad", "N/m")
-    nonlinear_parameters = (NonlinearParameter("rest_position"),)
+    nonlinear_parameters = (NonlinearParameter("rest_position", ("rad", "m")),)
 
     @classmethod
     @override
@@ -59,3 +62,7 @@ class ParallelSpring(JointTerm):
     @override
     def column(self, motion: Motion) -> Array:
         return np.asarray(motion.q[self.joint] - self.nonlinear_values["rest_position"])
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        return (Spring(int(self.joint), float(theta[0]), float(self.nonlinear_values["rest_position"])),)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -59,6 +59,7 @@ class Payload(LinkEffect):
     """
 
     id = "payload"
+    is_countable = True
     description = "the link carries what the model has not"
     excitation_hint = "quick and slow motion in many postures"
     parameter_names = ("mass", "com", "inertia")
@@ -100,6 +101,22 @@ class Payload(LinkEffect):
                 yield cls._probe(summary.model, body.name)
 
     @classmethod
+    @override
+    def doubt(cls, entries: Sequence[EffectEntry], model: Model) -> str:
+        """Payloads that together outweigh the robot."""
+        mass = sum(read_number(entry, "mass") for entry in entries)
+        robot = sum(float(body.pi[0]) for body in model.bodies)
+        if mass <= robot:
+            return ""
+        links = " and ".join(str(entry.link) for entry in entries)
+        return (
+            f"the payload on {links}, {mass:.3g} kg, is heavier than all moving links and rotors of the URDF, "
+            f"{robot:.3g} kg: it may stand in for what the model lacks, such as rotors, or for masses of the URDF that "
+            "are wrong; weigh the robot and diagnose with known.total_mass and --inertia refit, or log motion that "
+            "lifts the load in other postures"
+        )
+
+    @classmethod
     def _probe(cls, model: Model, link: str) -> Probe:
         """Probe of the ten parameters in the link's frame."""
         parameters = {"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
@@ -127,6 +144,10 @@ class Payload(LinkEffect):
             to_entry=to_entry,
             parameter_count=_PARAMETER_COUNT,
         )
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        return {"mass": "kg", "com": "m", "inertia": "kg·m²"}
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:

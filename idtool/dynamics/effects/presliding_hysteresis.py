@@ -41,7 +41,7 @@ class PreslidingHysteresis(JointTerm):
     is_friction = True
     units = ("N·m", "N")
     nonlinear_parameters = (
-        NonlinearParameter("displacement", positive=True),
+        NonlinearParameter("displacement", ("rad", "m"), positive=True),
         NonlinearParameter("damping", optional_maximum=0.5),
     )
 

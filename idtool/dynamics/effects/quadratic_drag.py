@@ -8,6 +8,7 @@ from typing_extensions import override
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import JointTerm
+from idtool.dynamics.effects.simulator_element import QuadraticDamping, SimulatorElement
 
 
 class QuadraticDrag(JointTerm):
@@ -24,3 +25,7 @@ class QuadraticDrag(JointTerm):
     def column(self, motion: Motion) -> Array:
         v = motion.v[self.joint]
         return np.asarray(v * np.abs(v))
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        return (QuadraticDamping(int(self.joint), float(theta[0])),)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
-from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.init_trial import InitTrial
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.mechanism import Mechanism
 
@@ -21,15 +19,14 @@ class RotorInertia(JointTerm):
     description = "a rotor is missing from the model"
     excitation_hint = "quick motion of the joint in several postures"
     name = "inertia"
+    is_commonplace = True
+    is_rotor_inertia = True
+    init_trial = InitTrial(
+        name="rotor inertia",
+        heading="rotor inertia",
+        comment="reflected rotor inertia {value}, gear ratio² × the rotor's",
+    )
     units = ("kg·m²", "kg")
-
-    @classmethod
-    @override
-    def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
-        """One trial on joints for which the model has no rotor."""
-        has_rotor = any(body.kind == "rotor" and body.ratios[joint] for body in summary.model.bodies)
-        if not has_rotor:
-            yield {}
 
     @override
     def column(self, motion: Motion) -> Array:

@@ -30,7 +30,7 @@ class RoundedFriction(JointTerm):
     is_friction = True
     reportable = False
     units = ("N·m", "N")
-    nonlinear_parameters = (NonlinearParameter("velocity", positive=True),)
+    nonlinear_parameters = (NonlinearParameter("velocity", ("rad/s", "m/s"), positive=True),)
 
     @classmethod
     @override

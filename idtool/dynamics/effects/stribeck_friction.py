@@ -24,13 +24,14 @@ class StribeckFriction(DryFriction):
     """(f_s − f_c) exp(−(v/v_s)²) sign(v), besides Coulomb friction f_c; the velocity v_s is nonlinear."""
 
     id = "stribeck_friction"
+    label = "Stribeck friction"
     description = "friction rises at low speed"
     excitation_hint = "slow sweeps at several speeds below that at which it rises"
     generalizes = ("coulomb_friction",)
     requires = ("coulomb_friction", "presliding_hysteresis")
     name = "stribeck"
     units = ("N·m", "N")
-    nonlinear_parameters = (NonlinearParameter("velocity", positive=True),)
+    nonlinear_parameters = (NonlinearParameter("velocity", ("rad/s", "m/s"), positive=True),)
 
     @classmethod
     @override

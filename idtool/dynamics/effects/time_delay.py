@@ -21,13 +21,14 @@ from idtool.dynamics.effects.entry_parameters import (
     read_number,
 )
 from idtool.dynamics.effects.fixed_effect import FixedEffect
+from idtool.dynamics.effects.init_trial import InitSearch
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
-MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
+_MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
 _MAX_PROBED_DELAY = 0.1  # s
 _MAX_DELAY = 1.0  # s: what is later belongs to another motion
 
@@ -46,8 +47,24 @@ class TimeDelay(FixedEffect):
     """
 
     id = "time_delay"
+    is_countable = True
     description = "the torque is recorded late against the position (below zero: early)"
     excitation_hint = "quick motion with sharp changes of torque"
+    init_trial = InitSearch(
+        name="a delay",
+        heading="delay of the torque",
+        comment="torque is logged {value} late (below zero: early) against position",
+        needs_measured_torque=True,  # a controller's torque is its own, in time with its command
+        parameter="delay",
+        step=0.05,  # the error is a parabola within
+        maximum=_MAX_PROBED_DELAY,
+        at_maximum=(
+            "the torque fits best when {maximum} late or more, which is no delay of a recording",
+            "the torque fits best when {maximum} early or more, which is no delay of a recording",
+        ),
+        display_unit="ms",
+        display_factor=1e3,
+    )
 
     def __init__(self, model: Model, delay: float, joint: int | None = None) -> None:
         super().__init__(model)
@@ -85,6 +102,21 @@ class TimeDelay(FixedEffect):
     @override
     def gradient_parameters(cls) -> tuple[str, ...]:
         return ("delay",)
+
+    @classmethod
+    @override
+    def background_entry(cls) -> EffectEntry:
+        """A delay of all joints: torque that is held over a sample is recorded half of one early."""
+        return EffectEntry(effect=cls.id, parameters={"delay": 0.0})
+
+    @classmethod
+    @override
+    def is_background(cls, entry: EffectEntry, dt: float) -> bool:
+        return abs(read_number(entry, "delay")) <= _MIN_DELAY_SAMPLES * dt
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        return {"delay": "s"}
 
     @property
     @override
@@ -139,7 +171,7 @@ def _probe(joint: str | None, indices: Sequence[int], dt: float) -> Probe:
 
     def to_entry(c: Array, information: Array) -> EffectEntry | None:
         delay = float(c[0])
-        if not MIN_DELAY_SAMPLES * dt < abs(delay) < _MAX_PROBED_DELAY:
+        if not _MIN_DELAY_SAMPLES * dt < abs(delay) < _MAX_PROBED_DELAY:
             return None
         return EffectEntry(effect=TimeDelay.id, joint=joint, parameters={"delay": delay})
 

@@ -23,6 +23,7 @@ class TorqueGain(TorqueSensorEffect):
     """Measured = gain × true: a torque constant, gear ratio or efficiency taken for another."""
 
     id = "torque_gain"
+    is_countable = True
     description = "the measured torque is a multiple of the true one"
     excitation_hint = "a known mass on the last link, logged with and without"
     nonlinear_parameters = (NonlinearParameter("gain", positive=True),)

@@ -7,16 +7,22 @@ from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
+from idtool.dynamics.effects.init_trial import InitTrial
 from idtool.dynamics.effects.joint_term import JointTerm
+from idtool.dynamics.effects.simulator_element import ConstantTorque, SimulatorElement
 
 
 class TorqueOffset(JointTerm):
     """A constant (26)."""
 
     id = "torque_offset"
+    is_countable = True
     description = "a constant torque, or friction that differs between the directions"
     excitation_hint = "standstill and slow motion in both directions at several positions"
     name = "offset"
+    is_commonplace = True
+    friction_key = "offset"
+    init_trial = InitTrial(name="an offset", heading="offset of the torque")
     units = ("N·m", "N")
     lower = -np.inf
     even = False
@@ -24,3 +30,7 @@ class TorqueOffset(JointTerm):
     @override
     def column(self, motion: Motion) -> Array:
         return np.ones_like(motion.t)
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        return (ConstantTorque(int(self.joint), float(theta[0])),)

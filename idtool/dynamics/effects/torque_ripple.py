@@ -59,7 +59,13 @@ class TorqueRipple(JointTerms):
     excitation_hint = "slow motion over the whole travel at several speeds"
     generalizes = ("parallel_spring", "end_stop", "torque_offset")
     nonlinear_parameters = (
-        NonlinearParameter("periods", positive=True, distinguishes_instances=True, max_standard_error=0.3),
+        NonlinearParameter(
+            "periods",
+            ("per turn", "per 2π m"),
+            positive=True,
+            distinguishes_instances=True,
+            max_standard_error=0.3,
+        ),
     )
     term_types = (_Sine, _Cosine)
 
@@ -102,3 +108,7 @@ class TorqueRipple(JointTerms):
         amplitude_error = float(np.sqrt(amplitude_gradient @ covariance @ amplitude_gradient))
         phase_error = float(np.sqrt(phase_gradient @ covariance @ phase_gradient))
         return {"amplitude": (amplitude, amplitude_error), "phase": (phase, phase_error)}
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        return {**super().parameter_units(), "phase": "rad"}

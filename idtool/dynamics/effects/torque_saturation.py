@@ -37,7 +37,10 @@ class TorqueSaturation(TorqueSensorEffect):
     description = "the measured torque bends away from the true one at high load"
     excitation_hint = "standstill and slow motion at high and at low load"
     generalizes = ("torque_gain",)
-    nonlinear_parameters = (NonlinearParameter("level", positive=True), NonlinearParameter("bend"))
+    nonlinear_parameters = (
+        NonlinearParameter("level", ("N·m", "N"), positive=True),
+        NonlinearParameter("bend", ("1/(N·m)", "1/N")),
+    )
 
     @classmethod
     @override

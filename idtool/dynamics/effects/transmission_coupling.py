@@ -12,6 +12,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.load_dependent_term import LoadDependentTerm
 from idtool.dynamics.effects.named_effect import NonlinearParameter
+from idtool.dynamics.effects.simulator_element import SimulatorElement, TorqueTransfer
 from idtool.robot.model import Model
 
 # By whether the receiving joint and the source joint are prismatic.
@@ -52,6 +53,10 @@ class TransmissionCoupling(LoadDependentTerm):
     def column(self, motion: Motion) -> Array:
         source = np.reshape(self.nonlinear_values["source"], np.shape(self.joint)).astype(np.intp)
         return -motion.tau[source]
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        return (TorqueTransfer(int(self.joint), int(self.nonlinear_values["source"]), float(theta[0])),)
 
 
 def _neighbours(model: Model, joint: int) -> list[int]:

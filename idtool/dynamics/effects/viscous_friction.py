@@ -8,6 +8,7 @@ from typing_extensions import override
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.joint_term import JointTerm
+from idtool.dynamics.effects.simulator_element import Damping, SimulatorElement
 
 
 class ViscousFriction(JointTerm):
@@ -18,8 +19,15 @@ class ViscousFriction(JointTerm):
     excitation_hint = "steady motion at several speeds"
     name = "viscous"
     is_friction = True
+    is_commonplace = True
+    friction_key = "viscous"
+    urdf_attribute = "damping"
     units = ("N·m·s/rad", "N·s/m")
 
     @override
     def column(self, motion: Motion) -> Array:
         return np.asarray(motion.v[self.joint])
+
+    @override
+    def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
+        return (Damping(int(self.joint), float(theta[0])),)

@@ -14,9 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
+from idtool.dynamics.effects.simulator_element import Damping
 from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.existence import can_exist, refused
-from idtool.reporting.export.identified import NOTHING, Identified
+from idtool.reporting.export.identified import NOTHING, Identified, Term
 from idtool.reporting.export.rotors import Rotor, rotors_of
 from idtool.reporting.export.transmissions import transmissions
 from idtool.robot.inertia import SIZE
@@ -106,11 +107,18 @@ def _dynamics(identified: Identified) -> dict[str, JointDynamics]:
     """Damping where it is not the URDF's."""
     damping = dict.fromkeys(identified.robot.joints, 0.0)
     for term in identified.terms:
-        if term.effect == "viscous_friction":
-            damping[term.joint] += term.coefficient
+        if _is_damping(term):
+            for element in term.elements:
+                if isinstance(element, Damping):
+                    damping[identified.model.names[element.joint]] += element.coefficient
     moving = {body.name for body in identified.model.bodies}
     joints = [j for j in identified.robot.joints.values() if j.child in moving and j.damping != damping[j.name]]
     return {j.name: JointDynamics(damping=damping[j.name]) for j in joints}
+
+
+def _is_damping(term: Term) -> bool:
+    """True for torque that a URDF carries."""
+    return bool(term.elements) and all(isinstance(element, Damping) for element in term.elements)
 
 
 def _fixing(text: bytes, element: Element, joint: Joint, value: float) -> list[Edit]:
@@ -152,7 +160,7 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[Joint])
     carried += identified.inertias
     lacking = [*identified.others, *(replace(part, detail=NOTHING) for part in identified.offsets)]
     for term in identified.terms:
-        if term.effect == "viscous_friction":
+        if _is_damping(term):
             carried.append(term.part("damping"))
         else:
             lacking.append(term.unused)

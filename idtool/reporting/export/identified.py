@@ -1,12 +1,11 @@
 """`Identified`: the model that `idtool fit` wrote, taken apart for simulators that have a place for each part.
 
 Every effect is asked for its forward form, the one that idtool itself simulates: inertias, gravity and position offsets
-need no word about which effect they come from; torque on joints is told apart by the effect's id.
+need no word about which effect they come from; of torque on joints the effect says which elements of simulators it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects
+from idtool.dynamics.effects.simulator_element import SimulatorElement
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
 from idtool.reporting.export.base import Part
@@ -28,7 +28,7 @@ NOTHING = "the simulator has nothing like it"
 
 @dataclass(frozen=True)
 class Term:
-    """A torque on a joint: a coefficient times a function of the motion.
+    """Torque of an effect that is a function of the state.
 
     Attributes
     ----------
@@ -36,18 +36,15 @@ class Term:
         The effect's id.
     joint
         Name of the joint.
-    coefficient
-        SI.
-    shape
-        The function's other parameters, SI.
+    elements
+        What simulators have that together is this torque; empty: nothing.
     amount
         The effect's first parameter and its unit.
     """
 
     effect: str
     joint: str
-    coefficient: float
-    shape: Mapping[str, float]
+    elements: tuple[SimulatorElement, ...]
     amount: tuple[float, str] | tuple[()]
 
     def part(self, detail: str) -> Part:
@@ -169,11 +166,8 @@ class _Sorts:
         parameters = effect.parameters(theta, np.full((len(theta), len(theta)), np.inf))
         amounts = [(value, c.unit) for (value, _), c in zip(parameters.values(), effect.coefficients, strict=False)]
         amount = amounts[0] if amounts else ()
-        for term, value in (*alone.smooth_terms, *alone.dry_friction_terms):
-            if value:
-                self.terms.append(
-                    Term(*whose, value, {name: float(x) for name, x in term.nonlinear_values.items()}, amount)
-                )
+        if any(value for _, value in (*alone.smooth_terms, *alone.dry_friction_terms)):
+            self.terms.append(Term(*whose, effect.simulator_elements(theta), amount))
         inertias = {
             "in the inertials": alone.pi.any() or effect.modify_model(self.model) is not self.model,
             "armature": alone.armature.any(),

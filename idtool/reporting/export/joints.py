@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from idtool.dynamics.effects.simulator_element import (
+    ConstantTorque,
+    Damping,
+    FrictionLoss,
+    OneSidedSpring,
+    QuadraticDamping,
+    SimulatorElement,
+    Spring,
+    TorqueTransfer,
+)
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.identified import Term
 
@@ -35,6 +45,16 @@ class JointForces:
     stops: list[tuple[float, float, float]] = field(default_factory=list)
     leaks: dict[str, float] = field(default_factory=dict)
 
+    def add_spring(self, stiffness: float, springref: float) -> str:
+        """Add a spring, to which one that is there already adds; how the file carries it."""
+        if self.stiffness:
+            total = self.stiffness + stiffness
+            springref = (self.stiffness * self.springref + stiffness * springref) / total
+            stiffness = total
+        self.stiffness = stiffness
+        self.springref = springref
+        return f"stiffness, springref {springref:.4g}"
+
     def attributes(self) -> dict[str, str]:
         """Those of the joint's tag that are not zero."""
         names = ("damping", "frictionloss", "armature", "stiffness", "springref", "ref")
@@ -56,58 +76,43 @@ class Forces(dict[str, JointForces]):
 
     def carry(self, term: Term) -> Part | None:
         """Add a term; None where MuJoCo has nothing like it."""
-        carrier = _CARRIERS.get(term.effect)
-        detail = carrier(self, term) if carrier else None
-        return term.part(detail) if detail else None
+        if not term.elements or not all(map(_is_known, term.elements)):
+            return None
+        details = [self._add(element) for element in term.elements]
+        return term.part(" and ".join(details))
+
+    def _add(self, element: SimulatorElement) -> str:
+        """Add an element that MuJoCo has; how the file carries it."""
+        names = list(self)
+        forces = self[names[element.joint]]
+        match element:
+            case Damping(coefficient=coefficient):
+                forces.damping += coefficient
+                return "damping"
+            case QuadraticDamping(coefficient=coefficient):
+                forces.drag += coefficient
+                return "the quadratic part of damping"
+            case FrictionLoss(level=level):
+                forces.frictionloss += level
+                return "frictionloss"
+            case ConstantTorque(torque=torque):
+                forces.bias -= torque
+                return "bias of an actuator, the other way round"
+            case Spring(stiffness=stiffness, rest_position=rest_position):
+                return forces.add_spring(stiffness, rest_position + forces.ref)
+            case OneSidedSpring(stiffness=stiffness, position=position, side=side):
+                forces.stops.append((side, position + forces.ref, stiffness))
+                return f"a tendon's spring beyond {position + forces.ref:.4g}"
+            case TorqueTransfer(source=source, share=share):
+                leaks = self[names[source]].leaks
+                joint = names[element.joint]
+                leaks[joint] = leaks.get(joint, 0.0) + share
+                return f"the motor of {names[source]} drives a tendon"
+        raise TypeError(type(element).__name__)
 
 
-def _viscous(forces: Forces, term: Term) -> str:
-    forces[term.joint].damping += term.coefficient
-    return "damping"
-
-
-def _drag(forces: Forces, term: Term) -> str:
-    forces[term.joint].drag += term.coefficient
-    return "the quadratic part of damping"
-
-
-def _coulomb(forces: Forces, term: Term) -> str | None:
-    if term.coefficient < 0:  # MuJoCo would take it for a force along the motion
-        return None
-    forces[term.joint].frictionloss += term.coefficient
-    return "frictionloss"
-
-
-def _offset(forces: Forces, term: Term) -> str:
-    forces[term.joint].bias -= term.coefficient
-    return "bias of an actuator, the other way round"
-
-
-def _spring(forces: Forces, term: Term) -> str:
-    joint = forces[term.joint]
-    joint.stiffness, joint.springref = term.coefficient, term.shape["rest_position"] + joint.ref
-    return f"stiffness, springref {joint.springref:.4g}"
-
-
-def _stop(forces: Forces, term: Term) -> str:
-    joint = forces[term.joint]
-    position = term.shape["position"] + joint.ref
-    joint.stops.append((term.shape["side"], position, term.coefficient))
-    return f"a tendon's spring beyond {position:.4g}"
-
-
-def _coupling(forces: Forces, term: Term) -> str:
-    source = list(forces)[int(term.shape["source"])]
-    forces[source].leaks[term.joint] = term.coefficient
-    return f"the motor of {source} drives a tendon"
-
-
-_CARRIERS: Mapping[str, Callable[[Forces, Term], str | None]] = {
-    "viscous_friction": _viscous,
-    "quadratic_drag": _drag,
-    "coulomb_friction": _coulomb,
-    "torque_offset": _offset,
-    "parallel_spring": _spring,
-    "end_stop": _stop,
-    "transmission_coupling": _coupling,
-}
+def _is_known(element: SimulatorElement) -> bool:
+    """True for an element that MuJoCo has."""
+    if isinstance(element, FrictionLoss):
+        return element.level >= 0  # MuJoCo would take it for a force along the motion
+    return isinstance(element, Damping | QuadraticDamping | ConstantTorque | Spring | OneSidedSpring | TorqueTransfer)
