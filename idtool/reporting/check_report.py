@@ -9,7 +9,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.estimation.problem.link_check import LinkCheck
 from idtool.reporting.results.ellipsoids import CheckedLink, CheckReport, RepairedLink
-from idtool.robot.inertia import mass_com_inertia, six
+from idtool.robot.inertia import mass_com_inertia, symmetric_entries
 from idtool.robot.urdf.reading import Robot
 
 
@@ -40,4 +40,4 @@ def _repaired(pi: Array, nearest: Array) -> RepairedLink:
     mass, com, inertia = mass_com_inertia(nearest)
     before = mass_com_inertia(pi)[2]
     moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
-    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=six(inertia).tolist(), moved=moved)
+    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=symmetric_entries(inertia).tolist(), moved=moved)

@@ -29,7 +29,7 @@ from idtool.reporting.results.excitation import (
     MotionPart,
 )
 from idtool.reporting.uncertainty_report import combination_name, quantity, terms_report
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 _CURVE = 500  # instants of each curve
 _TINY = 1e-3  # of a base parameter's size: a prior that small is none to compare with
@@ -133,14 +133,14 @@ def _bodies(design: Design) -> dict[str, ExpectedBody]:
     errors = design.errors.coefficients
     bodies = {}
     for i, body in enumerate(design.task.model.bodies):
-        own = errors[SIZE * i : SIZE * (i + 1)]
+        own = errors[PI_SIZE * i : PI_SIZE * (i + 1)]
         bodies[body.name] = ExpectedBody(standard_error=[_finite(error) for error in own])
     return bodies
 
 
 def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
     """Standard errors of friction and other terms, by joint and name."""
-    inertial = SIZE * len(design.task.model.bodies)
+    inertial = PI_SIZE * len(design.task.model.bodies)
     coefficients = design.task.equation.coefficients[inertial:]
     terms: dict[str, dict[str, ExpectedTerm]] = {}
     for c, error in zip(coefficients, design.errors.coefficients[inertial:], strict=True):

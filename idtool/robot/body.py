@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import transformation
+from idtool.robot.inertia import parameter_transform
 from idtool.robot.shapes import Shape
 
 
@@ -46,7 +46,7 @@ class Member:
     @property
     def pi_in_body(self) -> Array:
         """Its parameters in the body's frame, shape (10,)."""
-        return transformation(self.frame.R, self.frame.p) @ self.pi
+        return parameter_transform(self.frame.R, self.frame.p) @ self.pi
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from idtool.robot.config import BoundingShape, HullBound
-from idtool.robot.ellipsoid import Ellipsoid, smallest_around
+from idtool.robot.ellipsoid import Ellipsoid, minimum_volume_ellipsoid
 from idtool.robot.geometry import link_geometry, link_vertices
 from idtool.robot.shapes import Hull, Shape, known_shapes
 from idtool.robot.urdf.reading import Robot
@@ -34,7 +34,7 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
             continue
         geometry = link_geometry(robot, link)
         if geometry.read and not geometry.missing:
-            least = smallest_around(geometry.points)
+            least = minimum_volume_ellipsoid(geometry.points)
             x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
             ellipsoids[link] = replace(least, semi_axes=(x, y, z))
         elif not geometry.missing:
@@ -45,7 +45,7 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
     return ellipsoids, reasons
 
 
-def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
+def ellipsoids_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
     """Ellipsoids by link as the value of the configuration's ``bounding_ellipsoids``: plain data, lengths in m."""
     return {link: [ellipsoid.to_dict()] for link, ellipsoid in ellipsoids.items()}
 

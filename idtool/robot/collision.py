@@ -21,8 +21,8 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.names import some
 from idtool.robot.body import Frame
-from idtool.robot.collision_geometry import Distances, Piece, read_pieces
-from idtool.robot.kinematics import body_places
+from idtool.robot.collision_geometry import ConvexPart, DistanceQueries, read_convex_parts
+from idtool.robot.kinematics import body_placements
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint, Robot
 
@@ -57,7 +57,7 @@ class SelfCollision:
     model: Model
     pairs: tuple[Pair, ...]
     warnings: tuple[str, ...]
-    _pieces: tuple[Piece, ...]
+    _pieces: tuple[ConvexPart, ...]
     _ends: Indices  # pieces that make pairs, shape (2, pairs of pieces)
     _owner: Indices  # the pair of links that each is of
 
@@ -77,7 +77,7 @@ class SelfCollision:
         ModelError
             If the geometry is of more pieces than can be checked.
         """
-        pieces, unread = read_pieces(model.robot, _frames(model, locked_joints or {}))
+        pieces, unread = read_convex_parts(model.robot, _frames(model, locked_joints or {}))
         linked = {frozenset((joint.parent, joint.child)) for joint in model.robot.joints.values()}
         of_link: dict[str, list[int]] = {}
         for i, piece in enumerate(pieces):
@@ -151,7 +151,7 @@ class SelfCollision:
 
     def _places(self, q: Array) -> tuple[Array, Array]:
         """Where the pieces are in the root link, shapes (pieces, N, 3, 3) and (pieces, N, 3)."""
-        places = body_places(self.model, q)
+        places = body_placements(self.model, q)
         count, N = len(self._pieces), q.shape[1]
         out_R, out_p = np.empty((count, N, 3, 3)), np.empty((count, N, 3))
         for k, piece in enumerate(self._pieces):
@@ -160,8 +160,8 @@ class SelfCollision:
         return out_R, out_p
 
     @cached_property
-    def _distance(self) -> Distances:
-        return Distances(self._pieces, self._ends)
+    def _distance(self) -> DistanceQueries:
+        return DistanceQueries(self._pieces, self._ends)
 
     def _always_touching(self) -> Mask:
         """Which pairs of links touch by the way they are made, shape (pairs,)."""
@@ -197,7 +197,7 @@ class SelfCollision:
 
 def unread_geometry(model: Model) -> tuple[str, ...]:
     """What geometry of a robot cannot be read, a plain sentence: why there may be nothing to check."""
-    return read_pieces(model.robot, _frames(model, {}))[1]
+    return read_convex_parts(model.robot, _frames(model, {}))[1]
 
 
 def _frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame]:

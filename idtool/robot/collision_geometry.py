@@ -24,7 +24,7 @@ from idtool.common.exceptions import ModelError
 from idtool.common.names import some
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
-from idtool.robot.meshes import UnreadableError, numbers
+from idtool.robot.meshes import UnreadableGeometryError, numeric_attribute
 from idtool.robot.urdf.reading import Robot, parse_xml
 
 _MOST_PIECES = 16  # of a link; more are taken as their common hull
@@ -33,7 +33,7 @@ _THICKNESS = 1e-3  # m, of a mesh that spans no volume
 
 
 @dataclass(frozen=True)
-class Piece:
+class ConvexPart:
     """A convex part of a link.
 
     Its shape, where that sits in a body, the radius of a sphere around the shape's origin that holds it, and how far
@@ -47,7 +47,7 @@ class Piece:
     beyond: float = 0.0
 
 
-class Distances:
+class DistanceQueries:
     """Distances of pairs of pieces.
 
     Parameters
@@ -58,7 +58,7 @@ class Distances:
         Which of them are paired, shape (2, pairs).
     """
 
-    def __init__(self, pieces: Sequence[Piece], ends: Indices) -> None:
+    def __init__(self, pieces: Sequence[ConvexPart], ends: Indices) -> None:
         self._ends = ends.T.tolist()
         self._pieces = tuple(pieces)  # Coal keeps pointers to their shapes
         self._solvers = [coal.ComputeDistance(pieces[i].shape, pieces[j].shape) for i, j in self._ends]
@@ -82,7 +82,7 @@ class Distances:
         return distance - self._beyond[pair]
 
 
-def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
+def read_convex_parts(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[ConvexPart, ...], tuple[str, ...]]:
     """The pieces of links, and a line on what could not be read, if anything.
 
     Parameters
@@ -92,7 +92,7 @@ def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece,
     frames
         The links, and where they are.
     """
-    pieces: list[Piece] = []
+    pieces: list[ConvexPart] = []
     missing: dict[str, str] = {}
     for element in parse_xml(robot.path, robot.text).iterfind("link"):
         link = str(element.get("name"))
@@ -106,7 +106,7 @@ def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece,
     return tuple(pieces), (f"geometry is left out of the check for self-collision, of {some(missing)}: {why}",)
 
 
-def _of_link(robot: Robot, element: etree._Element, link: str, frame: Frame) -> tuple[list[Piece], list[str]]:
+def _of_link(robot: Robot, element: etree._Element, link: str, frame: Frame) -> tuple[list[ConvexPart], list[str]]:
     """A link's pieces and what of it is missing: the visual ones where not all of the collision can be read."""
     found = []
     for tag in ("collision", "visual"):
@@ -117,7 +117,9 @@ def _of_link(robot: Robot, element: etree._Element, link: str, frame: Frame) -> 
     return next((pieces for pieces, _ in found if pieces), []), [note for _, missing in found for note in missing]
 
 
-def _of_parts(robot: Robot, parts: Sequence[etree._Element], link: str, frame: Frame) -> tuple[list[Piece], list[str]]:
+def _of_parts(
+    robot: Robot, parts: Sequence[etree._Element], link: str, frame: Frame
+) -> tuple[list[ConvexPart], list[str]]:
     """The pieces of all of a link's <collision> or <visual>, and what of it is missing."""
     if len(parts) > _MOST_PIECES:
         whole = link_geometry(robot, link)
@@ -126,41 +128,41 @@ def _of_parts(robot: Robot, parts: Sequence[etree._Element], link: str, frame: F
     for part in parts:
         try:
             pieces.append(_piece(robot, part, link, frame))
-        except UnreadableError as error:
+        except UnreadableGeometryError as error:
             missing.append(f"line {part.sourceline}: {error}")
     return pieces, missing
 
 
-def _piece(robot: Robot, element: etree._Element, link: str, frame: Frame) -> Piece:
+def _piece(robot: Robot, element: etree._Element, link: str, frame: Frame) -> ConvexPart:
     """A <collision> or <visual>."""
     origin = element.find("origin")
     part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
     if part is None:
-        raise UnreadableError(f"{element.tag} has no geometry")
+        raise UnreadableGeometryError(f"{element.tag} has no geometry")
     if origin is not None:
-        xyz, rpy = (numbers(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
+        xyz, rpy = (numeric_attribute(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
         frame = frame.then(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
     if part.tag == "mesh":
         try:
             points = link_vertices(robot, link, part.get("filename", ""))
         except ModelError as error:
-            raise UnreadableError(error.what.removesuffix("; give another file")) from None
-        return _hull(link, points * numbers(part, "scale", 3, "1 1 1"), frame)
+            raise UnreadableGeometryError(error.what.removesuffix("; give another file")) from None
+        return _hull(link, points * numeric_attribute(part, "scale", 3, "1 1 1"), frame)
     if part.tag == "box":
-        size = np.abs(numbers(part, "size", 3))
-        return Piece(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
+        size = np.abs(numeric_attribute(part, "size", 3))
+        return ConvexPart(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
     if part.tag not in ("sphere", "cylinder", "capsule"):
-        raise UnreadableError(f"{part.tag} is not a geometry that is read here")
-    radius = abs(float(numbers(part, "radius", 1)[0]))
+        raise UnreadableGeometryError(f"{part.tag} is not a geometry that is read here")
+    radius = abs(float(numeric_attribute(part, "radius", 1)[0]))
     if part.tag == "sphere":
-        return Piece(link, coal.Sphere(radius), frame, radius)
-    length = abs(float(numbers(part, "length", 1)[0]))
+        return ConvexPart(link, coal.Sphere(radius), frame, radius)
+    length = abs(float(numeric_attribute(part, "length", 1)[0]))
     if part.tag == "cylinder":
-        return Piece(link, coal.Cylinder(radius, length), frame, math.hypot(radius, length / 2))
-    return Piece(link, coal.Capsule(radius, length), frame, radius + length / 2)
+        return ConvexPart(link, coal.Cylinder(radius, length), frame, math.hypot(radius, length / 2))
+    return ConvexPart(link, coal.Capsule(radius, length), frame, radius + length / 2)
 
 
-def _hull(link: str, points: Array, frame: Frame) -> Piece:
+def _hull(link: str, points: Array, frame: Frame) -> ConvexPart:
     """The convex hull of points, shape (n, 3); of many, that of the outermost, and how far the others lie beyond it."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     points = points - center
@@ -175,7 +177,7 @@ def _hull(link: str, points: Array, frame: Frame) -> Piece:
     shape = _convex(corners, index[hull.simplices])
     beyond = 0.0 if kept is points else _farthest(shape, points[~_inside(hull, points)])
     radius = float(np.linalg.norm(corners, axis=1).max())
-    return Piece(link, shape, frame.then(np.eye(3), center), radius, beyond)
+    return ConvexPart(link, shape, frame.then(np.eye(3), center), radius, beyond)
 
 
 def outermost(points: Array) -> Indices:

@@ -24,7 +24,7 @@ def principal_axes(points: Array) -> Array:
     return np.asarray(np.linalg.eigh(spread.T @ spread)[1].T[::-1])
 
 
-def enclosing(points: Array) -> Array:
+def enclosing_points(points: Array) -> Array:
     """Points, shape (k, 3), whose convex hull encloses all of the given, shape (n, 3).
 
     The corners of the convex hull where the points are few; of many, as of a scanned ball, corners of a polyhedron that
@@ -98,7 +98,7 @@ def _most_cutting(faces: Array, points: Array, most: int) -> Array:
         chosen = np.concatenate([chosen, faces[[beyond.sum(axis=0).argmax()]]])
 
 
-def corners_of(planes: Array, inside: Array) -> Array:
+def polyhedron_corners(planes: Array, inside: Array) -> Array:
     """Corners of the polyhedron within planes, shape (k, 4), around a point strictly inside, shape (3,)."""
     found = HalfspaceIntersection(planes, inside).intersections
     return np.asarray(found[ConvexHull(found).vertices])

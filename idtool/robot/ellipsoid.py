@@ -97,7 +97,7 @@ class Ellipsoid:
         return np.asarray(np.concatenate(places) * self.semi_axes @ self.rotation.T + self.center)
 
 
-def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float = 0.05) -> Ellipsoid:
+def minimum_volume_ellipsoid(points: ArrayLike, tolerance: float = 1e-4, flattest: float = 0.05) -> Ellipsoid:
     """The ellipsoid of least volume around points, shape (n, 3), within a relative tolerance of its volume.
 
     Khachiyan's algorithm with the step of Todd & Yildirim (2007), on some of the points to which those farthest beyond

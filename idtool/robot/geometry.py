@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
-from idtool.robot.convex import enclosing
-from idtool.robot.meshes import Mesh, UnreadableError, numbers, read_mesh, together
+from idtool.robot.convex import enclosing_points
+from idtool.robot.meshes import Mesh, UnreadableGeometryError, merge_meshes, numeric_attribute, read_mesh
 from idtool.robot.urdf.reading import Robot, parse_xml
 
 _SIDES = 32  # of the polygon around a circle, 0.5 % larger
@@ -28,7 +28,7 @@ _DIRECTIONS = 400  # of the points around a ball, less than 1 % larger
 
 
 @dataclass(frozen=True)
-class Geometry:
+class LinkGeometry:
     """What a URDF says of a link's extent.
 
     Attributes
@@ -47,7 +47,7 @@ class Geometry:
     missing: tuple[str, ...]
 
 
-def link_geometry(robot: Robot, link: str) -> Geometry:
+def link_geometry(robot: Robot, link: str) -> LinkGeometry:
     """The collision geometry of a link or, where that is absent or not all of it can be read, the visual one.
 
     Where not all of the visual can be read either, what there is of the collision geometry, if anything.
@@ -57,7 +57,7 @@ def link_geometry(robot: Robot, link: str) -> Geometry:
     whole = [geometry for geometry in found if geometry.read and not geometry.missing]
     some = [geometry for geometry in found if geometry.read]
     notes = tuple(dict.fromkeys(note for geometry in found for note in geometry.missing))
-    return (*whole, *some, Geometry(np.empty((0, 3)), (), notes))[0]
+    return (*whole, *some, LinkGeometry(np.empty((0, 3)), (), notes))[0]
 
 
 def link_surface(robot: Robot, link: str) -> Mesh:
@@ -66,8 +66,8 @@ def link_surface(robot: Robot, link: str) -> Mesh:
     In the link's frame; what cannot be read is left out.
     """
     element = next(e for e in parse_xml(robot.path, robot.text).iterfind("link") if e.get("name") == link)
-    looks = (together(_surfaces(robot.path, element.findall(tag))) for tag in ("visual", "collision"))
-    return next((mesh for mesh in looks if len(mesh.faces)), together([]))
+    looks = (merge_meshes(_surfaces(robot.path, element.findall(tag))) for tag in ("visual", "collision"))
+    return next((mesh for mesh in looks if len(mesh.faces)), merge_meshes([]))
 
 
 def _surfaces(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
@@ -75,7 +75,7 @@ def _surfaces(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
     for element in elements:
         part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
         if part is not None:
-            with suppress(UnreadableError, QhullError):
+            with suppress(UnreadableGeometryError, QhullError):
                 R, p = _origin(element)
                 mesh = _surface(urdf, part)
                 yield Mesh(mesh.points @ R.T + p, mesh.faces)
@@ -99,7 +99,7 @@ def link_vertices(robot: Robot, link: str, file: str | None = None) -> Array:
     if file is not None:
         try:
             return _mesh(robot.path, file)
-        except UnreadableError as error:
+        except UnreadableGeometryError as error:
             raise ModelError(f"{robot.path}: link {link}", f"{error}; give another file") from None
     geometry = link_geometry(robot, link)
     if geometry.missing or not geometry.read:
@@ -108,7 +108,7 @@ def link_vertices(robot: Robot, link: str, file: str | None = None) -> Array:
     return geometry.points
 
 
-def _read_all(urdf: Path, elements: list[etree._Element]) -> Geometry:
+def _read_all(urdf: Path, elements: list[etree._Element]) -> LinkGeometry:
     """The geometry of all of a link's <collision> or <visual>."""
     points, read, missing = [np.empty((0, 3))], [], []
     for element in elements:
@@ -120,9 +120,9 @@ def _read_all(urdf: Path, elements: list[etree._Element]) -> Geometry:
             R, p = _origin(element)
             points.append(_solid(urdf, part) @ R.T + p)
             read.append(" ".join(filter(None, (str(part.tag), part.get("filename")))))
-        except UnreadableError as error:
+        except UnreadableGeometryError as error:
             missing.append(f"line {part.sourceline}: {error}")
-    return Geometry(np.concatenate(points), tuple(read), tuple(missing))
+    return LinkGeometry(np.concatenate(points), tuple(read), tuple(missing))
 
 
 def _origin(element: etree._Element) -> tuple[Array, Array]:
@@ -130,22 +130,22 @@ def _origin(element: etree._Element) -> tuple[Array, Array]:
     origin = element.find("origin")
     if origin is None:
         return np.eye(3), np.zeros(3)
-    xyz, rpy = (numbers(origin, name, 3, default="0 0 0") for name in ("xyz", "rpy"))
+    xyz, rpy = (numeric_attribute(origin, name, 3, default="0 0 0") for name in ("xyz", "rpy"))
     return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
 
 
 def _solid(urdf: Path, part: etree._Element) -> Array:
     """Points around a primitive or of a mesh, in its own frame, shape (n, 3)."""
     if part.tag == "mesh":
-        return _mesh(urdf, part.get("filename", "")) * numbers(part, "scale", 3, default="1 1 1")
+        return _mesh(urdf, part.get("filename", "")) * numeric_attribute(part, "scale", 3, default="1 1 1")
     if part.tag == "box":
-        return 0.5 * _corners() * numbers(part, "size", 3)
+        return 0.5 * _corners() * numeric_attribute(part, "size", 3)
     if part.tag not in ("sphere", "cylinder", "capsule"):
-        raise UnreadableError(f"{part.tag} is not a geometry that is read here")
-    radius = abs(numbers(part, "radius", 1))
+        raise UnreadableGeometryError(f"{part.tag} is not a geometry that is read here")
+    radius = abs(numeric_attribute(part, "radius", 1))
     if part.tag == "sphere":
         return radius * _around_ball()
-    ends = 0.5 * numbers(part, "length", 1) * np.array([[0, 0, 1.0], [0, 0, -1.0]])
+    ends = 0.5 * numeric_attribute(part, "length", 1) * np.array([[0, 0, 1.0], [0, 0, -1.0]])
     return np.concatenate(
         [end + radius * (_around_disc() if part.tag == "cylinder" else _around_ball()) for end in ends]
     )
@@ -155,7 +155,7 @@ def _surface(urdf: Path, part: etree._Element) -> Mesh:
     """A primitive's or a mesh's triangles, in its own frame; QhullError for what has no volume."""
     if part.tag == "mesh":
         mesh = read_mesh(urdf, part.get("filename", ""))
-        return Mesh(mesh.points * numbers(part, "scale", 3, default="1 1 1"), mesh.faces)
+        return Mesh(mesh.points * numeric_attribute(part, "scale", 3, default="1 1 1"), mesh.faces)
     points = _solid(urdf, part)
     return Mesh(points, ConvexHull(points).simplices.astype(np.intp))
 
@@ -183,4 +183,4 @@ def _around_ball() -> Array:
 
 def _mesh(urdf: Path, name: str) -> Array:
     """Points around a mesh, as in the file, shape (n, 3)."""
-    return enclosing(read_mesh(urdf, name).corners)
+    return enclosing_points(read_mesh(urdf, name).corners)

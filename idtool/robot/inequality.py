@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.robot.inertia import BASIS, POWERS, SIZE, from_pseudo_inertia
+from idtool.robot.inertia import J_BASIS, LENGTH_POWERS, PI_SIZE, from_pseudo_inertia
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,18 @@ class Inequality:
     lengths: Array
     strict: bool = True
 
-    def scaled(self, length: float, powers: Array = POWERS) -> Array:
+    def scaled(self, length: float, powers: Array = LENGTH_POWERS) -> Array:
         """G for x_k in units of mass · length^powers[k], shape (K,), itself without unit."""
         row = length**-self.lengths
         weight = row[:, None] * row if self.G.ndim == 3 else row**2
         return np.asarray((self.G.T * length**powers).T * weight)
 
-    def margin(self, x: Array, mass: float, length: float, powers: Array = POWERS) -> float:
+    def margin(self, x: Array, mass: float, length: float, powers: Array = LENGTH_POWERS) -> float:
         """The least eigenvalue or entry at x, in units of a mass [kg] and a length [m]; negative: violated."""
-        return least(np.tensordot(x / (mass * length**powers), self.scaled(length, powers), axes=1))
+        return smallest_value(np.tensordot(x / (mass * length**powers), self.scaled(length, powers), axes=1))
 
 
-def least(value: Array) -> float:
+def smallest_value(value: Array) -> float:
     """The least eigenvalue of a symmetric matrix, or the least entry of a vector."""
     return float(np.linalg.eigvalsh(value)[0] if value.ndim == 2 else value.min(initial=np.inf))
 
@@ -69,15 +69,17 @@ class Piece:
     """
 
     inequalities: tuple[Inequality, ...]
-    basis: Array = field(default_factory=lambda: np.eye(SIZE))
-    powers: Array = field(default_factory=lambda: POWERS)
+    basis: Array = field(default_factory=lambda: np.eye(PI_SIZE))
+    powers: Array = field(default_factory=lambda: LENGTH_POWERS)
 
 
 #: J(pi) ⪰ 0: some mass density has these moments (Thm 3).
-DENSITY = Inequality("positive definite pseudo-inertia (triangle inequalities)", BASIS, np.array([1.0, 1.0, 1.0, 0.0]))
+REALIZABLE = Inequality(
+    "positive definite pseudo-inertia (triangle inequalities)", J_BASIS, np.array([1.0, 1.0, 1.0, 0.0])
+)
 
 
-def within(Q: Array, label: str) -> Inequality:
+def density_within(Q: Array, label: str) -> Inequality:
     """Tr(J(pi) Q) ≥ 0: what a density has that is zero where [x; 1]ᵀ Q [x; 1] < 0 (Thm 4, (25)).
 
     Parameters
@@ -87,16 +89,16 @@ def within(Q: Array, label: str) -> Inequality:
     label
         What it demands.
     """
-    trace = np.einsum("kij,nji->kn", BASIS, Q.reshape(-1, 4, 4))
+    trace = np.einsum("kij,nji->kn", J_BASIS, Q.reshape(-1, 4, 4))
     return Inequality(label, trace, np.zeros(trace.shape[1]))
 
 
-def masses(places: Array) -> Piece:
+def point_masses(places: Array) -> Piece:
     """Point masses x ≥ 0 at places, shape (K, 3) [m]: pi = Σ_k x_k pi(place_k) (Ayusawa et al.)."""
     points = np.column_stack([places, np.ones(len(places))])
     J = points[:, :, None] * points[:, None, :]
     basis = from_pseudo_inertia(J).T
     zero = np.zeros(len(places))
     positive = Inequality("no negative mass", np.eye(len(places)), zero, strict=False)
-    density = Inequality(DENSITY.label, np.tensordot(basis.T, BASIS, axes=1), DENSITY.lengths)
+    density = Inequality(REALIZABLE.label, np.tensordot(basis.T, J_BASIS, axes=1), REALIZABLE.lengths)
     return Piece((positive, density), basis, zero)

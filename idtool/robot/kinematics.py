@@ -80,7 +80,7 @@ def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]
     return motions
 
 
-def body_places(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
+def body_placements(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
     """Where every body's frame is in the root link, by index; −1 is the root link.
 
     Parameters

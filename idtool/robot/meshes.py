@@ -35,7 +35,7 @@ _FINEST = 128  # cells along the longest side in which corners are put together
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its remarks on materials are not for the user
 
 
-class UnreadableError(Exception):
+class UnreadableGeometryError(Exception):
     """Why one piece of geometry cannot be used, in words."""
 
 
@@ -71,31 +71,33 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
         If it is not found or cannot be read.
     """
     if name.partition("://")[0] in ("http", "https", "ftp"):
-        raise UnreadableError(f"mesh {name} is not on this machine, and nothing is fetched")
+        raise UnreadableGeometryError(f"mesh {name} is not on this machine, and nothing is fetched")
     path = next((path for path in _places(urdf, name) if _is_file(path)), None)
     if path is None:
-        raise UnreadableError(f"mesh {name} is not found")
+        raise UnreadableGeometryError(f"mesh {name} is not found")
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _FORMATS:
-        raise UnreadableError(f"mesh {path} is of a format that is not read here; save it as {' or '.join(_FORMATS)}")
+        raise UnreadableGeometryError(
+            f"mesh {path} is of a format that is not read here; save it as {' or '.join(_FORMATS)}"
+        )
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
     except OSError as error:
-        raise UnreadableError(f"mesh {path} cannot be read ({error.strerror})") from None
+        raise UnreadableGeometryError(f"mesh {path} cannot be read ({error.strerror})") from None
     if len(data) > _MOST_BYTES:
-        raise UnreadableError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
+        raise UnreadableGeometryError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
     mesh = _triangles(path, data, kind)
     if len(data) > _LARGE:
         gc.collect()  # trimesh's objects hold each other: several times what is kept
     corners = mesh.corners
     if not len(corners) or not (corners.min() > -_MOST and corners.max() < _MOST):
         what = f"a vertex that is not within {_MOST:g} m" if len(corners) else "no faces"
-        raise UnreadableError(f"mesh {path} holds {what}")
+        raise UnreadableGeometryError(f"mesh {path} holds {what}")
     return mesh
 
 
-def numbers(element: etree._Element, name: str, count: int, default: str = "") -> Array:
+def numeric_attribute(element: etree._Element, name: str, count: int, default: str = "") -> Array:
     """An attribute of so many numbers; UnreadableError if it is none."""
     text = element.get(name, default)
     try:
@@ -104,11 +106,11 @@ def numbers(element: etree._Element, name: str, count: int, default: str = "") -
         values = np.array([])
     if len(values) != count or not (np.abs(values) < _MOST).all():
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise UnreadableError(f"{element.tag} {name} '{text[:40]}' should be {expected}")
+        raise UnreadableGeometryError(f"{element.tag} {name} '{text[:40]}' should be {expected}")
     return values
 
 
-def together(meshes: Iterable[Mesh]) -> Mesh:
+def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
     """Several meshes as one."""
     points, faces, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.intp)], 0
     for mesh in meshes:
@@ -118,7 +120,7 @@ def together(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(np.concatenate(points), np.concatenate(faces))
 
 
-def simplified(mesh: Mesh, most: int) -> Mesh:
+def simplify_mesh(mesh: Mesh, most: int) -> Mesh:
     """A mesh like it of so many faces at the most.
 
     The corners in each cell of a grid are put together at their mean, in the finest grid that leaves few enough.
@@ -168,11 +170,11 @@ def _triangles(path: Path, data: bytes, kind: str) -> Mesh:
                     points = part.vertices @ (unit * T[:3, :3].T)
                     points += unit * T[:3, 3]
                     parts.append(Mesh(points, np.asarray(part.faces)))
-            return parts[0] if len(parts) == 1 else together(parts)
-    except (UnreadableError, ModelError) as error:
-        raise UnreadableError(f"mesh {path} {getattr(error, 'what', error)}") from None
+            return parts[0] if len(parts) == 1 else merge_meshes(parts)
+    except (UnreadableGeometryError, ModelError) as error:
+        raise UnreadableGeometryError(f"mesh {path} {getattr(error, 'what', error)}") from None
     except Exception as error:  # the parsers have no error of their own for contents that are not the format's
-        raise UnreadableError(f"mesh {path} is not well-formed {kind} ({type(error).__name__})") from None
+        raise UnreadableGeometryError(f"mesh {path} is not well-formed {kind} ({type(error).__name__})") from None
 
 
 def _collada_unit(root: etree._Element) -> float:
@@ -197,9 +199,9 @@ def _collada_unit(root: etree._Element) -> float:
         return total
 
     if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MOST_NODES:
-        raise UnreadableError("has a scene that repeats itself without end")
+        raise UnreadableGeometryError("has a scene that repeats itself without end")
     unit = root.find("{*}asset/{*}unit")
-    return 1.0 if unit is None else float(numbers(unit, "meter", 1, default="1")[0])
+    return 1.0 if unit is None else float(numeric_attribute(unit, "meter", 1, default="1")[0])
 
 
 def _is_file(path: Path) -> bool:

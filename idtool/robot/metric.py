@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
-from idtool.robot.inertia import BASIS, POWERS, SIZE, from_pseudo_inertia, pseudo_inertia
+from idtool.robot.inertia import J_BASIS, LENGTH_POWERS, PI_SIZE, from_pseudo_inertia, pseudo_inertia
 
 FLOOR = 1e-6  # how far inside the set a projection ends, in units of the reference: survives rounding
 _ROUNDING = 1e-12  # of the multiplier's equation
@@ -20,7 +20,7 @@ _SINGULAR = 1e-13  # of a pivot: what is left of it may be rounding
 _ITERATIONS = 200  # that bisection alone would need at the most
 
 
-def euclidean(mass: float, length: float) -> Array:
+def euclidean_metric(mass: float, length: float) -> Array:
     """The metric of relative deviations, ‖(pi − pî) / (mass · length^POWERS)‖², shape (10, 10).
 
     Parameters
@@ -30,14 +30,14 @@ def euclidean(mass: float, length: float) -> Array:
     length
         A length typical of it [m].
     """
-    return np.asarray(np.diag((mass * length**POWERS) ** -2.0))
+    return np.asarray(np.diag((mass * length**LENGTH_POWERS) ** -2.0))
 
 
-def pullback(reference: ArrayLike) -> Array:
+def pullback_metric(reference: ArrayLike) -> Array:
     """The metric ½ Tr(Ĵ⁻¹ dJ Ĵ⁻¹ dJ) of positive definite matrices at a reference, the same in all units and frames.
 
     M_kl = ½ Tr(Ĵ⁻¹ B_k Ĵ⁻¹ B_l) with J = Σ pi_k B_k (Lee, Wensing & Park, "Geometric robot dynamic identification: a
-    convex programming approach", IEEE T-RO 2020). Half the Hessian of `entropic` there.
+    convex programming approach", IEEE T-RO 2020). Half the Hessian of `entropic_divergence` there.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ def pullback(reference: ArrayLike) -> Array:
         If a reference's pseudo-inertia is not positive definite.
     """
     inverse = np.linalg.inv(_factor(np.asarray(reference, dtype=float)))[..., None, :, :]
-    seen = (inverse @ BASIS @ inverse.swapaxes(-1, -2)).reshape(*inverse.shape[:-3], SIZE, 16)
+    seen = (inverse @ J_BASIS @ inverse.swapaxes(-1, -2)).reshape(*inverse.shape[:-3], PI_SIZE, 16)
     return np.asarray(0.5 * seen @ seen.swapaxes(-1, -2))
 
 
-def entropic(pi: ArrayLike, reference: ArrayLike) -> float:
+def entropic_divergence(pi: ArrayLike, reference: ArrayLike) -> float:
     """The log-det divergence d(J‖Ĵ) = −log det J + log det Ĵ + Tr(Ĵ⁻¹ J) − 4, the same in all units and frames.
 
     Twice the Kullback-Leibler divergence between the normal distributions of covariance Ĵ and J (Lee, Wensing & Park
@@ -82,7 +82,7 @@ def entropic(pi: ArrayLike, reference: ArrayLike) -> float:
 
 
 def entropic_gradient(pi: ArrayLike, reference: ArrayLike) -> Array:
-    """The gradient of `entropic` by pi, Tr((Ĵ⁻¹ − J⁻¹) B_k), shape (10,).
+    """The gradient of `entropic_divergence` by pi, Tr((Ĵ⁻¹ − J⁻¹) B_k), shape (10,).
 
     Raises
     ------
@@ -90,7 +90,7 @@ def entropic_gradient(pi: ArrayLike, reference: ArrayLike) -> Array:
         If one of the two pseudo-inertias is not positive definite.
     """
     at, there = (np.linalg.inv(_factor(np.asarray(body, dtype=float))) for body in (pi, reference))
-    return np.asarray(np.einsum("ij,kji->k", there.T @ there - at.T @ at, BASIS))
+    return np.asarray(np.einsum("ij,kji->k", there.T @ there - at.T @ at, J_BASIS))
 
 
 def nearest_realizable(pi: ArrayLike, reference: ArrayLike, Q: ArrayLike | None = None, floor: float = FLOOR) -> Array:

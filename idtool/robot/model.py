@@ -21,10 +21,9 @@ from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest, some
 from idtool.robot.body import Body, Frame, Member
 from idtool.robot.bounding import bounding_shape
-from idtool.robot.config import Bounding, Config
-from idtool.robot.config import Rotor as RotorConfig
+from idtool.robot.config import BoundingEllipsoid, Config, RotorConfig
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import SIZE, from_mass_com_inertia, symmetric
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, symmetric_matrix
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Joint, Robot
 
@@ -193,7 +192,7 @@ class _Builder:
             ratios, offset = self._motion(joint)
             if ratios.any():
                 self.bodies.append(
-                    Body(joint.child, "link", np.zeros(SIZE), (), mount, joint.axis, prismatic, ratios, offset)
+                    Body(joint.child, "link", np.zeros(PI_SIZE), (), mount, joint.axis, prismatic, ratios, offset)
                 )
                 mount = Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3))
             elif prismatic:
@@ -207,7 +206,7 @@ class _Builder:
         if link not in self.config.rotors:  # a rotor is no part of the body that carries it
             self._lump(link, self.robot.links[link], frame, self.config.bounding_ellipsoids.get(link, ()))
 
-    def _lump(self, link: str, pi: Array | None, frame: Frame, bounds: tuple[Bounding, ...]) -> None:
+    def _lump(self, link: str, pi: Array | None, frame: Frame, bounds: tuple[BoundingEllipsoid, ...]) -> None:
         if pi is not None:
             self.members.setdefault(frame.body, []).append(Member(link, pi, frame))
         for bounding in bounds:
@@ -284,7 +283,9 @@ class _Builder:
 
     def _rotor_prior(self, name: str, rotor: RotorConfig) -> Array:
         if rotor.inertial is not None:
-            return from_mass_com_inertia(rotor.inertial.mass, rotor.inertial.com, symmetric(rotor.inertial.inertia))
+            return from_mass_com_inertia(
+                rotor.inertial.mass, rotor.inertial.com, symmetric_matrix(rotor.inertial.inertia)
+            )
         pi = self.robot.links.get(name)
         if pi is None:
             hint = "is missing; give a rough mass and inertia, or name the rotor after its URDF link"
@@ -316,7 +317,7 @@ class _Builder:
             return body
         members = tuple(self.members.get(index, ()))
         if not members or members[0].link != body.name:
-            own = Member(body.name, np.zeros(SIZE), Frame(index, np.eye(3), np.zeros(3)))
+            own = Member(body.name, np.zeros(PI_SIZE), Frame(index, np.eye(3), np.zeros(3)))
             members = (own, *members)
         pi = np.sum([member.pi_in_body for member in members], axis=0)
         ellipsoids, shapes = tuple(self.ellipsoids.get(index, ())), tuple(self.shapes.get(index, ()))

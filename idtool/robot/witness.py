@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, Inequality
-from idtool.robot.inertia import BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.inequality import REALIZABLE, Inequality
+from idtool.robot.inertia import J_BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
 
 _TOLERANCE = 1e-9  # of the body's own spread, and of its ellipsoid
 _ROUNDING = 16 * np.finfo(float).eps  # of moments about the origin, in those about the centre of mass
@@ -26,7 +26,7 @@ _THINNEST = 1e-6  # m, the same for a body that is a point
 _PAIR = np.array([[1.0, 1.0], [1.0, -1.0]])
 _HADAMARD = np.kron(_PAIR, _PAIR)
 # Tr(B_k D_l) = 1 for k = l, else 0, with B_k the basis of pseudo-inertias.
-_DUAL = np.tensordot(np.linalg.inv(np.einsum("kij,lji->kl", BASIS, BASIS)), BASIS, axes=1)
+_DUAL = np.tensordot(np.linalg.inv(np.einsum("kij,lji->kl", J_BASIS, J_BASIS)), J_BASIS, axes=1)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class _Spread:
         return cls(mass, com, mu, axes, float(_TOLERANCE * np.abs(mu).max() + rounding))
 
 
-def witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
+def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     """Four point masses inside a body's ellipsoid that have its parameters (Thm 4).
 
     Let J = L Lᵀ and Lᵀ Q L = V diag(l) Vᵀ. With H the 4×4 Hadamard matrix, U = V H/2 is orthogonal, and every diagonal
@@ -115,7 +115,7 @@ def witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
         If no mass density in the ellipsoid has these parameters; the message says why.
     """
     pi = np.asarray(pi, dtype=float)
-    if reasons := explain(pi, ellipsoid):
+    if reasons := unrealizable_reasons(pi, ellipsoid):
         raise ValueError(f"no mass density has these parameters: {'; '.join(reasons)}")
     body = _Spread.of(pi)
     # A square root of J / m, block by block: no digits are lost on a body that is small or far from the origin.
@@ -135,7 +135,7 @@ def witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     return Witness(body.mass * Z[3] ** 2, ellipsoid.center + (u.T * ellipsoid.semi_axes) @ ellipsoid.rotation.T)
 
 
-def reach(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
+def required_ellipsoid_scale(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
     """How many times as large, about its centre, the ellipsoid must be for the body to be realizable on it.
 
     √(1 − Tr(JQ)/m), the root of the mean over the body's mass of the squared distance from the ellipsoid's centre in
@@ -160,7 +160,7 @@ def reach(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
     return float(np.sqrt(max(center @ center + spread, 0.0)))
 
 
-def explain(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> list[str]:
+def unrealizable_reasons(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> list[str]:
     """Why no mass density, or none within an ellipsoid, has these parameters.
 
     Parameters
@@ -182,7 +182,7 @@ def explain(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> list[str]:
         return [f"mass is not positive: {pi[0]:.4g} kg"]
     reasons = _moments(_Spread.of(pi))
     if ellipsoid is not None:
-        factor = reach(pi, ellipsoid)
+        factor = required_ellipsoid_scale(pi, ellipsoid)
         far = np.linalg.norm(ellipsoid.center) / min(ellipsoid.semi_axes)
         if factor**2 - 1 > _TOLERANCE + _ROUNDING * far**2:
             reasons.append(f"{_outside(factor, 'ellipsoid')} (Tr(JQ)/m = {1 - factor**2:.3g})")
@@ -234,7 +234,7 @@ def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
     """
     pi = np.asarray(pi, dtype=float)
     if not np.isfinite(pi).all() or pi[0] <= 0:
-        raise ValueError(f"no ellipsoid shows this body: {explain(pi)[0]}")
+        raise ValueError(f"no ellipsoid shows this body: {unrealizable_reasons(pi)[0]}")
     body = _Spread.of(pi)
     semi_axes = np.sqrt(np.maximum(body.mu, 0))
     least = max(_FLATTEST * semi_axes.max(), _THINNEST)
@@ -270,7 +270,7 @@ def _outside(factor: float, shape: str) -> str:
 
 def _words(pi: Array, inequality: Inequality, amount: float) -> str:
     """A violated inequality in words and SI units."""
-    if inequality is DENSITY and (reasons := explain(pi)):
+    if inequality is REALIZABLE and (reasons := unrealizable_reasons(pi)):
         return "; ".join(reasons)
     if inequality.G.ndim == 2 and pi[0] > 0:
         Q = np.tensordot(inequality.G.T, _DUAL, axes=1)

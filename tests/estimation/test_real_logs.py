@@ -18,7 +18,7 @@ from idtool.estimation.evaluation.validation import evaluate
 from idtool.estimation.problem.problem import weighted_rows
 from idtool.robot.config import read_config
 from idtool.robot.geometry import link_geometry
-from idtool.robot.inertia import symmetric
+from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.urdf.reading import read_robot
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"the real logs are not in {REAL}")
@@ -108,7 +108,7 @@ def armature(config: Path, report: dict[str, Any], name: str) -> float:
     rotor = read_config(config).rotors[name]
     (ratio,) = rotor.ratios.values()
     axis = np.array(rotor.axis)
-    return float(ratio**2 * axis @ symmetric(report["bodies"][name]["inertia_com"]) @ axis)
+    return float(ratio**2 * axis @ symmetric_matrix(report["bodies"][name]["inertia_com"]) @ axis)
 
 
 def test_go2s_delay(go2: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:

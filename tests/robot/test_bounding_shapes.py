@@ -26,7 +26,7 @@ from synthetic import bounded_body, point_parameters, random_ellipsoid
 from idtool.estimation.dataset.equality_constraints import with_equal_bounds
 from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.config import parse_config
-from idtool.robot.inertia import mirrored
+from idtool.robot.inertia import parameter_reflection
 from idtool.robot.model import Model
 from idtool.robot.shapes import known_shapes
 
@@ -274,7 +274,7 @@ def test_what_a_body_may_be_its_image_may(rng: np.random.Generator, kind: str) -
         if kind == "hull" and reach > 1:
             places = places + 3 * np.ptp(places, axis=0)
         pi = point_parameters(rng.uniform(0.1, 1, 30), places)
-        verdicts = check_realizability(first, pi), check_realizability(second, mirrored(signs) @ pi)
+        verdicts = check_realizability(first, pi), check_realizability(second, parameter_reflection(signs) @ pi)
         assert [bool(v.violations) for v in verdicts] == [reach > 1] * 2
 
 

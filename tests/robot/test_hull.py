@@ -11,7 +11,7 @@ from solids import Array, Largest, Problem, body, inside, largest_on_grid, margi
 from synthetic import bounded_body
 
 from idtool.estimation.problem.realizability import check_realizability
-from idtool.robot.ellipsoid import smallest_around
+from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.shapes import Hull
@@ -109,7 +109,7 @@ def test_a_body_too_large_for_a_hull_is_refused(rng: np.random.Generator) -> Non
 
 def test_a_body_in_the_least_ellipsoid_but_not_in_the_hull_is_refused() -> None:
     corners = np.array(TETRAHEDRON.vertices)
-    S = smallest_around(corners)
+    S = minimum_volume_ellipsoid(corners)
     pi = body(np.ones(2), S.center + 0.8 * np.array([[1, 0, 0], [-1, 0, 0]]))
     assert np.trace(pseudo_inertia(pi) @ S.Q) > 0
     assert margin(TETRAHEDRON, pi) < -0.01

@@ -17,7 +17,7 @@ from idtool.dynamics.effects.named_effect import NamedEffect, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.effects.torque_offset import TorqueOffset
 from idtool.dynamics.effects.viscous_friction import ViscousFriction
-from idtool.robot.config import Config, EffectEntry, Uncertain
+from idtool.robot.config import Config, EffectEntry, UncertainValue
 from idtool.robot.model import Model
 
 __all__ = [
@@ -93,7 +93,7 @@ def _friction(model: Model, joint: int, config: Config) -> list[JointTerm]:
     """Friction terms of a joint."""
     properties = model.joints[joint]
     friction = config.friction_of(properties.name)
-    options: tuple[tuple[type[JointTerm], bool | Uncertain, float], ...] = (
+    options: tuple[tuple[type[JointTerm], bool | UncertainValue, float], ...] = (
         (ViscousFriction, friction.viscous, properties.damping),
         (CoulombFriction, friction.coulomb, properties.friction),
         (TorqueOffset, friction.offset, 0.0),
@@ -101,6 +101,6 @@ def _friction(model: Model, joint: int, config: Config) -> list[JointTerm]:
     terms = []
     for term_type, setting, urdf_value in options:
         if setting:
-            prior = setting.value if isinstance(setting, Uncertain) else urdf_value
+            prior = setting.value if isinstance(setting, UncertainValue) else urdf_value
             terms.append(term_type(model, joint, prior))
     return terms

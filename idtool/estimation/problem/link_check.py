@@ -17,7 +17,7 @@ from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import Config
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.robot.urdf.writing import rewrite
+from idtool.robot.urdf.writing import replace_parameters
 
 
 @dataclass(frozen=True)
@@ -75,4 +75,4 @@ def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
 
 def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
     """The URDF's text with new inertials, every other byte kept."""
-    return rewrite(robot.text, inertials, {})
+    return replace_parameters(robot.text, inertials, {})

@@ -26,8 +26,8 @@ from idtool.estimation.problem.estimate import solve, solve_locally
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study.learning import Curve, gather, held_out, learn
-from idtool.robot.config import WEAK
-from idtool.robot.inertia import SIZE, least_eigenvalue
+from idtool.robot.config import WEAK_PRIOR
+from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
 from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
 
 CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
@@ -212,8 +212,8 @@ def _entry(
         seconds.append(time.perf_counter() - started)
     theta = problem.theta(problem.S @ x)
     sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
-    units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
-    least = least_eigenvalue((theta[: len(units)] / units).reshape(-1, SIZE))
+    units = np.array([c.scale for c in experiment.equation.coefficients[: PI_SIZE * len(sets)]])
+    least = smallest_eigenvalue((theta[: len(units)] / units).reshape(-1, PI_SIZE))
     return StudyEntry(sets, theta, certificate, float(np.median(seconds)), least)
 
 
@@ -234,7 +234,7 @@ def _solved_entries(
 def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], StudyEntry]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
     equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
-    weighted = given.model_copy(update={"weight": given.number or WEAK.number, "units": "relative"})
+    weighted = given.model_copy(update={"weight": given.number or WEAK_PRIOR.number, "units": "relative"})
     candidates: dict[str, Callable[[], StudyEntry]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})

@@ -23,7 +23,7 @@ from idtool.estimation.uncertainty.identifiability import Identifiability, ident
 from idtool.estimation.uncertainty.prediction import Prediction, prediction
 from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 UNCHECKED = "least squares is not checked for bias: the logs are long, or instruments cannot be had; see --method iv"
 _AGREEMENT = 1.5  # ratio of two standard errors of the same coefficient, above which they do not agree
@@ -236,7 +236,7 @@ def _mass_warnings(parameters: Identifiability | None, experiment: Experiment) -
     if parameters is None or experiment.config.known.total_mass is not None:
         return
     names = [body.name for body in experiment.model.bodies]
-    masses = parameters.sources[::SIZE]
+    masses = parameters.sources[::PI_SIZE]
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
         yield f"the torque does not tell the mass of {some(unknown)}: weigh what moves and give known.total_mass"

@@ -11,12 +11,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from idtool.common.exceptions import ConfigError
 
 _MOST = 1e12  # SI, of any number: powers of what is larger are not finite
-LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finite
+MIN_LENGTH = 1e-6  # of a length: the inverse square of what is smaller is not finite
 
 
 def _length(x: float) -> float:
-    if x < LEAST:
-        raise ValueError(f"input should be at least {LEAST:g} m")
+    if x < MIN_LENGTH:
+        raise ValueError(f"input should be at least {MIN_LENGTH:g} m")
     return x
 
 
@@ -27,7 +27,7 @@ NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
-class Record(BaseModel):
+class ConfigRecord(BaseModel):
     """Base of the configuration's records: frozen, strict about its keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -43,13 +43,13 @@ class Record(BaseModel):
         return data
 
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=ConfigRecord)
 
 
 _TAGS = ("by joint", "alike", "[key]", "[auto]", "[number]")  # of the forms that a value can have, not of keys
 
 
-def checked(kind: type[R], data: Any, where: str) -> R:
+def validate_record(kind: type[R], data: Any, where: str) -> R:
     """A record from plain data.
 
     Raises

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from idtool.robot.config.base import Length, Record, Vector
+from idtool.robot.config.base import ConfigRecord, Length, Vector
 from idtool.robot.ellipsoid import Ellipsoid
 
 
-class Bounding(Record):
+class BoundingEllipsoid(ConfigRecord):
     """A bounding ellipsoid: centre [m], semi-axes [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
@@ -24,21 +24,21 @@ class Bounding(Record):
         return Ellipsoid(self.center, self.semi_axes, self.rpy)
 
 
-class Placed(Record):
+class PosedBound(ConfigRecord):
     """A bounding shape's place: centre [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
 
 
-class BoxBound(Placed):
+class BoxBound(PosedBound):
     """A box with sides of lengths ``size`` [m]."""
 
     kind: Literal["box"]
     size: tuple[Length, Length, Length]
 
 
-class CylinderBound(Placed):
+class CylinderBound(PosedBound):
     """A cylinder about its own z [m]."""
 
     kind: Literal["cylinder"]
@@ -46,7 +46,7 @@ class CylinderBound(Placed):
     length: Length
 
 
-class CapsuleBound(Placed):
+class CapsuleBound(PosedBound):
     """A cylinder about its own z with half a ball on each end; ``length`` is the cylinder's [m]."""
 
     kind: Literal["capsule"]
@@ -54,14 +54,14 @@ class CapsuleBound(Placed):
     length: Length
 
 
-class HullBound(Record):
+class HullBound(ConfigRecord):
     """The convex hull of a mesh: ``file``, from the URDF's folder, or else what the URDF gives the link."""
 
     kind: Literal["hull"]
     file: str | None = None
 
 
-_KINDS: dict[Any, type[Record]] = {
+_KINDS: dict[Any, type[ConfigRecord]] = {
     "box": BoxBound,
     "cylinder": CylinderBound,
     "capsule": CapsuleBound,
@@ -71,7 +71,7 @@ _KINDS: dict[Any, type[Record]] = {
 
 def _by_kind(data: Any) -> Any:
     """The record of the kind named, so that errors speak of that one only."""
-    if isinstance(data, Record):
+    if isinstance(data, ConfigRecord):
         return data
     if not isinstance(data, Mapping):
         raise ValueError("input should be a mapping of keys to values")

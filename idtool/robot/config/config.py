@@ -11,13 +11,13 @@ from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag
 from idtool.common.exceptions import ConfigError
 from idtool.common.provenance import Source, source_of
 from idtool.common.safe_yaml import parse_yaml, yaml_bytes
-from idtool.robot.config.base import Finite, Record, Vector, checked
-from idtool.robot.config.bounds import Bounding, BoundingShape
-from idtool.robot.config.estimation import Constraints, Known, Mirror, Regularization, Solver
+from idtool.robot.config.base import ConfigRecord, Finite, Vector, validate_record
+from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape
+from idtool.robot.config.estimation import Constraints, KnownMasses, Mirror, Regularization, Solver
 from idtool.robot.config.limits import JointLimits
-from idtool.robot.config.rotors import Rotor
-from idtool.robot.config.signals import Controller, Filter, LogOptions, Simulation
-from idtool.robot.config.terms import EffectEntry, Friction, friction_form
+from idtool.robot.config.rotors import RotorConfig
+from idtool.robot.config.signals import Controller, Filter, LogOptions, SimulationOptions
+from idtool.robot.config.terms import EffectEntry, Friction, friction_tag
 
 
 def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -27,7 +27,7 @@ def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-class Config(Record):
+class Config(ConfigRecord):
     """Everything a URDF does not say."""
 
     joints: Annotated[tuple[str, ...], AfterValidator(_once_each)] | None = None
@@ -35,23 +35,23 @@ class Config(Record):
     gravity: Vector = (0.0, 0.0, -9.81)
     log: LogOptions = LogOptions()
     velocity: Literal["measured", "differentiated", "auto"] = "auto"
-    bounding_ellipsoids: dict[str, tuple[Bounding, ...]] = Field(default_factory=dict)
+    bounding_ellipsoids: dict[str, tuple[BoundingEllipsoid, ...]] = Field(default_factory=dict)
     bounding_shapes: dict[str, tuple[BoundingShape, ...]] = Field(default_factory=dict)
     known_com: dict[str, Vector] = Field(default_factory=dict)
-    rotors: dict[str, Rotor] = Field(default_factory=dict)
+    rotors: dict[str, RotorConfig] = Field(default_factory=dict)
     friction: Annotated[
         Annotated[dict[str, Friction], Tag("by joint")] | Annotated[Friction, Tag("alike")],
-        Discriminator(friction_form),
+        Discriminator(friction_tag),
     ] = Friction()
     constraints: Constraints | None = None
     regularization: Regularization = Regularization()
     filter: Filter = Filter()
-    known: Known = Known()
+    known: KnownMasses = KnownMasses()
     mirror: tuple[Mirror, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     solver: Solver = Solver()
     controller: Controller | None = None
-    simulation: Simulation = Simulation()
+    simulation: SimulationOptions = SimulationOptions()
     limits: dict[str, JointLimits] = Field(default_factory=dict)
     seed: int = 0
 
@@ -89,7 +89,7 @@ def parse_config(data: Any, where: str) -> Config:
         return Config()
     if not isinstance(data, Mapping):
         raise ConfigError(where, "is not a configuration: expected keys such as joints, rotors, filter")
-    return checked(Config, data, where)
+    return validate_record(Config, data, where)
 
 
 def read_config(path: Path) -> Config:

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from idtool.robot.config.base import Finite, NonNegative, Positive, Record
-from idtool.robot.config.terms import Uncertain
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
+from idtool.robot.config.terms import UncertainValue
 
 _MASS_PRECISION = 5.0  # with an automatic weight
 
@@ -24,7 +24,7 @@ Weight = Annotated[
 ]
 
 
-class Regularization(Record):
+class Regularization(ConfigRecord):
     """The prior's kind and weight (27); the weight ``auto`` is chosen by cross-validation.
 
     The prior's masses count as known ``mass_precision`` times better than its inertias: relative standard errors of 6 %
@@ -72,7 +72,7 @@ class Regularization(Record):
         """Itself if the weight is a number, else a weak prior that needs no choice of weight: the paper's."""
         if self.weight != "auto":
             return self
-        return WEAK if self.is_automatic else self.with_weight(0.0)
+        return WEAK_PRIOR if self.is_automatic else self.with_weight(0.0)
 
     @model_validator(mode="after")
     def _units_of_the_euclidean(self) -> Self:
@@ -83,24 +83,24 @@ class Regularization(Record):
         return self
 
 
-WEAK = Regularization(kind="euclidean", weight=1e-6)
+WEAK_PRIOR = Regularization(kind="euclidean", weight=1e-6)
 
 
-class Measured(Uncertain):
+class MeasuredValue(UncertainValue):
     """A positive number measured by other means; with a standard error it is soft, without exact."""
 
     value: Positive
     standard_error: Positive | None = None
 
 
-class Known(Record):
+class KnownMasses(ConfigRecord):
     """Masses [kg] by body, and of all bodies of the model together."""
 
-    mass: dict[str, Measured] = Field(default_factory=dict)
-    total_mass: Measured | None = None
+    mass: dict[str, MeasuredValue] = Field(default_factory=dict)
+    total_mass: MeasuredValue | None = None
 
 
-class Mirror(Record):
+class Mirror(ConfigRecord):
     """A body that is a copy of another, equal or mirrored in a plane of the link frames, or a joint with its friction.
 
     Friction that depends on the direction, an offset, is left to each joint.
@@ -122,7 +122,7 @@ class Mirror(Record):
         return self
 
 
-class Solver(Record):
+class Solver(ConfigRecord):
     """The conic solver, one of those that cvxpy knows, or a local one on a manifold of realizable bodies."""
 
     name: Literal["clarabel", "cvxpy", "log_cholesky", "manifold"] = "clarabel"

@@ -6,8 +6,8 @@ import numpy as np
 
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, Inequality, Piece
-from idtool.robot.inertia import SIZE
+from idtool.robot.inequality import REALIZABLE, Inequality, Piece
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets.base import ConstraintSet
 
 
@@ -23,11 +23,11 @@ class ComInEllipsoid(ConstraintSet):
 
     def pieces(self, body: Body) -> tuple[Piece, ...]:
         """See `ConstraintSet.pieces`."""
-        return tuple(Piece((DENSITY, _centre_in(ellipsoid))) for ellipsoid in body.ellipsoids)
+        return tuple(Piece((REALIZABLE, _centre_in(ellipsoid))) for ellipsoid in body.ellipsoids)
 
 
 def _centre_in(ellipsoid: Ellipsoid) -> Inequality:
-    C = np.zeros((SIZE, 4, 4))
+    C = np.zeros((PI_SIZE, 4, 4))
     C[0, 0, 0] = 1
     C[0, 1:, 0] = C[0, 0, 1:] = -np.asarray(ellipsoid.center)
     C[0, 1:, 1:] = ellipsoid.Q_s

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from idtool.robot.body import Body
-from idtool.robot.inequality import DENSITY, Piece, within
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
 from idtool.robot.sets.base import ConstraintSet
 
 
@@ -19,4 +19,6 @@ class DensityOnEllipsoid(ConstraintSet):
 
     def pieces(self, body: Body) -> tuple[Piece, ...]:
         """See `ConstraintSet.pieces`."""
-        return tuple(Piece((DENSITY, within(e.Q, "mass within its bounding ellipsoid"))) for e in body.ellipsoids)
+        return tuple(
+            Piece((REALIZABLE, density_within(e.Q, "mass within its bounding ellipsoid"))) for e in body.ellipsoids
+        )

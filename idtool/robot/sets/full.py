@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from idtool.robot.body import Body
-from idtool.robot.inequality import DENSITY, Piece
+from idtool.robot.inequality import REALIZABLE, Piece
 from idtool.robot.sets.base import ConstraintSet
 
 
@@ -15,4 +15,4 @@ class FullyConsistent(ConstraintSet):
 
     def pieces(self, body: Body) -> tuple[Piece, ...]:
         """See `ConstraintSet.pieces`."""
-        return (Piece((DENSITY,)),)
+        return (Piece((REALIZABLE,)),)

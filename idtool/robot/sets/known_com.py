@@ -6,11 +6,11 @@ import numpy as np
 
 from idtool.robot.body import Body
 from idtool.robot.inequality import Inequality, Piece
-from idtool.robot.inertia import BASIS, SIZE
+from idtool.robot.inertia import J_BASIS, PI_SIZE
 from idtool.robot.sets.base import ConstraintSet
 
 
-class KnownCentre(ConstraintSet):
+class KnownCom(ConstraintSet):
     """Sigma_C = Sigma − m c cᵀ ⪰ 0, 3×3, and m ≥ 0; h = m c is an equality of the problem (`equality_constraints`)."""
 
     name = "known_com"
@@ -22,9 +22,9 @@ class KnownCentre(ConstraintSet):
 
     def pieces(self, body: Body) -> tuple[Piece, ...]:
         """See `ConstraintSet.pieces`."""
-        covariance = BASIS[:, :3, :3].copy()
+        covariance = J_BASIS[:, :3, :3].copy()
         covariance[0] -= np.outer(body.com, body.com)  # type: ignore[arg-type]  # where the set applies
-        mass = np.eye(SIZE)[:, :1]
+        mass = np.eye(PI_SIZE)[:, :1]
         return (
             Piece(
                 (

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.robot.body import Body
-from idtool.robot.inequality import Piece, masses
+from idtool.robot.inequality import Piece, point_masses
 from idtool.robot.sets.base import ConstraintSet
 
 _PLACES = 120  # in all of a body's bounding shapes together
 
 
-class PointMasses(ConstraintSet):
+class PointMassGrid(ConstraintSet):
     """pi = Σ_k m_k pi(x_k), m_k ≥ 0, at places x_k in the bounding ellipsoids and shapes.
 
     Bodies that need mass between the places are left out, so it is used only where it is asked for.
@@ -28,4 +28,4 @@ class PointMasses(ConstraintSet):
     def pieces(self, body: Body) -> tuple[Piece, ...]:
         """See `ConstraintSet.pieces`."""
         each = _PLACES // len(body.bounds)
-        return (masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)
+        return (point_masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)

@@ -76,7 +76,7 @@ class Shape(ABC):
         """The shape of plain data such as `to_dict` gives, its kind aside: checked by the configuration, not here."""
 
 
-class Placed(Shape):
+class PosedShape(Shape):
     """A solid described in a frame of its own, at its middle: a frozen dataclass with these two fields.
 
     It is symmetric to the planes of that frame.
@@ -137,13 +137,13 @@ class Placed(Shape):
         return rows
 
 
-def product(f: Array, g: Array) -> Array:
+def product_form(f: Array, g: Array) -> Array:
     """The symmetric Q, shape (..., 4, 4), with [x; 1]ᵀ Q [x; 1] = (f · [x; 1]) (g · [x; 1])."""
     Q = f[..., :, None] * g[..., None, :]
     return np.asarray(0.5 * (Q + np.swapaxes(Q, -1, -2)))
 
 
-def discs(levels: Array, radii: Array, spacing: float) -> Array:
+def disc_points(levels: Array, radii: Array, spacing: float) -> Array:
     """Points of discs around the z axis at heights ``levels``, in rings about ``spacing`` apart; shape (n, 3) [m]."""
     points: list[Array] = []
     for z, radius in zip(levels, radii, strict=True):
@@ -155,7 +155,7 @@ def discs(levels: Array, radii: Array, spacing: float) -> Array:
     return np.concatenate(points)
 
 
-def finest(points: Callable[[float], Array], coarsest: float, count: int) -> Array:
+def finest_grid(points: Callable[[float], Array], coarsest: float, count: int) -> Array:
     """The points of a spacing below ``coarsest`` [m], as fine as gives no more than ``count``; else the coarsest."""
     best = points(coarsest)
     spacing = coarsest

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array, Mask
-from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Placed, Vector, finest, product
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
+from idtool.robot.shapes.base import PosedShape, Vector, finest_grid, product_form
 
 
 @dataclass(frozen=True)
-class Box(Placed):
+class Box(PosedShape):
     """A box.
 
     With u its coordinates in units of half its sides, a density on it has moments with J ⪰ 0 and E[f] ≥ 0 for every
@@ -57,14 +57,14 @@ class Box(Placed):
             axes = [np.linspace(-0.5 * side, 0.5 * side, 1 + max(1, round(side / spacing))) for side in self.sides]
             return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
-        return self.placed(finest(points, 2 * max(self.sides), count))
+        return self.placed(finest_grid(points, 2 * max(self.sides), count))
 
     def pieces(self) -> tuple[Piece, ...]:
         """See `Shape.pieces`."""
         *u, one = self.coordinates(0.5 * np.asarray(self.sides))
         signs = [(s, t) for s in (1, -1) for t in (1, -1)]
-        Q = [product(one - x, one + x) for x in u]
-        Q += [product(one + s * x, one + t * y) for x, y in combinations(u, 2) for s, t in signs]
-        xy, xz, yz = (product(x, y) for x, y in combinations(u, 2))
-        Q += [product(one, one) + s * xy + t * xz + s * t * yz for s, t in signs]
-        return (Piece((DENSITY, within(np.array(Q), "mass within its bounding box"))),)
+        Q = [product_form(one - x, one + x) for x in u]
+        Q += [product_form(one + s * x, one + t * y) for x, y in combinations(u, 2) for s, t in signs]
+        xy, xz, yz = (product_form(x, y) for x, y in combinations(u, 2))
+        Q += [product_form(one, one) + s * xy + t * xz + s * t * yz for s, t in signs]
+        return (Piece((REALIZABLE, density_within(np.array(Q), "mass within its bounding box"))),)

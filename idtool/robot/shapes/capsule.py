@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Placed, Vector, discs, finest
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
+from idtool.robot.shapes.base import PosedShape, Vector, disc_points, finest_grid
 from idtool.robot.shapes.cylinder import Cylinder
 
 
 @dataclass(frozen=True)
-class Capsule(Placed):
+class Capsule(PosedShape):
     """All points within ``radius`` of a line segment along its own z axis.
 
     Attributes
@@ -58,13 +58,13 @@ class Capsule(Placed):
             height = np.linspace(0, radius, 1 + max(1, round(radius / spacing)))[1:]
             width = np.sqrt(np.maximum(radius**2 - height**2, 0))
             levels = np.concatenate([-half - height, middle, half + height])
-            return discs(levels, np.concatenate([width, np.full(len(middle), radius), width]), spacing)
+            return disc_points(levels, np.concatenate([width, np.full(len(middle), radius), width]), spacing)
 
-        return self.placed(finest(points, 2 * (self.length + 2 * radius), count))
+        return self.placed(finest_grid(points, 2 * (self.length + 2 * radius), count))
 
     def pieces(self) -> tuple[Piece, ...]:
         """See `Shape.pieces`: the cylinder's, and one for each ball (Cor. 2)."""
         ends = self.placed(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
         balls = [Ellipsoid((x, y, z), (self.radius,) * 3) for x, y, z in ends.tolist()]
-        round_ends = [Piece((DENSITY, within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
+        round_ends = [Piece((REALIZABLE, density_within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
         return (*Cylinder(self.center, self.radius, self.length, self.rpy).pieces(), *round_ends)

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from idtool.common.arrays import Array, Mask
-from idtool.robot.convex import corners_of, enclosing, enclosing_planes, principal_axes
-from idtool.robot.ellipsoid import smallest_around
-from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Shape, Vector, product
+from idtool.robot.convex import enclosing_planes, enclosing_points, polyhedron_corners, principal_axes
+from idtool.robot.ellipsoid import minimum_volume_ellipsoid
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
+from idtool.robot.shapes.base import Shape, Vector, product_form
 
 _MOST_FACES = 52  # of a solid that is simplified: no more than 100 corners
 _CONDITION_FACES = 24  # from whose planes the conditions are made: 276 pairs
@@ -63,10 +63,10 @@ class Hull(Shape):
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError("a hull needs at least one point, all of them finite")
-        corners = enclosing(_thick(points))
+        corners = enclosing_points(_thick(points))
         if len(corners) > most:
             planes = enclosing_planes(corners, most // 2 + 2)  # at a corner three of them meet at least
-            corners = corners_of(planes, corners.mean(axis=0))
+            corners = polyhedron_corners(planes, corners.mean(axis=0))
         return cls(_vectors(corners), _conditions(corners))
 
     @cached_property
@@ -122,7 +122,7 @@ class Hull(Shape):
 
     def pieces(self) -> tuple[Piece, ...]:
         """See `Shape.pieces`."""
-        return (Piece((DENSITY, within(self.Q, "mass within its hull"))),)
+        return (Piece((REALIZABLE, density_within(self.Q, "mass within its hull"))),)
 
     def to_dict(self) -> dict[str, Any]:
         """See `Shape.to_dict`."""
@@ -151,9 +151,12 @@ def _conditions(corners: Array) -> Array:
     inside = -enclosing_planes(corners, _CONDITION_FACES)
     inside /= (corners @ inside[:, :3].T + inside[:, 3]).max(axis=0)[:, None]  # from 0 at the face to 1
     one, other = np.triu_indices(len(inside), k=1)
-    ellipsoid, lifted = smallest_around(corners, _ELLIPSOID).Q, np.column_stack([corners, np.ones(len(corners))])
+    ellipsoid, lifted = (
+        minimum_volume_ellipsoid(corners, _ELLIPSOID).Q,
+        np.column_stack([corners, np.ones(len(corners))]),
+    )
     ellipsoid[3, 3] -= np.einsum("ni,ij,nj->n", lifted, ellipsoid, lifted).min()  # what its angles lose by rounding
-    return np.concatenate([product(inside[one], inside[other]), ellipsoid[None]])
+    return np.concatenate([product_form(inside[one], inside[other]), ellipsoid[None]])
 
 
 def _vectors(points: Array) -> tuple[Vector, ...]:

@@ -19,7 +19,7 @@ from lxml import etree
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.provenance import Source, source_of
-from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 
 _MOST_BYTES = 64 << 20
 _MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
@@ -250,7 +250,7 @@ def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
     placement = inertial.origin if inertial.origin is not None else np.eye(4)
     R = placement[:3, :3]
     pi = from_mass_com_inertia(mass, placement[:3, 3], R @ inertia @ R.T)
-    if pi.shape != (SIZE,) or not (np.abs(pi) < _MOST).all():
+    if pi.shape != (PI_SIZE,) or not (np.abs(pi) < _MOST).all():
         raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
     return pi
 

@@ -95,10 +95,10 @@ def set_attribute(text: bytes, element: Element, name: str, value: str) -> Edit:
     """The edit that gives an element's attribute a value, whether it has the attribute or not."""
     for attribute in _ATTRIBUTE.finditer(text, element.start, element.content):
         if attribute[1] == name.encode():
-            return Edit(*attribute.span(2), quoted(value))
+            return Edit(*attribute.span(2), quoted_attribute(value))
     opening = text[element.start : element.content]
     end = element.start + len(re.sub(rb"\s*/?>\Z", b"", opening))
-    return Edit(end, end, b" " + name.encode() + b"=" + quoted(value))
+    return Edit(end, end, b" " + name.encode() + b"=" + quoted_attribute(value))
 
 
 def set_child(text: bytes, element: Element, tag: str, rows: Iterable[bytes]) -> Edit:
@@ -132,7 +132,7 @@ def _line_break(text: bytes, element: Element, deeper: bool) -> bytes:
     return line_end + indentation + (b"  " if deeper else b"")
 
 
-def quoted(value: str) -> bytes:
+def quoted_attribute(value: str) -> bytes:
     """An attribute's value in quotes, in ASCII: right in whatever encoding the text is."""
     return b'"' + escape(value, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace") + b'"'
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.body import Body
-from idtool.robot.inertia import is_realizable, rounded, rounded_inertial, six
+from idtool.robot.inertia import is_realizable, round_to_digits, rounded_inertial, symmetric_entries
 from idtool.robot.urdf.reading import Robot
-from idtool.robot.urdf.text import Edit, Element, apply_edits, quoted, root_element, set_attribute, set_child
+from idtool.robot.urdf.text import Edit, Element, apply_edits, quoted_attribute, root_element, set_attribute, set_child
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, 
     return {first.link: own, **{member.link: None for member in lumped}}
 
 
-def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
+def replace_parameters(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
     """The URDF with other inertials and joint dynamics.
 
     Parameters
@@ -81,7 +81,7 @@ def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str,
 def _inertial(pi: Array) -> list[bytes]:
     """The rows of an inertial element."""
     mass, com, inertia = rounded_inertial(pi)
-    xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in six(inertia))
+    xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in symmetric_entries(inertia))
     xyz = " ".join(repr(float(x)) for x in com)
     rows = [
         "<inertial>",
@@ -96,13 +96,13 @@ def _inertial(pi: Array) -> list[bytes]:
 def _dynamics(text: bytes, joint: Element, dynamics: JointDynamics) -> list[Edit]:
     """The edits that give a joint the values that are not None."""
     values = {"damping": dynamics.damping, "friction": dynamics.friction}
-    written = {name: repr(float(rounded(value))) for name, value in values.items() if value is not None}
+    written = {name: repr(float(round_to_digits(value))) for name, value in values.items() if value is not None}
     element = joint.first("dynamics")
     if element is not None:
         return [set_attribute(text, element, name, value) for name, value in written.items()]
     if not written:
         return []
-    attributes = b"".join(b" " + name.encode() + b"=" + quoted(value) for name, value in written.items())
+    attributes = b"".join(b" " + name.encode() + b"=" + quoted_attribute(value) for name, value in written.items())
     return [set_child(text, joint, "dynamics", [b"<dynamics" + attributes + b"/>"])]
 
 
@@ -123,10 +123,10 @@ def identified_urdf(
     links: dict[str, Array | None] = {}
     for body, pi in bodies.values():
         links.update(link_parameters(body, pi, robot.links))
-    return rewrite(robot.text, links, joints)
+    return replace_parameters(robot.text, links, joints)
 
 
-def moved(text: bytes, urdf: Path, folder: Path) -> bytes:
+def relocate_meshes(text: bytes, urdf: Path, folder: Path) -> bytes:
     """The URDF's text for a file in another folder: relative names of files that are there, meshes and textures.
 
     Parameters
