@@ -170,7 +170,7 @@ def _with_prior(
             regularization = regularization.with_weight(path.weight)
         except SolverError:  # if it is infeasible, the fit itself says so, with the place in the configuration
             regularization = regularization.with_weight(assumed_weight(reduction))
-            assumed = f"{regularization.number:.1g} is assumed"
+            assumed = f"{regularization.numeric_weight:.1g} is assumed"
             warnings.append(f"the prior's weight could not be chosen from the data; {assumed}")
     config = experiment.config.model_copy(update={"regularization": regularization})
     return replace(experiment, config=config), path, warnings

@@ -152,7 +152,7 @@ def make_task(
         theta=equation.prior,
         full=full,
         limits=limits,
-        collision=SelfCollision.of(model, config.locked_joints),
+        collision=SelfCollision.from_model(model, config.locked_joints),
         clearance=clearance,
         base=base,
         columns=BaseColumns(equation, base, equalities),

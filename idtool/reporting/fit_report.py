@@ -116,8 +116,8 @@ def regularization_report(fit: Fit) -> RegularizationReport:
         )
     return RegularizationReport(
         kind=prior.kind,
-        weight=prior.number,
-        mass_precision=prior.masses_known_better,
+        weight=prior.numeric_weight,
+        mass_precision=prior.mass_precision_factor,
         units=prior.units,
         automatic=automatic,
     )
@@ -181,7 +181,7 @@ def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
         identifiable=fit.uncertainty.identifiable[part].tolist(),
         constraints=fit.sets[index].name,
         copy_of=fit.experiment.model.bodies[copy[0]].name if copy else None,
-        lumped=list(body.lumped),
+        lumped=list(body.lumped_links),
         prior=body.pi.tolist(),
         ellipsoids=[ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
         shapes=[shape.to_dict() for shape in body.shapes],

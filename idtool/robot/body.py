@@ -25,14 +25,14 @@ class Frame:
     R: Array
     p: Array
 
-    def then(self, R: Array, p: Array) -> Frame:
+    def compose(self, R: Array, p: Array) -> Frame:
         """The frame that sits at R, p in this one."""
         return Frame(self.body, self.R @ R, self.p + self.R @ p)
 
-    def of(self, ellipsoid: Ellipsoid) -> Ellipsoid:
+    def transform(self, ellipsoid: Ellipsoid) -> Ellipsoid:
         """An ellipsoid that is given in this frame, in the body's."""
         center = self.p + self.R @ ellipsoid.center
-        return Ellipsoid.along(center, ellipsoid.semi_axes, self.R @ ellipsoid.rotation)
+        return Ellipsoid.from_axes(center, ellipsoid.semi_axes, self.R @ ellipsoid.rotation)
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ class Body:
     shapes: tuple[Shape, ...] = ()
     com: tuple[float, float, float] | None = None
 
-    def bounded_as(self, other: Body, signs: Array) -> Body:
+    def with_mirrored_bounds(self, other: Body, signs: Array) -> Body:
         """The body with the mirror image of another's bounds, in which x, y and z have these signs, shape (3,)."""
         return replace(
             self,
             ellipsoids=tuple(ellipsoid.mirrored(signs) for ellipsoid in other.ellipsoids),
-            shapes=tuple(shape.moved(np.diag(signs), np.zeros(3)) for shape in other.shapes),
+            shapes=tuple(shape.transformed(np.diag(signs), np.zeros(3)) for shape in other.shapes),
         )
 
     @property
@@ -106,6 +106,6 @@ class Body:
         return (*self.ellipsoids, *self.shapes)
 
     @property
-    def lumped(self) -> tuple[str, ...]:
+    def lumped_links(self) -> tuple[str, ...]:
         """Links with mass that are part of this body under another name."""
         return tuple(member.link for member in self.members[1:] if member.pi.any())

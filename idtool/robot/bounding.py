@@ -33,15 +33,15 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
         if pi is None or not pi[0] > 0:
             continue
         geometry = link_geometry(robot, link)
-        if geometry.read and not geometry.missing:
+        if geometry.parts_read and not geometry.unreadable:
             least = minimum_volume_ellipsoid(geometry.points)
             x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
             ellipsoids[link] = replace(least, semi_axes=(x, y, z))
-        elif not geometry.missing:
+        elif not geometry.unreadable:
             reasons[link] = "the URDF gives it no collision or visual"
         else:
-            more = f" (and {len(geometry.missing) - 1} more)" if len(geometry.missing) > 1 else ""
-            reasons[link] = f"{geometry.missing[0]}{more}"
+            more = f" (and {len(geometry.unreadable) - 1} more)" if len(geometry.unreadable) > 1 else ""
+            reasons[link] = f"{geometry.unreadable[0]}{more}"
     return ellipsoids, reasons
 
 

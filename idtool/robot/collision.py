@@ -57,12 +57,12 @@ class SelfCollision:
     model: Model
     pairs: tuple[Pair, ...]
     warnings: tuple[str, ...]
-    _pieces: tuple[ConvexPart, ...]
-    _ends: Indices  # pieces that make pairs, shape (2, pairs of pieces)
-    _owner: Indices  # the pair of links that each is of
+    _parts: tuple[ConvexPart, ...]
+    _part_pairs: Indices  # pieces that make pairs, shape (2, pairs of pieces)
+    _link_pair: Indices  # the pair of links that each is of
 
     @classmethod
-    def of(cls, model: Model, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
+    def from_model(cls, model: Model, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
         """What can collide in a robot; None where there are no two such links with geometry that can be read.
 
         Parameters
@@ -96,7 +96,7 @@ class SelfCollision:
         *both, owner = np.array(ends).T
         every = cls(model, tuple(pairs), unread, pieces, np.array(both), owner)
         touching = every._always_touching()
-        return None if touching.all() else every._less(touching)
+        return None if touching.all() else every._without(touching)
 
     def clearance(self, q: Array) -> Array:
         """The least distance of two links in each configuration, negative by the depth of a penetration.
@@ -110,7 +110,7 @@ class SelfCollision:
         -------
         Shape (N,) [m].
         """
-        return self._least(q)[0]
+        return self._min_distances(q)[0]
 
     def nearest(self, q: Array) -> tuple[Pair, float, int]:
         """The two links that come nearest to each other, their distance [m], and in which configuration.
@@ -120,14 +120,14 @@ class SelfCollision:
         q
             Positions of the joints, shape (nv, N), N at least 1.
         """
-        least, owner = self._least(q)
+        least, owner = self._min_distances(q)
         at = int(least.argmin())
         return self.pairs[owner[at]], float(least[at]), at
 
-    def _least(self, q: Array) -> tuple[Array, Indices]:
+    def _min_distances(self, q: Array) -> tuple[Array, Indices]:
         """The least distance in each configuration, and of which pair; shape (N,) each."""
         least, owner = np.full(q.shape[1], math.inf), np.zeros(q.shape[1], dtype=np.intp)
-        for first, near, R, p in self._near(q):
+        for first, near, R, p in self._sphere_distances(q):
             order = np.argsort(near, axis=0).T.tolist()
             for n in range(near.shape[1]):
                 best = math.inf
@@ -136,32 +136,32 @@ class SelfCollision:
                         break
                     distance = self._distance(k, R[:, n], p[:, n])
                     if distance < best:
-                        best, owner[first + n] = distance, self._owner[k]
+                        best, owner[first + n] = distance, self._link_pair[k]
                 least[first + n] = best
         return least, owner
 
-    def _near(self, q: Array) -> Iterator[tuple[int, Array, Array, Array]]:
+    def _sphere_distances(self, q: Array) -> Iterator[tuple[int, Array, Array, Array]]:
         """Block by block of configurations: the first's index, the distances of the pieces' spheres, places R, p."""
-        radius = np.array([piece.radius + piece.beyond for piece in self._pieces])
-        i, j = self._ends
+        radius = np.array([piece.radius + piece.swept_sphere_radius for piece in self._parts])
+        i, j = self._part_pairs
         size = max(1, _BLOCK // len(i))
         for first in range(0, q.shape[1], size):
-            R, p = self._places(q[:, first : first + size])
+            R, p = self._placements(q[:, first : first + size])
             yield first, np.linalg.norm(p[i] - p[j], axis=2) - (radius[i] + radius[j])[:, None], R, p
 
-    def _places(self, q: Array) -> tuple[Array, Array]:
+    def _placements(self, q: Array) -> tuple[Array, Array]:
         """Where the pieces are in the root link, shapes (pieces, N, 3, 3) and (pieces, N, 3)."""
         places = body_placements(self.model, q)
-        count, N = len(self._pieces), q.shape[1]
+        count, N = len(self._parts), q.shape[1]
         out_R, out_p = np.empty((count, N, 3, 3)), np.empty((count, N, 3))
-        for k, piece in enumerate(self._pieces):
+        for k, piece in enumerate(self._parts):
             R, p = places[piece.frame.body]
             out_R[k], out_p[k] = R @ piece.frame.R, p + R @ piece.frame.p
         return out_R, out_p
 
     @cached_property
     def _distance(self) -> DistanceQueries:
-        return DistanceQueries(self._pieces, self._ends)
+        return DistanceQueries(self._parts, self._part_pairs)
 
     def _always_touching(self) -> Mask:
         """Which pairs of links touch by the way they are made, shape (pairs,)."""
@@ -177,22 +177,24 @@ class SelfCollision:
     def _touching(self, q: Array) -> Mask:
         """Which pairs of links touch in which configuration, shape (pairs, N)."""
         touching = np.zeros((len(self.pairs), q.shape[1]), dtype=bool)
-        for first, near, R, p in self._near(q):
+        for first, near, R, p in self._sphere_distances(q):
             for k, n in np.argwhere(near <= _TOUCH):
-                if not touching[self._owner[k], first + n]:
-                    touching[self._owner[k], first + n] = self._distance(k, R[:, n], p[:, n]) <= _TOUCH
+                if not touching[self._link_pair[k], first + n]:
+                    touching[self._link_pair[k], first + n] = self._distance(k, R[:, n], p[:, n]) <= _TOUCH
         return touching
 
-    def _less(self, excluded: Mask) -> SelfCollision:
+    def _without(self, excluded: Mask) -> SelfCollision:
         """Without some of the pairs of links, shape (pairs,)."""
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
         said = f"links that touch by construction, not checked for collision: {some(names)}"
-        kept = ~excluded[self._owner]
+        kept = ~excluded[self._link_pair]
         pairs = tuple(pair for pair, out in zip(self.pairs, excluded, strict=True) if not out)
-        owner = (np.cumsum(~excluded) - 1)[self._owner[kept]]
-        return replace(self, pairs=pairs, warnings=(*self.warnings, said), _ends=self._ends[:, kept], _owner=owner)
+        owner = (np.cumsum(~excluded) - 1)[self._link_pair[kept]]
+        return replace(
+            self, pairs=pairs, warnings=(*self.warnings, said), _part_pairs=self._part_pairs[:, kept], _link_pair=owner
+        )
 
 
 def unread_geometry(model: Model) -> tuple[str, ...]:
@@ -210,11 +212,11 @@ def _frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame
         if joint.child in moving:
             frames[joint.child] = Frame(moving[joint.child], np.eye(3), np.zeros(3))
             continue
-        mount, x = frames[joint.parent].then(joint.R, joint.p), _held_at(joint, robot, locked_joints)
+        mount, x = frames[joint.parent].compose(joint.R, joint.p), _held_at(joint, robot, locked_joints)
         if joint.kind == "prismatic":
-            frames[joint.child] = mount.then(np.eye(3), joint.axis * x)
+            frames[joint.child] = mount.compose(np.eye(3), joint.axis * x)
         else:
-            frames[joint.child] = mount.then(Rotation.from_rotvec(joint.axis * x).as_matrix(), np.zeros(3))
+            frames[joint.child] = mount.compose(Rotation.from_rotvec(joint.axis * x).as_matrix(), np.zeros(3))
     return {link: frame for link, frame in frames.items() if link not in rotors}
 
 

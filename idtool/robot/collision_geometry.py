@@ -44,7 +44,7 @@ class ConvexPart:
     shape: coal.ShapeBase
     frame: Frame
     radius: float
-    beyond: float = 0.0
+    swept_sphere_radius: float = 0.0
 
 
 class DistanceQueries:
@@ -123,7 +123,7 @@ def _of_parts(
     """The pieces of all of a link's <collision> or <visual>, and what of it is missing."""
     if len(parts) > _MOST_PIECES:
         whole = link_geometry(robot, link)
-        return [_hull(link, whole.points, frame)] if whole.read else [], list(whole.missing)
+        return [_hull(link, whole.points, frame)] if whole.parts_read else [], list(whole.unreadable)
     pieces, missing = [], []
     for part in parts:
         try:
@@ -141,7 +141,7 @@ def _piece(robot: Robot, element: etree._Element, link: str, frame: Frame) -> Co
         raise UnreadableGeometryError(f"{element.tag} has no geometry")
     if origin is not None:
         xyz, rpy = (numeric_attribute(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
-        frame = frame.then(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+        frame = frame.compose(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
     if part.tag == "mesh":
         try:
             points = link_vertices(robot, link, part.get("filename", ""))
@@ -177,7 +177,7 @@ def _hull(link: str, points: Array, frame: Frame) -> ConvexPart:
     shape = _convex(corners, index[hull.simplices])
     beyond = 0.0 if kept is points else _farthest(shape, points[~_inside(hull, points)])
     radius = float(np.linalg.norm(corners, axis=1).max())
-    return ConvexPart(link, shape, frame.then(np.eye(3), center), radius, beyond)
+    return ConvexPart(link, shape, frame.compose(np.eye(3), center), radius, beyond)
 
 
 def outermost(points: Array) -> Indices:

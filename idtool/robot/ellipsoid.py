@@ -37,7 +37,7 @@ class Ellipsoid:
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
-    def along(cls, center: ArrayLike, semi_axes: ArrayLike, R: Array) -> Ellipsoid:
+    def from_axes(cls, center: ArrayLike, semi_axes: ArrayLike, R: Array) -> Ellipsoid:
         """The ellipsoid whose own axes are the columns of the rotation matrix R, shape (3, 3)."""
         with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
             rpy = Rotation.from_matrix(R).as_euler("xyz")
@@ -46,7 +46,7 @@ class Ellipsoid:
 
     def mirrored(self, signs: Array) -> Ellipsoid:
         """Its image in which x, y and z have these signs, shape (3,)."""
-        return Ellipsoid.along(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
+        return Ellipsoid.from_axes(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
 
     def to_dict(self) -> dict[str, list[float]]:
         """As JSON and YAML have it."""
@@ -128,7 +128,7 @@ def minimum_volume_ellipsoid(points: ArrayLike, tolerance: float = 1e-4, flattes
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     semi_axes = np.sqrt(squares * max(distance.max(), 1.0))  # Khachiyan stops just inside: grow until every point is in
-    return Ellipsoid.along(middle + scale * center, scale * semi_axes, axes)
+    return Ellipsoid.from_axes(middle + scale * center, scale * semi_axes, axes)
 
 
 def _thicken(points: Array, flattest: float) -> Array:

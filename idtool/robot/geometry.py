@@ -36,15 +36,15 @@ class LinkGeometry:
     points
         Points in the link's frame whose convex hull encloses all that was read, shape (n, 3) [m]; around a curved
         primitive or a mesh of many vertices up to 1 % larger than it.
-    read
+    parts_read
         What was read, in words.
-    missing
+    unreadable
         What was not, and why, in words: where there is any, the points do not enclose the link.
     """
 
     points: Array
-    read: tuple[str, ...]
-    missing: tuple[str, ...]
+    parts_read: tuple[str, ...]
+    unreadable: tuple[str, ...]
 
 
 def link_geometry(robot: Robot, link: str) -> LinkGeometry:
@@ -54,9 +54,9 @@ def link_geometry(robot: Robot, link: str) -> LinkGeometry:
     """
     element = next(e for e in parse_xml(robot.path, robot.text).iterfind("link") if e.get("name") == link)
     found = [_read_all(robot.path, element.findall(tag)) for tag in ("collision", "visual")]
-    whole = [geometry for geometry in found if geometry.read and not geometry.missing]
-    some = [geometry for geometry in found if geometry.read]
-    notes = tuple(dict.fromkeys(note for geometry in found for note in geometry.missing))
+    whole = [geometry for geometry in found if geometry.parts_read and not geometry.unreadable]
+    some = [geometry for geometry in found if geometry.parts_read]
+    notes = tuple(dict.fromkeys(note for geometry in found for note in geometry.unreadable))
     return (*whole, *some, LinkGeometry(np.empty((0, 3)), (), notes))[0]
 
 
@@ -102,8 +102,8 @@ def link_vertices(robot: Robot, link: str, file: str | None = None) -> Array:
         except UnreadableGeometryError as error:
             raise ModelError(f"{robot.path}: link {link}", f"{error}; give another file") from None
     geometry = link_geometry(robot, link)
-    if geometry.missing or not geometry.read:
-        why = geometry.missing[0] if geometry.missing else "the URDF gives it no collision or visual"
+    if geometry.unreadable or not geometry.parts_read:
+        why = geometry.unreadable[0] if geometry.unreadable else "the URDF gives it no collision or visual"
         raise ModelError(f"{robot.path}: link {link}", f"its geometry cannot be read: {why}; give a file or dimensions")
     return geometry.points
 

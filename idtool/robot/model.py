@@ -186,7 +186,7 @@ class _Builder:
         return ratios, offset + scale * self.config.locked_joints.get(joint.name, 0.0)
 
     def _attach(self, joint: Joint) -> None:
-        mount = self.frames[joint.parent].then(joint.R, joint.p)
+        mount = self.frames[joint.parent].compose(joint.R, joint.p)
         prismatic = joint.kind == "prismatic"
         if joint.kind != "fixed":
             ratios, offset = self._motion(joint)
@@ -196,9 +196,9 @@ class _Builder:
                 )
                 mount = Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3))
             elif prismatic:
-                mount = mount.then(np.eye(3), joint.axis * offset)
+                mount = mount.compose(np.eye(3), joint.axis * offset)
             else:
-                mount = mount.then(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
+                mount = mount.compose(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
         self._place(joint.child, mount)
 
     def _place(self, link: str, frame: Frame) -> None:
@@ -210,9 +210,9 @@ class _Builder:
         if pi is not None:
             self.members.setdefault(frame.body, []).append(Member(link, pi, frame))
         for bounding in bounds:
-            self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
+            self.ellipsoids.setdefault(frame.body, []).append(frame.transform(bounding.to_ellipsoid()))
         for shape in self.config.bounding_shapes.get(link, ()):
-            solid = bounding_shape(shape, self.robot, link).moved(frame.R, frame.p)
+            solid = bounding_shape(shape, self.robot, link).transformed(frame.R, frame.p)
             self.shapes.setdefault(frame.body, []).append(solid)
 
     def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
@@ -238,7 +238,7 @@ class _Builder:
         if rotor.bounding_ellipsoid is not None:
             bounds = (rotor.bounding_ellipsoid,)
         if not ratios.any():  # dead weight
-            turned = mount.then(Rotation.from_rotvec(axis * offset).as_matrix(), np.zeros(3))
+            turned = mount.compose(Rotation.from_rotvec(axis * offset).as_matrix(), np.zeros(3))
             self._lump(name, pi, turned, bounds)
             return
         own = Member(name, pi, Frame(len(self.bodies), np.eye(3), np.zeros(3)))
@@ -247,7 +247,7 @@ class _Builder:
                 name,
                 "rotor",
                 pi,
-                tuple(bounding.ellipsoid() for bounding in bounds),
+                tuple(bounding.to_ellipsoid() for bounding in bounds),
                 mount,
                 axis,
                 False,
@@ -276,9 +276,11 @@ class _Builder:
         driven = self._driven(rotor)
         stator = self.frames[rotor.parent or driven.parent]
         if rotor.origin is not None:
-            return stator.then(Rotation.from_euler("xyz", rotor.origin.rpy).as_matrix(), np.asarray(rotor.origin.xyz))
+            return stator.compose(
+                Rotation.from_euler("xyz", rotor.origin.rpy).as_matrix(), np.asarray(rotor.origin.xyz)
+            )
         if rotor.parent in (None, driven.parent):
-            return stator.then(driven.R, driven.p)
+            return stator.compose(driven.R, driven.p)
         raise ConfigError(f"{key}.origin", "is missing; say where the rotor sits in its parent")
 
     def _rotor_prior(self, name: str, rotor: RotorConfig) -> Array:

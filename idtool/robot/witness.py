@@ -81,7 +81,7 @@ class _Spread:
     error: float
 
     @classmethod
-    def of(cls, pi: Array) -> _Spread:
+    def from_parameters(cls, pi: Array) -> _Spread:
         """Of a body with a positive mass."""
         mass, com, inertia = mass_com_inertia(pi)
         mu, axes = np.linalg.eigh((0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass)
@@ -117,7 +117,7 @@ def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     pi = np.asarray(pi, dtype=float)
     if reasons := unrealizable_reasons(pi, ellipsoid):
         raise ValueError(f"no mass density has these parameters: {'; '.join(reasons)}")
-    body = _Spread.of(pi)
+    body = _Spread.from_parameters(pi)
     # A square root of J / m, block by block: no digits are lost on a body that is small or far from the origin.
     L = np.eye(4)
     if ellipsoid is None:
@@ -153,7 +153,7 @@ def required_ellipsoid_scale(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
     The factor, 0 or more.
     """
     pi = np.asarray(pi, dtype=float)
-    body = _Spread.of(pi)
+    body = _Spread.from_parameters(pi)
     to_ball = ellipsoid.rotation.T / np.asarray(ellipsoid.semi_axes)[:, None]
     center = to_ball @ (body.com - ellipsoid.center)
     spread = np.square(to_ball @ body.axes).sum(axis=0) @ body.mu
@@ -180,7 +180,7 @@ def unrealizable_reasons(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> l
         return ["parameters are not finite"]
     if pi[0] <= 0:
         return [f"mass is not positive: {pi[0]:.4g} kg"]
-    reasons = _moments(_Spread.of(pi))
+    reasons = _moments(_Spread.from_parameters(pi))
     if ellipsoid is not None:
         factor = required_ellipsoid_scale(pi, ellipsoid)
         far = np.linalg.norm(ellipsoid.center) / min(ellipsoid.semi_axes)
@@ -235,10 +235,10 @@ def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
     pi = np.asarray(pi, dtype=float)
     if not np.isfinite(pi).all() or pi[0] <= 0:
         raise ValueError(f"no ellipsoid shows this body: {unrealizable_reasons(pi)[0]}")
-    body = _Spread.of(pi)
+    body = _Spread.from_parameters(pi)
     semi_axes = np.sqrt(np.maximum(body.mu, 0))
     least = max(_FLATTEST * semi_axes.max(), _THINNEST)
-    return Ellipsoid.along(body.com, np.maximum(semi_axes, least), body.axes * np.sign(np.linalg.det(body.axes)))
+    return Ellipsoid.from_axes(body.com, np.maximum(semi_axes, least), body.axes * np.sign(np.linalg.det(body.axes)))
 
 
 def _moments(body: _Spread) -> list[str]:

@@ -62,7 +62,7 @@ def _unbounded(body: Body, ellipsoids: Mapping[str, Ellipsoid]) -> list[str]:
     """A body's links with mass that have no ellipsoid and whose centre of mass lies in no other's."""
     if body.kind != "link":
         return []
-    bounded = [member.frame.of(ellipsoids[member.link]) for member in body.members if member.link in ellipsoids]
+    bounded = [member.frame.transform(ellipsoids[member.link]) for member in body.members if member.link in ellipsoids]
     lacking = []
     for member in body.members:
         if member.link in ellipsoids or not member.pi[0] > 0:

@@ -141,7 +141,8 @@ def distance(kind: str, pi: Any, prior: Array) -> Any:
 def whole_of(name: str, body: Body, unit: float) -> tuple[Any, list[Any]]:
     """A body's parameters in its own units, and what its set demands of them there."""
     bounds = [
-        Ellipsoid.along(np.divide(e.center, unit), np.divide(e.semi_axes, unit), e.rotation) for e in body.ellipsoids
+        Ellipsoid.from_axes(np.divide(e.center, unit), np.divide(e.semi_axes, unit), e.rotation)
+        for e in body.ellipsoids
     ]
     if name == "points":
         places = np.concatenate([e.grid(120 // len(bounds)) for e in bounds])

@@ -210,7 +210,7 @@ def stating(leg: Experiment, total: Reduction, names: tuple[str, ...]) -> State:
 
     def of(name: str) -> Any:
         sets = [choose_set(body, name) for body in leg.model.bodies]
-        regularization = leg.config.regularization.or_weak()
+        regularization = leg.config.regularization.fixed_or_weak()
         return lambda data: build_problem(
             leg.equation, leg.model.bodies, data, sets, regularization, noise, leg.equalities
         )

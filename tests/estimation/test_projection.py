@@ -54,7 +54,7 @@ def set_of(kind: str) -> str:
 
 def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, reach: float = 0.8) -> Array:
     """Parameters of points of mass in each of the bounds, shrunk by ``reach``."""
-    inner = [Ellipsoid.along(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
+    inner = [Ellipsoid.from_axes(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
     places = np.concatenate([points_in(rng, e, count) for e in inner])
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 
@@ -200,7 +200,7 @@ def moved(body: Body, pi: Array, R: Array, p: Array, size: float, mass: float) -
     to = size**LENGTH_POWERS * mass
     T = parameter_transform(R, p)
     bounds = tuple(
-        Ellipsoid.along(size * (R @ e.center + p), size * np.array(e.semi_axes), R @ e.rotation)
+        Ellipsoid.from_axes(size * (R @ e.center + p), size * np.array(e.semi_axes), R @ e.rotation)
         for e in body.ellipsoids
     )
     return replace(body, ellipsoids=bounds, pi=to * (T @ body.pi)), to * (T @ pi)

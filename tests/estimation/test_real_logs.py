@@ -57,11 +57,13 @@ def test_go2s_ellipsoids_hold_the_meshes() -> None:
     """To a hundredth, the configuration's rounding aside."""
     robot, config = read_robot(GO2), read_config(GO2_YAML)
     read = {link: link_geometry(robot, link) for link in config.bounding_ellipsoids}
-    whole = {link: geometry.points for link, geometry in read.items() if geometry.read and not geometry.missing}
+    whole = {
+        link: geometry.points for link, geometry in read.items() if geometry.parts_read and not geometry.unreadable
+    }
     assert {"FL_thigh", "FR_thigh", "RL_thigh", "RR_thigh", "FL_calf", "RR_calf"} < set(whole)
     for link, points in whole.items():
         (bounding,) = config.bounding_ellipsoids[link]
-        assert bounding.ellipsoid().contains(points, tolerance=0.02).all(), link
+        assert bounding.to_ellipsoid().contains(points, tolerance=0.02).all(), link
 
 
 @pytest.mark.parametrize("cutoff", FREE)

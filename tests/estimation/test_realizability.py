@@ -33,7 +33,7 @@ seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, reach: float = 0.8) -> Array:
     """Parameters of points of mass in each of the bounds, shrunk by ``reach``."""
-    inner = [Ellipsoid.along(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
+    inner = [Ellipsoid.from_axes(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
     places = np.concatenate([points_in(rng, e, count) for e in inner])
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 

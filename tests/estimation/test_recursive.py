@@ -155,7 +155,12 @@ def test_it_comes_to_the_fit_of_the_whole_log(made: Made) -> None:
     theta = run(fit, data, tau)
     sets = [choose_set(body, "ellipsoid") for body in data.model.bodies]
     whole = estimate(
-        data.linear, data.model.bodies, data.reduction(tau), sets, data.config.regularization.or_weak(), data.equalities
+        data.linear,
+        data.model.bodies,
+        data.reduction(tau),
+        sets,
+        data.config.regularization.fixed_or_weak(),
+        data.equalities,
     )
     B = determined(data, fit.units)
     start, offline, online = (np.linalg.norm(B @ (t - data.theta)) for t in (theta[0], whole.theta, theta[-1]))

@@ -194,8 +194,8 @@ def test_a_weight_is_auto_or_a_number() -> None:
         parse_config({"regularization": {"weight": "firm"}}, "x")
     none = Regularization(kind="none")
     assert not none.is_automatic
-    assert (none.number, none.or_weak().weight) == (0.0, 0.0)
-    assert Regularization().or_weak() == WEAK_PRIOR
+    assert (none.numeric_weight, none.fixed_or_weak().weight) == (0.0, 0.0)
+    assert Regularization().fixed_or_weak() == WEAK_PRIOR
     with pytest.raises(idtool.IdtoolError, match="units: si needs a number"):
         parse_config({"regularization": {"kind": "euclidean", "units": "si"}}, "x")
 

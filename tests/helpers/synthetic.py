@@ -117,7 +117,7 @@ def points_in(rng: np.random.Generator, ellipsoid: Ellipsoid, count: int) -> Arr
 def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
     """At any place and angle, of 0.2 to 2 m half length."""
     center, semi_axes = rng.normal(size=3), rng.uniform(0.2, 2, 3)
-    return Ellipsoid.along(center, semi_axes, rotation(rng))
+    return Ellipsoid.from_axes(center, semi_axes, rotation(rng))
 
 
 def bounded_body(*bounds: Ellipsoid | Shape, com: Array | None = None) -> Body:

@@ -83,7 +83,7 @@ def test_a_link_of_which_a_part_is_lost_gets_no_ellipsoid_that_is_too_small(robo
 def test_the_configuration_takes_them_as_they_are(robot_of: Read) -> None:
     ellipsoids, _ = bounding_ellipsoids(robot_of(urdf(("a", MASS, '<cylinder radius="0.1" length="0.4"/>'))))
     config = parse_config({"bounding_ellipsoids": ellipsoids_config(ellipsoids)}, "robot.yaml")
-    assert [bound.ellipsoid() for bound in config.bounding_ellipsoids["a"]] == [ellipsoids["a"]]
+    assert [bound.to_ellipsoid() for bound in config.bounding_ellipsoids["a"]] == [ellipsoids["a"]]
 
 
 def test_a_robot_without_any_geometry_is_said_why(robot_of: Read, rng: np.random.Generator) -> None:

@@ -78,7 +78,7 @@ def test_a_mesh_that_is_missing_is_said(build: Build) -> None:
     assert "package://robot/lost.stl is not found" in warning
     assert found.clearance(np.zeros((2, 1))) == pytest.approx([0.6], abs=1e-5)
     model = build(arm(missing, missing, missing), ["j1", "j2"])
-    assert SelfCollision.of(model) is None
+    assert SelfCollision.from_model(model) is None
     (warning,) = unread_geometry(model)
     assert "base, upper, tip" in warning
 

@@ -81,7 +81,7 @@ def test_roll_pitch_yaw_are_urdfs() -> None:
 @given(seeds)
 def test_an_ellipsoid_from_its_axes_has_these_axes(rng: np.random.Generator) -> None:
     R = rotation(rng)
-    S = Ellipsoid.along([1, 2, 3], [0.1, 0.2, 0.3], R)
+    S = Ellipsoid.from_axes([1, 2, 3], [0.1, 0.2, 0.3], R)
     np.testing.assert_allclose(S.rotation, R, atol=1e-9)
 
 
@@ -89,7 +89,7 @@ def test_an_ellipsoid_from_its_axes_has_these_axes(rng: np.random.Generator) -> 
 def test_an_ellipsoid_that_looks_straight_up_has_its_axes_too(pitch: float) -> None:
     """Roll and yaw are not unique there; any that make the rotation will do, without a warning."""
     R = Rotation.from_euler("xyz", [0.4, pitch, -0.9]).as_matrix()
-    np.testing.assert_allclose(Ellipsoid.along([0, 0, 0], [1, 2, 3], R).rotation, R, atol=1e-6)
+    np.testing.assert_allclose(Ellipsoid.from_axes([0, 0, 0], [1, 2, 3], R).rotation, R, atol=1e-6)
 
 
 @pytest.mark.parametrize(

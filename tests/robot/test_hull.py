@@ -165,7 +165,10 @@ def test_a_hull_s_conditions_move_with_the_body(rng: np.random.Generator) -> Non
     moved = from_pseudo_inertia(T @ pseudo_inertia(pi) @ T.T)
     values = [
         within.G.T @ x
-        for (_, within), x in ((hull.pieces()[0].inequalities, pi), (hull.moved(R, p).pieces()[0].inequalities, moved))
+        for (_, within), x in (
+            (hull.pieces()[0].inequalities, pi),
+            (hull.transformed(R, p).pieces()[0].inequalities, moved),
+        )
     ]
     np.testing.assert_allclose(values[1], values[0], atol=1e-7)
 

@@ -30,7 +30,7 @@ NOWHERE = np.diag([0.0, 0.0, 0.0, 1.0])
 
 
 def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
-    return Ellipsoid.along(0.2 * rng.normal(size=3), rng.uniform(0.1, 0.4, 3), rotation(rng))
+    return Ellipsoid.from_axes(0.2 * rng.normal(size=3), rng.uniform(0.1, 0.4, 3), rotation(rng))
 
 
 def body(rng: np.random.Generator, S: Ellipsoid, count: int = 8) -> Array:
@@ -275,7 +275,7 @@ def test_a_shape_that_demands_a_positive_mass_demands_nothing_more(rng: np.rando
 def test_a_reference_outside_its_ellipsoid_still_has_a_nearest_body_inside(seed: int) -> None:
     rng = np.random.default_rng(seed)
     S = random_ellipsoid(rng)
-    reference = body(rng, Ellipsoid.along(np.array(S.center) + 3, S.semi_axes, S.rotation))
+    reference = body(rng, Ellipsoid.from_axes(np.array(S.center) + 3, S.semi_axes, S.rotation))
     nearest = nearest_realizable(reference, reference, S.Q)
     assert np.trace(pseudo_inertia(nearest) @ S.Q) > 0
     assert np.linalg.eigvalsh(pseudo_inertia(nearest))[0] > 0

@@ -38,7 +38,7 @@ PLACEMENTS = {
 
 
 def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
-    return Ellipsoid.along(rng.normal(size=3), rng.uniform(0.2, 2, 3), rotation(rng))
+    return Ellipsoid.from_axes(rng.normal(size=3), rng.uniform(0.2, 2, 3), rotation(rng))
 
 
 def margins(pi: Array, S: Ellipsoid) -> tuple[float, float]:

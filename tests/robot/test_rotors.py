@@ -27,7 +27,7 @@ def in_root(model: Model, frame: Frame) -> Frame:
     moved = np.zeros(3), Rotation.from_rotvec(carrier.axis * carrier.offset).as_matrix()
     if carrier.prismatic:
         moved = carrier.axis * carrier.offset, np.eye(3)
-    return in_root(model, carrier.mount.then(moved[1], moved[0])).then(frame.R, frame.p)
+    return in_root(model, carrier.mount.compose(moved[1], moved[0])).compose(frame.R, frame.p)
 
 
 def test_a_rotor_stands_at_its_joint_unless_it_is_placed(build: Build, leg: str) -> None:

@@ -102,7 +102,7 @@ def test_it_leaves_out_bodies_that_could_exist(rng: np.random.Generator) -> None
     (outer,) = SETS["ellipsoid"].pieces(bounded_body(S))
     assert min(i.margin(pi, 1.0, S.size) for i in outer.inequalities) > -1e-9
     assert distance(piece, pi, S) > 1e-3 * gap**2
-    assert not SETS["points"].chosen
+    assert not SETS["points"].automatic
 
 
 @pytest.mark.parametrize(

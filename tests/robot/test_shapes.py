@@ -158,7 +158,7 @@ def test_the_conditions_move_with_the_body(rng: np.random.Generator, kind: str) 
     shape, R, p = random_shape(rng, kind), rotation(rng), rng.normal(size=3)
     pi = body(rng.uniform(0.1, 1, 6), inside(rng, shape, 6, reach=1.2))
     _, *own = margins(shape.pieces()[0], pi, shape.size)
-    _, *moved = margins(shape.moved(R, p).pieces()[0], parameter_transform(R, p) @ pi, shape.size)
+    _, *moved = margins(shape.transformed(R, p).pieces()[0], parameter_transform(R, p) @ pi, shape.size)
     np.testing.assert_allclose(moved, own, atol=1e-8)
 
 
@@ -166,7 +166,7 @@ def test_the_conditions_move_with_the_body(rng: np.random.Generator, kind: str) 
 def test_a_moved_shape_holds_the_moved_points(rng: np.random.Generator, kind: str) -> None:
     shape, R, p = random_shape(rng, kind), rotation(rng), rng.normal(size=3)
     x = np.concatenate([inside(rng, shape, 10), inside(rng, shape, 10) + 3 * shape.size * on_ball(rng, 10, 3)])
-    moved = shape.moved(R, p)
+    moved = shape.transformed(R, p)
     np.testing.assert_array_equal(moved.contains(x @ R.T + p, tolerance=1e-6), shape.contains(x, tolerance=1e-6))
     assert moved.size == pytest.approx(shape.size)
     assert moved.contains(x[:10] @ R.T + p, tolerance=1e-6).all()
@@ -174,7 +174,7 @@ def test_a_moved_shape_holds_the_moved_points(rng: np.random.Generator, kind: st
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2])
 def test_a_shape_turned_to_where_its_angles_are_not_unique(angle: float) -> None:
-    box = Box((1, 0, 0), (0.1, 0.2, 0.3)).moved(Rotation.from_euler("y", angle).as_matrix(), np.zeros(3))
+    box = Box((1, 0, 0), (0.1, 0.2, 0.3)).transformed(Rotation.from_euler("y", angle).as_matrix(), np.zeros(3))
     np.testing.assert_allclose(np.abs(box.rotation), [[0, 0, 1], [0, 1, 0], [1, 0, 0]], atol=1e-7)
 
 

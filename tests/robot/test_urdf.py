@@ -132,7 +132,7 @@ def test_a_rotor_that_is_a_link_is_written_there(build: Build, leg: str, rng: np
 def test_the_links_of_a_body_sum_to_it(build: Build, mass: float, keeps_the_tool: bool) -> None:
     model = build(LUMPED, ["j"])
     arm: Body = model.bodies[0]
-    assert arm.lumped == ("tool",)
+    assert arm.lumped_links == ("tool",)
     identified = from_mass_com_inertia(mass, [0.0, 0.05, 0.1], mass * np.diag([0.2, 0.25, 0.1]))
     links = link_parameters(arm, identified, model.robot.links)
     written = pin.buildModelFromXML(replace_parameters(model.robot.text, links, {}).decode())

@@ -33,7 +33,7 @@ seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
 def random_ellipsoid(rng: np.random.Generator, size: float = 1.0) -> Ellipsoid:
-    return Ellipsoid.along(size * rng.normal(size=3), size * rng.uniform(0.1, 2, 3), rotation(rng))
+    return Ellipsoid.from_axes(size * rng.normal(size=3), size * rng.uniform(0.1, 2, 3), rotation(rng))
 
 
 def on_surface(rng: np.random.Generator, S: Ellipsoid, count: int) -> Array:
@@ -278,7 +278,7 @@ def test_amounts_are_margins_and_the_same_in_all_units(rng: np.random.Generator)
     pi = rng.normal(size=10)
     inequalities = [REALIZABLE, density_within(S.Q, "ellipsoid")]
     units = 1e3 * 1e3**LENGTH_POWERS  # grams and millimetres
-    there = Ellipsoid.along(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
+    there = Ellipsoid.from_axes(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
     here = {v.label: v.amount for v in violations(pi, inequalities, 0.7, 0.3)}
     for label, amount in here.items():
         (inequality,) = (i for i in inequalities if i.label == label)

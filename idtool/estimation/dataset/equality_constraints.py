@@ -125,7 +125,7 @@ def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
     overruled = []
     for copy, (original, signs) in equalities.copies.items():
         own = bodies[copy]
-        bodies[copy] = own.bounded_as(bodies[original], signs)
+        bodies[copy] = own.with_mirrored_bounds(bodies[original], signs)
         if own.bounds and not _are_close(own.ellipsoids, bodies[copy].ellipsoids):
             overruled.append(own.name)
     warnings = model.warnings

@@ -59,7 +59,7 @@ def check_links(robot: Robot, config: Config) -> list[LinkCheck]:
     for link, pi in robot.links.items():
         if pi is None or not pi.any():
             continue
-        ellipsoids = tuple(bounding.ellipsoid() for bounding in config.bounding_ellipsoids.get(link, ()))
+        ellipsoids = tuple(bounding.to_ellipsoid() for bounding in config.bounding_ellipsoids.get(link, ()))
         shapes = tuple(bounding_shape(bound, robot, link) for bound in config.bounding_shapes.get(link, ()))
         mount = Frame(-1, np.eye(3), np.zeros(3))
         body = Body(link, "link", pi, ellipsoids, mount, np.zeros(3), False, np.zeros(0), shapes=shapes)

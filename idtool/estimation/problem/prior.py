@@ -133,7 +133,7 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
     units
         Units of theta, shape (p,).
     """
-    root_weight = np.sqrt(regularization.number)
+    root_weight = np.sqrt(regularization.numeric_weight)
     prior = model.prior
     p, inertial = len(prior), PI_SIZE * len(bodies)
     L = np.zeros((inertial, p))
@@ -156,9 +156,9 @@ def _mass_rows(bodies: Sequence[Body], regularization: Regularization, units: Ar
     if regularization.kind == "none" or regularization.units == "si":
         return rows
     share = 1.0 if regularization.kind == "euclidean" else 0.5  # of a mass's relative deviation squared, in d
-    beyond = share * (regularization.masses_known_better**2 - 1)
+    beyond = share * (regularization.mass_precision_factor**2 - 1)
     for i in range(len(bodies)):
-        rows[i, PI_SIZE * i] = np.sqrt(regularization.number * beyond) / units[PI_SIZE * i]
+        rows[i, PI_SIZE * i] = np.sqrt(regularization.numeric_weight * beyond) / units[PI_SIZE * i]
     return rows
 
 
@@ -170,7 +170,7 @@ def log_dets(
     scale: Array,
 ) -> tuple[LogDet, ...]:
     """Divergences of all bodies, copies too, from their priors, on z in units of ``scale``, shape (p',)."""
-    if regularization.kind != "entropic" or not regularization.number:
+    if regularization.kind != "entropic" or not regularization.numeric_weight:
         return ()
     terms = []
     for i, body in enumerate(bodies):
@@ -181,5 +181,5 @@ def log_dets(
         J = pseudo_inertia(realizable_prior(body.pi, units))
         inverse = np.linalg.inv(np.linalg.cholesky(J))
         G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ J_BASIS @ inverse.T, axes=1)
-        terms.append(LogDet(first, G, regularization.number))
+        terms.append(LogDet(first, G, regularization.numeric_weight))
     return tuple(terms)

@@ -146,7 +146,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     total, pool = gather(experiment, rng, progress)
     noise = free_noise(equation, total, experiment.equalities)
     warnings = [*experiment.warnings, *(delay.warnings if delay else ())]
-    names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
+    names = [name for name, s in constraint_sets().items() if any(map(s.applies_to, experiment.model.bodies))]
     problem_of = {name: _problem_builder(experiment, name, noise) for name in names}
     candidates = {}
     for name in names:
@@ -155,7 +155,9 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     sets = _solved_entries(candidates, warnings, progress)
     estimators = _solved_entries(_estimators(experiment, total, noise), warnings, progress)
 
-    tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
+    tightest = [name for name in sets if constraint_sets()[name].automatic][
+        -1
+    ]  # at least `none`, a plain least squares
     models = {"identified": sets[tightest].theta, "prior": equation.prior}
     models |= {f"set {name}": entry.theta for name, entry in sets.items()}
     models |= {name: entry.theta for name, entry in estimators.items()}
@@ -186,7 +188,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
 
 def _weakly_regularized(experiment: Experiment) -> Experiment:
     """The experiment with a number for the prior's weight: an automatic one would hide the effect of a set."""
-    regularization = experiment.config.regularization.or_weak()
+    regularization = experiment.config.regularization.fixed_or_weak()
     return replace(experiment, config=experiment.config.model_copy(update={"regularization": regularization}))
 
 
@@ -234,7 +236,9 @@ def _solved_entries(
 def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], StudyEntry]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
     equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
-    weighted = given.model_copy(update={"weight": given.number or WEAK_PRIOR.number, "units": "relative"})
+    weighted = given.model_copy(
+        update={"weight": given.numeric_weight or WEAK_PRIOR.numeric_weight, "units": "relative"}
+    )
     candidates: dict[str, Callable[[], StudyEntry]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})

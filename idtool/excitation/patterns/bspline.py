@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import BSpline as Spline
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Samples
@@ -20,13 +21,14 @@ class BSpline(Series):
 
     name = "bspline"
 
+    @override
     def frequencies(self) -> Array:
-        """See `Series.frequencies`: a control point by itself moves the joint there and back in about four spans."""
+        """A control point by itself moves the joint there and back in about four spans."""
         count = self._spans() + _DEGREE - 2 * _FIXED
         return np.full(count, 2 * np.pi * self._spans() / (4 * self.seconds))
 
+    @override
     def functions(self, t: Array) -> Samples:
-        """See `Series.functions`."""
         spans = self._spans()
         knots = np.pad(np.linspace(0, self.seconds, spans + 1), _DEGREE, mode="edge")
         every = Spline(knots, np.eye(spans + _DEGREE)[:, _FIXED:-_FIXED], _DEGREE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Samples, step
@@ -18,13 +19,13 @@ class Fourier(Series):
 
     name = "fourier"
 
+    @override
     def frequencies(self) -> Array:
-        """See `Series.frequencies`."""
         w = 2 * np.pi * self._harmonics() / self.seconds
         return np.concatenate([np.zeros(1), w, w])
 
+    @override
     def functions(self, t: Array) -> Samples:
-        """See `Series.functions`."""
         w = (2 * np.pi * self._harmonics() / self.seconds)[:, None]
         sin, cos, one = np.sin(w * t), np.cos(w * t), np.ones((1, len(t)))
         f = np.concatenate([one, sin, cos])

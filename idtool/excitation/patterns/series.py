@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Pattern, Samples, Setting
@@ -37,26 +38,26 @@ class Series(Pattern):
         with np.errstate(divide="ignore"):
             return np.asarray(np.minimum(self.limits.half[:, None], np.minimum(velocity / w, acceleration / w**2)))
 
+    @override
     def draw(self, rng: np.random.Generator) -> Array:
-        """See `Pattern.draw`."""
         x = rng.normal(size=self.units().size)
         q, v, a = self.motion(x, np.linspace(0, self.seconds, _LOOKED_AT))
         ways = ((q - self.home[:, None], self.room), (v, self.limits.velocity), (a, self.limits.acceleration))
         return self.scaled(x, np.min([_DRAWN * limit / np.abs(way).max(axis=1) for way, limit in ways], axis=0))
 
+    @override
     def motion(self, x: Array, t: Array) -> Samples:
-        """See `Pattern.motion`."""
         C = x.reshape(len(self.home), -1) * self.units()
         q, v, a = (C @ f for f in self._at(t))
         return Samples(self.home[:, None] + q, v, a)
 
+    @override
     def gradient(self, x: Array, t: Array, by: Samples) -> Array:
-        """See `Pattern.gradient`."""
         total = np.sum([d @ f.T for d, f in zip(by, self._at(t), strict=True)], axis=0)
         return np.asarray(total * self.units()).ravel()
 
+    @override
     def scaled(self, x: Array, share: Array) -> Array:
-        """See `Pattern.scaled`."""
         return (x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
     def _at(self, t: Array) -> Samples:

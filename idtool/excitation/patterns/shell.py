@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import BSpline as Spline
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError, ModelError
@@ -61,8 +62,8 @@ class Shell(Pattern):
         self.limbs = self._limbs(setting.tip)
         self._solved: dict[bytes, tuple[Spline, float]] = {}
 
+    @override
     def draw(self, rng: np.random.Generator) -> Array:
-        """See `Pattern.draw`."""
         x = np.concatenate([[1.0, 1.0], rng.uniform(-0.4, 0.4, 3), rng.uniform(0.7, 1.3, 3)])
         while x[0] > _LEAST:
             missed = self._solve(x)[1]
@@ -78,12 +79,13 @@ class Shell(Pattern):
                 x[0] *= _SMALLER
         return x
 
+    @override
     def scaled(self, x: Array, share: Array) -> Array:
-        """See `Pattern.scaled`: the whole shell about the tip's home, by the least of the shares."""
+        """The whole shell about the tip's home, by the least of the shares."""
         return np.concatenate([[x[0] * share.min()], x[1:]])
 
+    @override
     def motion(self, x: Array, t: Array) -> Samples:
-        """See `Pattern.motion`."""
         spline = self._solve(x)[0]
         return Samples(*(np.ascontiguousarray(spline(t, k).T) for k in range(3)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import STEP_SPEED, Pattern, Samples, Setting
@@ -33,18 +34,19 @@ class Slow(Pattern):
         fastest = np.minimum(_FASTEST * self.limits.velocity, _ROOM * self.room / way)
         self.fastest: Array = np.minimum(fastest, self.limits.acceleration * change / (2 * STEP_SPEED))
 
+    @override
     def draw(self, rng: np.random.Generator) -> Array:
-        """See `Pattern.draw`: speeds a factor of four apart, in an order and with signs at random."""
+        """Speeds a factor of four apart, in an order and with signs at random."""
         speeds = _RATIO ** -np.arange(self.sweeps, dtype=float)
         orders: Array = np.array([rng.permutation(speeds) for _ in self.home], dtype=np.float64)
         return np.asarray(orders * rng.choice([-1.0, 1.0], orders.shape), dtype=np.float64).ravel()
 
+    @override
     def scaled(self, x: Array, share: Array) -> Array:
-        """See `Pattern.scaled`."""
         return np.asarray(x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
+    @override
     def motion(self, x: Array, t: Array) -> Samples:
-        """See `Pattern.motion`."""
         sweep = np.clip((t / self._each).astype(int), 0, self.sweeps - 1)
         q, v, a = self._sweep(t - sweep * self._each)
         velocity = self.fastest[:, None] * x.reshape(len(self.home), -1)[:, sweep]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import Pattern, Samples, Setting, farthest, step
@@ -24,16 +25,16 @@ class Standstill(Pattern):
         far = farthest(self.limits.velocity, self.limits.acceleration, (1 - _HOLD) * self._each)
         self.reach: Array = np.minimum(_ROOM * self.room, far / 2)  # from pose to pose it is twice that at most
 
+    @override
     def draw(self, rng: np.random.Generator) -> Array:
-        """See `Pattern.draw`."""
         return rng.uniform(-1, 1, len(self.home) * self.holds)
 
+    @override
     def scaled(self, x: Array, share: Array) -> Array:
-        """See `Pattern.scaled`."""
         return np.asarray(x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
+    @override
     def motion(self, x: Array, t: Array) -> Samples:
-        """See `Pattern.motion`."""
         away = self.reach[:, None] * x.reshape(len(self.home), -1)
         poses = self.home[:, None] + np.pad(away, [(0, 0), (1, 1)])
         cell = np.clip((t / self._each).astype(int), 0, self.holds)

@@ -93,7 +93,7 @@ def _base(robot: Robot, most: int) -> dict[str, Any]:
     frames = {robot.root: Frame(-1, np.eye(3), np.zeros(3))}
     for joint in robot.joints.values():
         if joint.kind == "fixed" and joint.parent in frames:
-            frames[joint.child] = frames[joint.parent].then(joint.R, joint.p)
+            frames[joint.child] = frames[joint.parent].compose(joint.R, joint.p)
     seen: dict[str, Any] = {"bounds": [], "found": None, "prior": None, "masses": None}
     return {"name": robot.root, **seen, "surface": _drawn(robot, frames.items(), most)}
 

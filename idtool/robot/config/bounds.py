@@ -19,7 +19,7 @@ class BoundingEllipsoid(ConfigRecord):
     semi_axes: tuple[Length, Length, Length]
     rpy: Vector = (0.0, 0.0, 0.0)
 
-    def ellipsoid(self) -> Ellipsoid:
+    def to_ellipsoid(self) -> Ellipsoid:
         """The same as geometry."""
         return Ellipsoid(self.center, self.semi_axes, self.rpy)
 

@@ -43,7 +43,7 @@ class Regularization(ConfigRecord):
         return self.weight == "auto" and self.kind != "none"
 
     @property
-    def masses_known_better(self) -> float:
+    def mass_precision_factor(self) -> float:
         """Factor by which a mass of the prior has a smaller relative standard error than an inertia, 1 or more."""
         if self.units == "si":
             return 1.0
@@ -52,7 +52,7 @@ class Regularization(ConfigRecord):
         return _MASS_PRECISION if self.is_automatic else 1.0
 
     @property
-    def number(self) -> float:
+    def numeric_weight(self) -> float:
         """The weight as a number.
 
         Raises
@@ -66,9 +66,9 @@ class Regularization(ConfigRecord):
 
     def with_weight(self, weight: float) -> Self:
         """Itself with a number as its weight; the factor of ``mass_precision`` stays as it is now."""
-        return self.model_copy(update={"weight": weight, "mass_precision": self.masses_known_better})
+        return self.model_copy(update={"weight": weight, "mass_precision": self.mass_precision_factor})
 
-    def or_weak(self) -> Regularization:
+    def fixed_or_weak(self) -> Regularization:
         """Itself if the weight is a number, else a weak prior that needs no choice of weight: the paper's."""
         if self.weight != "auto":
             return self

@@ -28,7 +28,7 @@ def choose_set(body: Body, name: str | None = None) -> ConstraintSet:
     """The set of that name, or the tightest; where a body lacks what it needs, the tightest below that it has."""
     known = constraint_sets()
     wanted = known[name] if name else None
-    if wanted is not None and wanted.applies(body):
+    if wanted is not None and wanted.applies_to(body):
         return wanted
     most = wanted.tightness if wanted else len(known)
-    return [s for s in known.values() if s.chosen and s.applies(body) and s.tightness <= most][-1]
+    return [s for s in known.values() if s.automatic and s.applies_to(body) and s.tightness <= most][-1]

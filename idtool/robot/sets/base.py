@@ -17,15 +17,15 @@ class ConstraintSet(ABC):
         As in the configuration.
     tightness
         Order among the sets: a tighter set lies within a looser one, where both apply.
-    chosen
+    automatic
         Whether a body gets it without being asked for; not where it leaves out bodies that could exist.
     """
 
     name: str
     tightness: int
-    chosen: bool = True
+    automatic: bool = True
 
-    def applies(self, body: Body) -> bool:
+    def applies_to(self, body: Body) -> bool:
         """Whether the body has what the set needs, such as a bounding ellipsoid."""
         return True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
@@ -17,12 +18,12 @@ class ComInEllipsoid(ConstraintSet):
     name = "com_ellipsoid"
     tightness = 4
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.ellipsoids)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         return tuple(Piece((REALIZABLE, _centre_in(ellipsoid))) for ellipsoid in body.ellipsoids)
 
 

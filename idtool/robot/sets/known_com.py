@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.inequality import Inequality, Piece
@@ -16,12 +17,12 @@ class KnownCom(ConstraintSet):
     name = "known_com"
     tightness = 3
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return body.com is not None
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         covariance = J_BASIS[:, :3, :3].copy()
         covariance[0] -= np.outer(body.com, body.com)  # type: ignore[arg-type]  # where the set applies
         mass = np.eye(PI_SIZE)[:, :1]

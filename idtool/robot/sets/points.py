@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece, point_masses
@@ -19,13 +20,13 @@ class PointMassGrid(ConstraintSet):
 
     name = "points"
     tightness = 7
-    chosen = False
+    automatic = False
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.bounds)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         each = _PLACES // len(body.bounds)
         return (point_masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)

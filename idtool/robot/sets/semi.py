@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.inequality import Inequality, Piece
@@ -20,6 +21,6 @@ class SemiConsistent(ConstraintSet):
     name = "semi"
     tightness = 1
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         return (Piece((_SPATIAL,)),)

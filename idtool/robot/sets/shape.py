@@ -6,6 +6,8 @@ what ellipsoids, cylinders and capsules demand is both.
 
 from __future__ import annotations
 
+from typing_extensions import override
+
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
 from idtool.robot.sets.base import ConstraintSet
@@ -18,10 +20,10 @@ class DensityOnShape(ConstraintSet):
     name = "shape"
     tightness = 6
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.shapes)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         return (*DensityOnEllipsoid().pieces(body), *(piece for shape in body.shapes for piece in shape.pieces()))

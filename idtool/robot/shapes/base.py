@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import Piece
@@ -48,7 +49,7 @@ class Shape(ABC):
         return math.cbrt(0.75 * self.volume / math.pi)
 
     @abstractmethod
-    def moved(self, R: Array, p: Array) -> Self:
+    def transformed(self, R: Array, p: Array) -> Self:
         """The same solid in the frame in which its present frame sits at R (3, 3), p (3,) [m].
 
         R is a rotation or, for the solid's mirror image, a reflection.
@@ -92,7 +93,7 @@ class PosedShape(Shape):
     center: Vector
     rpy: Vector
     #: The configuration's name for a field that has another.
-    renamed: ClassVar[dict[str, str]] = {}
+    config_names: ClassVar[dict[str, str]] = {}
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
@@ -101,35 +102,35 @@ class PosedShape(Shape):
         matrix: Array = Rotation.from_euler("xyz", self.rpy).as_matrix()
         return matrix
 
-    def moved(self, R: Array, p: Array) -> Self:
-        """See `Shape.moved`."""
+    @override
+    def transformed(self, R: Array, p: Array) -> Self:
         with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
             own = R @ self.rotation
             own[:, 0] *= np.sign(np.linalg.det(own))  # a mirror image: the solid is its own, x turned round
             rpy = Rotation.from_matrix(own).as_euler("xyz")
         return replace(self, center=tuple((R @ self.center + p).tolist()), rpy=tuple(rpy.tolist()))
 
+    @override
     def to_dict(self) -> dict[str, Any]:
-        """See `Shape.to_dict`."""
-        values = {self.renamed.get(field.name, field.name): getattr(self, field.name) for field in fields(self)}
+        values = {self.config_names.get(field.name, field.name): getattr(self, field.name) for field in fields(self)}
         return {"kind": self.kind} | {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
     @classmethod
+    @override
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """See `Shape.from_dict`."""
-        values = {field.name: data.get(cls.renamed.get(field.name, field.name)) for field in fields(cls)}
+        values = {field.name: data.get(cls.config_names.get(field.name, field.name)) for field in fields(cls)}
         given = {k: v for k, v in values.items() if v is not None}
         return cls(**{k: tuple(v) if isinstance(v, Sequence) else v for k, v in given.items()})
 
-    def local(self, points: ArrayLike) -> Array:
+    def to_local(self, points: ArrayLike) -> Array:
         """Points, shape (..., 3), in its own frame [m]."""
         return np.asarray((np.asarray(points, dtype=float) - self.center) @ self.rotation)
 
-    def placed(self, points: Array) -> Array:
+    def to_body(self, points: Array) -> Array:
         """Points of its own frame, shape (n, 3), in the body's frame [m]."""
         return np.asarray(points @ self.rotation.T + self.center)
 
-    def coordinates(self, units: ArrayLike) -> Array:
+    def affine_coordinates(self, units: ArrayLike) -> Array:
         """Rows f, shape (4, 4), with f · [x; 1] the place in its own frame in ``units``, shape (3,) [m], and last 1."""
         rows = np.eye(4)
         rows[:3, :3] = self.rotation.T / np.asarray(units, dtype=float)[:, None]

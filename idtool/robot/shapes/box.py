@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import REALIZABLE, Piece, density_within
@@ -38,30 +39,31 @@ class Box(PosedShape):
 
     kind: ClassVar[str] = "box"
     exact: ClassVar[bool] = False
-    renamed: ClassVar[dict[str, str]] = {"sides": "size"}
+    config_names: ClassVar[dict[str, str]] = {"sides": "size"}
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return float(np.prod(self.sides))
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
-        beyond = np.abs(self.local(points)) - 0.5 * np.asarray(self.sides)
+        beyond = np.abs(self.to_local(points)) - 0.5 * np.asarray(self.sides)
         return np.asarray(beyond.max(axis=-1) <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least the eight corners."""
+        """At least the eight corners."""
 
         def points(spacing: float) -> Array:
             axes = [np.linspace(-0.5 * side, 0.5 * side, 1 + max(1, round(side / spacing))) for side in self.sides]
             return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
-        return self.placed(finest_grid(points, 2 * max(self.sides), count))
+        return self.to_body(finest_grid(points, 2 * max(self.sides), count))
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`."""
-        *u, one = self.coordinates(0.5 * np.asarray(self.sides))
+        *u, one = self.affine_coordinates(0.5 * np.asarray(self.sides))
         signs = [(s, t) for s in (1, -1) for t in (1, -1)]
         Q = [product_form(one - x, one + x) for x in u]
         Q += [product_form(one + s * x, one + t * y) for x, y in combinations(u, 2) for s, t in signs]

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.ellipsoid import Ellipsoid
@@ -39,18 +40,19 @@ class Capsule(PosedShape):
     exact: ClassVar[bool] = Cylinder.exact
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return math.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
-        local = self.local(points)
+        local = self.to_local(points)
         local[..., 2] -= np.clip(local[..., 2], -0.5 * self.length, 0.5 * self.length)
         return np.asarray(np.linalg.norm(local, axis=-1) - self.radius <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least the middle and both tips."""
+        """At least the middle and both tips."""
         half, radius = 0.5 * self.length, self.radius
 
         def points(spacing: float) -> Array:
@@ -60,11 +62,12 @@ class Capsule(PosedShape):
             levels = np.concatenate([-half - height, middle, half + height])
             return disc_points(levels, np.concatenate([width, np.full(len(middle), radius), width]), spacing)
 
-        return self.placed(finest_grid(points, 2 * (self.length + 2 * radius), count))
+        return self.to_body(finest_grid(points, 2 * (self.length + 2 * radius), count))
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`: the cylinder's, and one for each ball (Cor. 2)."""
-        ends = self.placed(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
+        """The cylinder's, and one for each ball (Cor. 2)."""
+        ends = self.to_body(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
         balls = [Ellipsoid((x, y, z), (self.radius,) * 3) for x, y, z in ends.tolist()]
         round_ends = [Piece((REALIZABLE, density_within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
         return (*Cylinder(self.center, self.radius, self.length, self.rpy).pieces(), *round_ends)

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import REALIZABLE, Inequality, Piece, density_within
@@ -44,28 +45,29 @@ class Cylinder(PosedShape):
     exact: ClassVar[bool] = True
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return math.pi * self.radius**2 * self.length
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
-        local = self.local(points)
+        local = self.to_local(points)
         beyond = np.hypot(local[..., 0], local[..., 1]) - self.radius, np.abs(local[..., 2]) - 0.5 * self.length
         return np.asarray(np.maximum(*beyond) <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least ten places."""
+        """At least ten places."""
 
         def points(spacing: float) -> Array:
             levels = self.length * np.linspace(-0.5, 0.5, 1 + max(1, round(self.length / spacing)))
             return disc_points(levels, np.full(len(levels), self.radius), spacing)
 
-        return self.placed(finest_grid(points, 2 * max(2 * self.radius, self.length), count))
+        return self.to_body(finest_grid(points, 2 * max(2 * self.radius, self.length), count))
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`."""
-        u, v, w, one = self.coordinates((self.radius, self.radius, 0.5 * self.length))
+        u, v, w, one = self.affine_coordinates((self.radius, self.radius, 0.5 * self.length))
         Q = np.array([product_form(one, one) - product_form(u, u) - product_form(v, v), product_form(one - w, one + w)])
         ends = (_arrow(u, v, one + w), _arrow(u, v, one - w))
         return (Piece((REALIZABLE, density_within(Q, _LABEL), *ends)),)

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.convex import enclosing_planes, enclosing_points, polyhedron_corners, principal_axes
@@ -74,24 +75,25 @@ class Hull(Shape):
         return ConvexHull(np.array(self.vertices))
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return float(self._hull.volume)
 
-    def moved(self, R: Array, p: Array) -> Self:
-        """See `Shape.moved`."""
+    @override
+    def transformed(self, R: Array, p: Array) -> Self:
         back = np.eye(4)
         back[:3] = np.column_stack([R.T, -R.T @ p])
         return type(self)(_vectors(np.array(self.vertices) @ R.T + p), back.T @ self.Q @ back)
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
         planes = self._hull.equations
         beyond = np.asarray(points, dtype=float) @ planes[:, :3].T + planes[:, 3]
         return np.asarray(beyond.max(axis=-1) <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least its vertices, then one by one the place farthest from all those before."""
+        """At least its vertices, then one by one the place farthest from all those before."""
         chosen = np.array(self.vertices)
         places = self._lattice(0.5 * (self.volume / max(count, 1)) ** (1 / 3))
         nearest = np.min([np.square(places - x).sum(axis=1) for x in chosen], axis=0)
@@ -120,17 +122,18 @@ class Hull(Shape):
                 places.append(start + share * (end - start))
         return np.concatenate(places)
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`."""
         return (Piece((REALIZABLE, density_within(self.Q, "mass within its hull"))),)
 
+    @override
     def to_dict(self) -> dict[str, Any]:
-        """See `Shape.to_dict`."""
         return {"kind": self.kind, "vertices": [list(vertex) for vertex in self.vertices]}
 
     @classmethod
+    @override
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """See `Shape.from_dict`; takes any points."""
+        """Takes any points."""
         return cls.around(data["vertices"])
 
 

@@ -102,7 +102,7 @@ class Robot:
     joints: dict[str, Joint]
     source: Source
 
-    def path_to(self, joint: str) -> list[str]:
+    def path_to_root(self, joint: str) -> list[str]:
         """Joints from one to the root, itself first."""
         carrying = {one.child: one for one in self.joints.values()}
         found, here = [], self.joints.get(joint)
@@ -111,9 +111,9 @@ class Robot:
             here = carrying.get(here.parent)
         return found
 
-    def on_one_branch(self, joint: str, other: str) -> bool:
+    def on_same_branch(self, joint: str, other: str) -> bool:
         """Whether one of two joints carries the other."""
-        return joint in self.path_to(other) or other in self.path_to(joint)
+        return joint in self.path_to_root(other) or other in self.path_to_root(joint)
 
 
 def read_robot(path: Path) -> Robot:
