@@ -1,4 +1,4 @@
-"""What bounds a link's mass: ellipsoids around the geometry that the URDF gives it, and the configuration's shapes."""
+"""Bounds of a link's mass: ellipsoids around the geometry that the URDF gives it, and the configuration's shapes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
 
     Returns
     -------
-    By link that has mass and whose geometry was read in full; and why the others with mass have none, by link.
+    Ellipsoids of the links that have mass and whose geometry was read in full, and the reason why each other link with
+    mass has none; by link.
     """
     ellipsoids: dict[str, Ellipsoid] = {}
     reasons: dict[str, str] = {}
@@ -34,9 +35,10 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
             continue
         geometry = link_geometry(robot, link)
         if geometry.parts_read and not geometry.unreadable:
-            least = minimum_volume_ellipsoid(geometry.points)
-            x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
-            ellipsoids[link] = replace(least, semi_axes=(x, y, z))
+            tight = minimum_volume_ellipsoid(geometry.points)
+            x, y, z = tight.semi_axes
+            growth = 1 + margin
+            ellipsoids[link] = replace(tight, semi_axes=(growth * x, growth * y, growth * z))
         elif not geometry.unreadable:
             reasons[link] = "the URDF gives it no collision or visual"
         else:

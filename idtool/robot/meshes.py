@@ -25,10 +25,10 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.robot.urdf.reading import parse_xml
 
-_MOST = 1e6  # m; what is larger is no robot
-_MOST_BYTES = 100 << 20
+_MAX_LENGTH = 1e6  # m; what is larger is no robot
+_MAX_BYTES = 100 << 20
 _LARGE = 1 << 20  # bytes
-_MOST_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
+_MAX_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
 _FORMATS = ("stl", "obj", "ply", "off", "dae")
 _FINEST = 128  # cells along the longest side in which corners are put together
 
@@ -82,17 +82,17 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
         )
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise UnreadableGeometryError(f"mesh {path} cannot be read ({error.strerror})") from None
-    if len(data) > _MOST_BYTES:
-        raise UnreadableGeometryError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
+    if len(data) > _MAX_BYTES:
+        raise UnreadableGeometryError(f"mesh {path} is larger than {_MAX_BYTES >> 20} MiB")
     mesh = _triangles(path, data, kind)
     if len(data) > _LARGE:
         gc.collect()  # trimesh's objects hold each other: several times what is kept
     corners = mesh.corners
-    if not len(corners) or not (corners.min() > -_MOST and corners.max() < _MOST):
-        what = f"a vertex that is not within {_MOST:g} m" if len(corners) else "no faces"
+    if not len(corners) or not (corners.min() > -_MAX_LENGTH and corners.max() < _MAX_LENGTH):
+        what = f"a vertex that is not within {_MAX_LENGTH:g} m" if len(corners) else "no faces"
         raise UnreadableGeometryError(f"mesh {path} holds {what}")
     return mesh
 
@@ -104,7 +104,7 @@ def numeric_attribute(element: etree._Element, name: str, count: int, default: s
         values = np.array([float(word) for word in text.split()])
     except ValueError:
         values = np.array([])
-    if len(values) != count or not (np.abs(values) < _MOST).all():
+    if len(values) != count or not (np.abs(values) < _MAX_LENGTH).all():
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
         raise UnreadableGeometryError(f"{element.tag} {name} '{text[:40]}' should be {expected}")
     return values
@@ -193,12 +193,12 @@ def _collada_unit(root: etree._Element) -> float:
         for instance in node.iterfind("{*}instance_node"):
             url = instance.get("url", "")
             if url in nodes and url not in sizes:
-                sizes[url] = _MOST_NODES  # a node that holds itself
+                sizes[url] = _MAX_NODES  # a node that holds itself
                 sizes[url] = size(nodes[url])
             total += sizes.get(url, 1)
         return total
 
-    if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MOST_NODES:
+    if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MAX_NODES:
         raise UnreadableGeometryError("has a scene that repeats itself without end")
     unit = root.find("{*}asset/{*}unit")
     return 1.0 if unit is None else float(numeric_attribute(unit, "meter", 1, default="1")[0])

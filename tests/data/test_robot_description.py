@@ -144,7 +144,7 @@ def test_two_bags_of_different_robots(tmp_path: Path) -> None:
 
 
 def test_a_description_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.robot.urdf.reading._MOST_BYTES", 1 << 10)
+    monkeypatch.setattr("idtool.robot.urdf.reading._MAX_BYTES", 1 << 10)
     with pytest.raises(ModelError, match="is larger than"):
         robot_and_logs(recorded(tmp_path, described(TEXT)), [])
 

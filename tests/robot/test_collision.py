@@ -215,7 +215,7 @@ def test_a_held_joint_holds_those_that_follow_it(build: Build) -> None:
 def test_a_robot_of_too_many_parts_is_refused(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     small = solid(SPHERE.format(0.05))
     model = build(arm(small, "", small), ["j1", "j2"])
-    for name in ("_MOST_PAIRS", "_MOST_LINKS"):
+    for name in ("_MAX_PAIRS", "_MAX_LINKS"):
         with monkeypatch.context() as few:
             few.setattr(collision, name, 0)
             with pytest.raises(ModelError, match=r"robot\.urdf: has "):

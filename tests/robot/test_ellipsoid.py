@@ -229,7 +229,7 @@ def test_repeated_and_inner_points_change_nothing(rng: np.random.Generator) -> N
     ids=["a point", "the same point", "two points", "a line", "a triangle", "a square"],
 )
 def test_points_that_span_no_volume_get_a_thin_ellipsoid(points: list[list[float]]) -> None:
-    S = minimum_volume_ellipsoid(points, flattest=0.05)
+    S = minimum_volume_ellipsoid(points, min_thickness=0.05)
     assert S.contains(points).all()
     longest = max(float(np.linalg.norm(np.ptp(points, axis=0))) / 2, 0.5e-3)
     assert min(S.semi_axes) >= 0.9 * 0.05 * 0.7 * longest  # a diagonal is longer than the extent along an axis by √2

@@ -84,8 +84,8 @@ def test_a_urdf_link_named_as_rotor_is_taken_out_of_the_lump(build: Build, leg: 
     plain = body(build(leg, LEG_JOINTS), "abad_link")
     model = build(leg, LEG_JOINTS, rotors={"hip_motor": {"joint": "hip", "gear_ratio": 8}})
     rotor, carrier = body(model, "hip_motor"), body(model, "abad_link")
-    assert plain.lumped == ("hip_motor",)
-    assert carrier.lumped == ()
+    assert plain.lumped_links == ("hip_motor",)
+    assert carrier.lumped_links == ()
     frame = plain.members[1].frame
     np.testing.assert_allclose(rotor.pi, link_pi(leg, "hip_motor"), atol=1e-12)
     np.testing.assert_allclose(rotor.mount.R, frame.R)

@@ -13,7 +13,7 @@ from idtool.excitation.patterns.series import Series
 _DEGREE = 5  # the acceleration is three times differentiable
 _FIXED = 3  # control points at each end: position, velocity and acceleration there
 _SPANS = 2.5  # knots in a period of the highest frequency
-_MOST = 160  # control points of a joint
+_MAX_CONTROL_POINTS = 160  # control points of a joint
 
 
 class BSpline(Series):
@@ -36,4 +36,4 @@ class BSpline(Series):
         return Samples(*(np.ascontiguousarray(x.T) for x in (f, df, ddf)))
 
     def _spans(self) -> int:
-        return int(np.clip(np.ceil(_SPANS * self.highest * self.seconds), 2 * _FIXED, _MOST))
+        return int(np.clip(np.ceil(_SPANS * self.highest * self.seconds), 2 * _FIXED, _MAX_CONTROL_POINTS))

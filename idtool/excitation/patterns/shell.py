@@ -27,7 +27,7 @@ from idtool.robot.model import Model
 PHI, THETA = 12.0, 3.4  # amplitudes of the rates [rad/s]
 PHI_FREQUENCY, THETA_FREQUENCY = 1.63, 0.265  # [rad/s]
 _RATE = 60.0  # Hz at which the joints' angles are solved for
-_MOST = 20_000  # instants
+_MAX_INSTANTS = 20_000  # instants
 _ITERATIONS = 25  # of damped least squares
 _DAMPING = 0.05  # of the tip's reach
 _REACHED = 500  # random poses that tell where a tip can be
@@ -93,7 +93,7 @@ class Shell(Pattern):
         """The joints' positions over time, and by which share of the smallest radius a tip misses its shell at most."""
         key = x.tobytes()
         if key not in self._solved:
-            t = np.linspace(0, self.seconds, min(max(int(self.seconds * _RATE), 100), _MOST) + 1)
+            t = np.linspace(0, self.seconds, min(max(int(self.seconds * _RATE), 100), _MAX_INSTANTS) + 1)
             q, missed = np.repeat(self.home[:, None], len(t), axis=1), 0.0
             for i, limb in enumerate(self.limbs):
                 target = self._target(x, t, limb, i)

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from idtool.common.exceptions import ConfigError
 
-_MOST = 1e12  # SI, of any number: powers of what is larger are not finite
+_MAX_VALUE = 1e12  # SI, of any number: powers of what is larger are not finite
 MIN_LENGTH = 1e-6  # of a length: the inverse square of what is smaller is not finite
 
 
@@ -20,10 +20,10 @@ def _length(x: float) -> float:
     return x
 
 
-Finite = Annotated[float, Field(ge=-_MOST, le=_MOST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-_MAX_VALUE, le=_MAX_VALUE, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=_MAX_VALUE, allow_inf_nan=False)]
 Length = Annotated[Positive, AfterValidator(_length)]
-NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=_MAX_VALUE, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 

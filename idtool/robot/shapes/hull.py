@@ -18,7 +18,7 @@ from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.inequality import REALIZABLE, Piece, density_within
 from idtool.robot.shapes.base import Shape, Vector, product_form
 
-_MOST_FACES = 52  # of a solid that is simplified: no more than 100 corners
+_MAX_FACES = 52  # of a solid that is simplified: no more than 100 corners
 _CONDITION_FACES = 24  # from whose planes the conditions are made: 276 pairs
 _ELLIPSOID = 1e-3  # of the volume: how closely the least ellipsoid is sought
 _PLASTIC = 0.7548776662466927  # 1/p with p³ = p + 1: multiples of it and of its square fill a square evenly
@@ -49,7 +49,7 @@ class Hull(Shape):
     exact: ClassVar[bool] = False
 
     @classmethod
-    def around(cls, points: ArrayLike, most: int = 2 * _MOST_FACES - 4) -> Self:
+    def around(cls, points: ArrayLike, most: int = 2 * _MAX_FACES - 4) -> Self:
         """The convex hull of points, shape (n, 3) [m].
 
         Of more vertices than ``most``, a polyhedron around it that has no more: some of its faces' planes bound it, so

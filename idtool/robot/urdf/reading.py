@@ -21,8 +21,8 @@ from idtool.common.exceptions import ModelError
 from idtool.common.provenance import Source, source_of
 from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 
-_MOST_BYTES = 64 << 20
-_MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
+_MAX_BYTES = 64 << 20
+_MAX_VALUE = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
 _KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _LOGS = (".csv", ".mcap")  # by their endings
@@ -131,7 +131,7 @@ def read_robot(path: Path) -> Robot:
         raise ModelError(path, f"is a folder; give {identified if identified.is_file() else 'a URDF'}")
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
     if path.suffix.lower() in _LOGS or data.startswith(b"\x89MCAP"):
@@ -154,8 +154,8 @@ def parse_robot(path: Path, data: bytes) -> Robot:
     ModelError
         If it is not a URDF, or its links and joints make no tree.
     """
-    if len(data) > _MOST_BYTES:
-        raise ModelError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no URDF is")
+    if len(data) > _MAX_BYTES:
+        raise ModelError(path, f"is larger than {_MAX_BYTES >> 20} MiB, which no URDF is")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise ModelError(path, "is in UTF-16; save it as UTF-8")
     try:
@@ -250,7 +250,7 @@ def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
     placement = inertial.origin if inertial.origin is not None else np.eye(4)
     R = placement[:3, :3]
     pi = from_mass_com_inertia(mass, placement[:3, 3], R @ inertia @ R.T)
-    if pi.shape != (PI_SIZE,) or not (np.abs(pi) < _MOST).all():
+    if pi.shape != (PI_SIZE,) or not (np.abs(pi) < _MAX_VALUE).all():
         raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
     return pi
 
@@ -261,7 +261,7 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
         raise ModelError(where, f"type {joint.type} is not supported; use one of {', '.join(_TYPES)}")
     placement = joint.origin if joint.origin is not None else np.eye(4)
     axis = np.asarray(joint.axis, dtype=float)
-    if axis.shape != (3,) or not (np.abs(placement) < _MOST).all() or not (np.abs(axis) < _MOST).all():
+    if axis.shape != (3,) or not (np.abs(placement) < _MAX_VALUE).all() or not (np.abs(axis) < _MAX_VALUE).all():
         raise ModelError(where, "its origin or axis is not made of three finite numbers")
     if joint.type != "fixed":
         if not np.linalg.norm(axis) > 0:
@@ -275,7 +275,7 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
     turns = joint.type == "continuous"
     friction = [float(x or 0.0) for x in ((dynamics.damping, dynamics.friction) if dynamics else (0.0, 0.0))]
     follows = [float(x) for x in ((mimic.multiplier, mimic.offset) if mimic else ())]
-    if not (np.abs([*friction, *follows]) < _MOST).all():
+    if not (np.abs([*friction, *follows]) < _MAX_VALUE).all():
         raise ModelError(where, "its dynamics or mimic holds a value that is not a finite number")
     return Joint(
         name=joint.name,
