@@ -219,7 +219,7 @@ def test_a_hull_of_many_vertices_grows_a_little(rng: np.random.Generator) -> Non
 def test_a_box_with_round_edges_keeps_its_flat_sides(rng: np.random.Generator) -> None:
     ball = on_ball(rng, 3000, 3)
     points = 0.1 * ball + np.sign(ball) * [1.0, 0.6, 0.3]
-    shape = Hull.around(points, most=40)
+    shape = Hull.around(points, max_vertices=40)
     assert shape.contains(points).all()
     np.testing.assert_allclose(np.max(shape.vertices, axis=0), points.max(axis=0), rtol=0.05)
     np.testing.assert_allclose(np.min(shape.vertices, axis=0), points.min(axis=0), rtol=0.05)

@@ -24,14 +24,16 @@ class ComInEllipsoid(ConstraintSet):
 
     @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        return tuple(Piece((REALIZABLE, _centre_in(ellipsoid))) for ellipsoid in body.ellipsoids)
+        return tuple(Piece((REALIZABLE, _com_within(ellipsoid))) for ellipsoid in body.ellipsoids)
 
 
-def _centre_in(ellipsoid: Ellipsoid) -> Inequality:
+def _com_within(ellipsoid: Ellipsoid) -> Inequality:
     C = np.zeros((PI_SIZE, 4, 4))
     C[0, 0, 0] = 1
-    C[0, 1:, 0] = C[0, 0, 1:] = -np.asarray(ellipsoid.center)
+    C[0, 1:, 0] = -np.asarray(ellipsoid.center)
+    C[0, 0, 1:] = -np.asarray(ellipsoid.center)
     C[0, 1:, 1:] = ellipsoid.Q_s
     for k in (1, 2, 3):
-        C[k, 0, k] = C[k, k, 0] = 1
+        C[k, 0, k] = 1
+        C[k, k, 0] = 1
     return Inequality("centre of mass in its ellipsoid", C, np.array([0.0, 1.0, 1.0, 1.0]))

@@ -23,14 +23,8 @@ class KnownCom(ConstraintSet):
 
     @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        covariance = J_BASIS[:, :3, :3].copy()
-        covariance[0] -= np.outer(body.com, body.com)  # type: ignore[arg-type]  # where the set applies
-        mass = np.eye(PI_SIZE)[:, :1]
-        return (
-            Piece(
-                (
-                    Inequality("positive definite covariance (triangle inequalities)", covariance, np.ones(3)),
-                    Inequality("positive mass", mass, np.zeros(1)),
-                )
-            ),
-        )
+        Sigma_C = J_BASIS[:, :3, :3].copy()
+        Sigma_C[0] -= np.outer(body.com, body.com)  # type: ignore[arg-type]  # where the set applies
+        covariance = Inequality("positive definite covariance (triangle inequalities)", Sigma_C, np.ones(3))
+        mass = Inequality("positive mass", np.eye(PI_SIZE)[:, :1], np.zeros(1))
+        return (Piece((covariance, mass)),)

@@ -9,13 +9,13 @@ from idtool.robot.body import Body
 from idtool.robot.inequality import Piece, point_masses
 from idtool.robot.sets.base import ConstraintSet
 
-_PLACES = 120  # in all of a body's bounding shapes together
+_POINTS = 120  # in all of a body's bounds together
 
 
 class PointMassGrid(ConstraintSet):
-    """pi = Σ_k m_k pi(x_k), m_k ≥ 0, at places x_k in the bounding ellipsoids and shapes.
+    """pi = Σ_k m_k pi(x_k), m_k ≥ 0, at points x_k in the bounding ellipsoids and shapes.
 
-    Bodies that need mass between the places are left out, so it is used only where it is asked for.
+    Bodies that need mass between the points are left out, so it is used only where it is asked for.
     """
 
     name = "points"
@@ -28,5 +28,6 @@ class PointMassGrid(ConstraintSet):
 
     @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        each = _PLACES // len(body.bounds)
-        return (point_masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)
+        points_per_bound = _POINTS // len(body.bounds)
+        points = np.concatenate([bound.grid(points_per_bound) for bound in body.bounds])
+        return (point_masses(points),)

@@ -1,7 +1,7 @@
 """A mass density on boxes, cylinders, capsules, hulls of meshes and ellipsoids, or on a union of them.
 
-What a box or a hull demands is necessary, not sufficient (a moment relaxation, Heins & Schoellig, arXiv 2411.07079);
-what ellipsoids, cylinders and capsules demand is both.
+The conditions of a box or a hull are necessary, not sufficient (a moment relaxation, Heins & Schoellig, arXiv
+2411.07079); those of ellipsoids, cylinders and capsules are both.
 """
 
 from __future__ import annotations

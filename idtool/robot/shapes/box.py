@@ -53,20 +53,24 @@ class Box(PosedShape):
 
     @override
     def grid(self, count: int) -> Array:
-        """At least the eight corners."""
+        """Evenly spaced points, at least the eight corners; see `Shape.grid`."""
 
         def points(spacing: float) -> Array:
-            axes = [np.linspace(-0.5 * side, 0.5 * side, 1 + max(1, round(side / spacing))) for side in self.sides]
+            axes = []
+            for side in self.sides:
+                intervals = max(1, round(side / spacing))
+                axes.append(np.linspace(-0.5 * side, 0.5 * side, 1 + intervals))
             return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
         return self.to_body(finest_grid(points, 2 * max(self.sides), count))
 
     @override
     def pieces(self) -> tuple[Piece, ...]:
-        *u, one = self.affine_coordinates(0.5 * np.asarray(self.sides))
+        x, y, z, one = self.affine_coordinates(0.5 * np.asarray(self.sides))
         signs = [(s, t) for s in (1, -1) for t in (1, -1)]
-        Q = [product_form(one - x, one + x) for x in u]
-        Q += [product_form(one + s * x, one + t * y) for x, y in combinations(u, 2) for s, t in signs]
-        xy, xz, yz = (product_form(x, y) for x, y in combinations(u, 2))
+        Q = [product_form(one - u, one + u) for u in (x, y, z)]
+        for u, v in combinations((x, y, z), 2):
+            Q += [product_form(one + s * u, one + t * v) for s, t in signs]
+        xy, xz, yz = product_form(x, y), product_form(x, z), product_form(y, z)
         Q += [product_form(one, one) + s * xy + t * xz + s * t * yz for s, t in signs]
         return (Piece((REALIZABLE, density_within(np.array(Q), "mass within its bounding box"))),)

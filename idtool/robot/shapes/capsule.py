@@ -52,22 +52,24 @@ class Capsule(PosedShape):
 
     @override
     def grid(self, count: int) -> Array:
-        """At least the middle and both tips."""
-        half, radius = 0.5 * self.length, self.radius
+        """Points in discs, at least the middle and both tips; see `Shape.grid`."""
+        half_length = 0.5 * self.length
+        radius = self.radius
 
         def points(spacing: float) -> Array:
-            middle = half * np.linspace(-1, 1, 1 + max(1, round(self.length / spacing)))
-            height = np.linspace(0, radius, 1 + max(1, round(radius / spacing)))[1:]
+            middle = half_length * np.linspace(-1, 1, 1 + max(1, round(self.length / spacing)))
+            height = np.linspace(0, radius, 1 + max(1, round(radius / spacing)))[1:]  # above an end's centre
             width = np.sqrt(np.maximum(radius**2 - height**2, 0))
-            levels = np.concatenate([-half - height, middle, half + height])
-            return disc_points(levels, np.concatenate([width, np.full(len(middle), radius), width]), spacing)
+            levels = np.concatenate([-half_length - height, middle, half_length + height])
+            radii = np.concatenate([width, np.full(len(middle), radius), width])
+            return disc_points(levels, radii, spacing)
 
         return self.to_body(finest_grid(points, 2 * (self.length + 2 * radius), count))
 
     @override
     def pieces(self) -> tuple[Piece, ...]:
-        """The cylinder's, and one for each ball (Cor. 2)."""
+        """The pieces of the cylinder, and one for each ball (Cor. 2)."""
         ends = self.to_body(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
-        balls = [Ellipsoid((x, y, z), (self.radius,) * 3) for x, y, z in ends.tolist()]
+        balls = [Ellipsoid((x, y, z), (self.radius, self.radius, self.radius)) for x, y, z in ends.tolist()]
         round_ends = [Piece((REALIZABLE, density_within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
         return (*Cylinder(self.center, self.radius, self.length, self.rpy).pieces(), *round_ends)

@@ -52,12 +52,13 @@ class Cylinder(PosedShape):
     @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
         local = self.to_local(points)
-        beyond = np.hypot(local[..., 0], local[..., 1]) - self.radius, np.abs(local[..., 2]) - 0.5 * self.length
-        return np.asarray(np.maximum(*beyond) <= tolerance * self.size)
+        beyond_side = np.hypot(local[..., 0], local[..., 1]) - self.radius
+        beyond_end = np.abs(local[..., 2]) - 0.5 * self.length
+        return np.asarray(np.maximum(beyond_side, beyond_end) <= tolerance * self.size)
 
     @override
     def grid(self, count: int) -> Array:
-        """At least ten places."""
+        """Points in discs, at least ten; see `Shape.grid`."""
 
         def points(spacing: float) -> Array:
             levels = self.length * np.linspace(-0.5, 0.5, 1 + max(1, round(self.length / spacing)))
@@ -68,16 +69,19 @@ class Cylinder(PosedShape):
     @override
     def pieces(self) -> tuple[Piece, ...]:
         u, v, w, one = self.affine_coordinates((self.radius, self.radius, 0.5 * self.length))
-        Q = np.array([product_form(one, one) - product_form(u, u) - product_form(v, v), product_form(one - w, one + w)])
-        ends = (_arrow(u, v, one + w), _arrow(u, v, one - w))
-        return (Piece((REALIZABLE, density_within(Q, _LABEL), *ends)),)
+        side = product_form(one, one) - product_form(u, u) - product_form(v, v)
+        ends = product_form(one - w, one + w)
+        quadratic = density_within(np.array([side, ends]), _LABEL)
+        upper = _second_order_cone(u, v, one + w)
+        lower = _second_order_cone(u, v, one - w)
+        return (Piece((REALIZABLE, quadratic, upper, lower)),)
 
 
-def _arrow(u: Array, v: Array, end: Array) -> Inequality:
+def _second_order_cone(u: Array, v: Array, end: Array) -> Inequality:
     """‖E[end (u, v)]‖ ≤ E[end] as the matrix [[e, a, b], [a, e, 0], [b, 0, e]] ⪰ 0."""
-    e, a, b = density_within(
-        np.array([product_form(end, f) for f in (np.array([0.0, 0, 0, 1]), u, v)]), _LABEL
-    ).G.T  # (10,) each
+    one = np.array([0.0, 0.0, 0.0, 1.0])
+    Q = np.array([product_form(end, f) for f in (one, u, v)])
+    e, a, b = density_within(Q, _LABEL).G.T  # (10,) each
     zero = np.zeros_like(e)
     G = np.array([[e, a, b], [a, e, zero], [b, zero, e]])
     return Inequality(_LABEL, np.moveaxis(G, -1, 0), np.zeros(3))
