@@ -20,12 +20,12 @@ class BoundingEllipsoid(ConfigRecord):
     rpy: Vector = (0.0, 0.0, 0.0)
 
     def to_ellipsoid(self) -> Ellipsoid:
-        """The same as geometry."""
+        """The ellipsoid as geometry."""
         return Ellipsoid(self.center, self.semi_axes, self.rpy)
 
 
 class PosedBound(ConfigRecord):
-    """A bounding shape's place: centre [m], roll–pitch–yaw [rad]."""
+    """Pose of a bounding shape: centre [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
@@ -70,18 +70,19 @@ _KINDS: dict[Any, type[ConfigRecord]] = {
 
 
 def _by_kind(data: Any) -> Any:
-    """The record of the kind named, so that errors speak of that one only."""
+    """The record of the named kind, so that errors are about that one only."""
     if isinstance(data, ConfigRecord):
         return data
     if not isinstance(data, Mapping):
         raise ValueError("input should be a mapping of keys to values")
-    for key in data if "kind" not in data else ():
-        if difflib.get_close_matches(str(key), ["kind"]):
-            raise ValueError(f"unknown key '{key}'; did you mean 'kind'?")
-    kind = str(data.get("kind"))
+    if "kind" not in data:
+        for key in data:
+            if difflib.get_close_matches(str(key), ["kind"]):
+                raise ValueError(f"unknown key '{key}'; did you mean 'kind'?")
+        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}")
+    kind = str(data["kind"])
     if kind not in _KINDS:
-        given = f", not {kind}" if "kind" in data else ""
-        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}{given}")
+        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}, not {kind}")
     return _KINDS[kind].model_validate(data)
 
 

@@ -1,4 +1,4 @@
-"""`Config`: everything a URDF does not say."""
+"""`Config`: everything that is not in a URDF."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from idtool.robot.config.signals import Controller, Filter, LogOptions, Simulati
 from idtool.robot.config.terms import EffectEntry, Friction, friction_tag
 
 
-def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
+def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{name} stands there twice; name each joint once")
@@ -28,9 +28,9 @@ def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class Config(ConfigRecord):
-    """Everything a URDF does not say."""
+    """Everything that is not in a URDF."""
 
-    joints: Annotated[tuple[str, ...], AfterValidator(_once_each)] | None = None
+    joints: Annotated[tuple[str, ...], AfterValidator(_unique)] | None = None
     locked_joints: dict[str, Finite] = Field(default_factory=dict)
     gravity: Vector = (0.0, 0.0, -9.81)
     log: LogOptions = LogOptions()
@@ -59,22 +59,27 @@ class Config(ConfigRecord):
 
     @property
     def source(self) -> Source | None:
-        """The file it was read from, if it was."""
+        """The file it was read from, if any."""
         return self._source
 
     def without_friction_values(self) -> Config:
-        """The same with the terms that friction has, but neither their values nor effects."""
+        """A copy with the friction terms, but without their values and without effects."""
 
-        def terms(friction: Friction) -> Friction:
+        def without_values(friction: Friction) -> Friction:
             return Friction(**{name: term is not False for name, term in friction})
 
-        friction = self.friction
-        plain = terms(friction) if isinstance(friction, Friction) else {j: terms(f) for j, f in friction.items()}
-        return self.model_copy(update={"friction": plain, "effects": ()})
+        friction: Friction | dict[str, Friction]
+        if isinstance(self.friction, Friction):
+            friction = without_values(self.friction)
+        else:
+            friction = {joint: without_values(terms) for joint, terms in self.friction.items()}
+        return self.model_copy(update={"friction": friction, "effects": ()})
 
     def friction_of(self, joint: str) -> Friction:
         """The friction terms of one joint; a joint that is not named has the default ones."""
-        return self.friction if isinstance(self.friction, Friction) else self.friction.get(joint, Friction())
+        if isinstance(self.friction, Friction):
+            return self.friction
+        return self.friction.get(joint, Friction())
 
 
 def parse_config(data: Any, where: str) -> Config:

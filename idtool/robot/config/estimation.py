@@ -14,22 +14,22 @@ _MASS_PRECISION = 5.0  # with an automatic weight
 Constraints = Literal["none", "semi", "full", "known_com", "com_ellipsoid", "ellipsoid", "shape", "points"]
 
 
-def _weight_form(data: Any) -> str:
+def _weight_tag(data: Any) -> str:
     """Tag of the form in which a weight is given, for messages that name its key alone."""
     return "[auto]" if data == "auto" else "[number]"
 
 
 Weight = Annotated[
-    Annotated[Literal["auto"], Tag("[auto]")] | Annotated[NonNegative, Tag("[number]")], Discriminator(_weight_form)
+    Annotated[Literal["auto"], Tag("[auto]")] | Annotated[NonNegative, Tag("[number]")], Discriminator(_weight_tag)
 ]
 
 
 class Regularization(ConfigRecord):
     """The prior's kind and weight (27); the weight ``auto`` is chosen by cross-validation.
 
-    The prior's masses count as known ``mass_precision`` times better than its inertias: relative standard errors of 6 %
-    for 30 %, say. That is 5 with the weight ``auto``, and 1, the plain distance, with a number. The Euclidean distance
-    is taken in units of each body's own mass and size, or, as the paper has it, in SI units.
+    The prior's masses count as ``mass_precision`` times more precise than its inertias: relative standard errors of 6 %
+    against 30 %, say. That is 5 with the weight ``auto``, and 1, the plain distance, with a number. The Euclidean
+    distance is in units of each body's own mass and size or, as in the paper, in SI units.
     """
 
     kind: Literal["none", "euclidean", "entropic", "pullback"] = "entropic"
@@ -44,7 +44,7 @@ class Regularization(ConfigRecord):
 
     @property
     def mass_precision_factor(self) -> float:
-        """Factor by which a mass of the prior has a smaller relative standard error than an inertia, 1 or more."""
+        """Ratio of the prior's relative standard errors, an inertia's over a mass's; 1 or more."""
         if self.units == "si":
             return 1.0
         if self.mass_precision is not None:
@@ -65,17 +65,17 @@ class Regularization(ConfigRecord):
         return 0.0 if self.weight == "auto" else self.weight
 
     def with_weight(self, weight: float) -> Self:
-        """Itself with a number as its weight; the factor of ``mass_precision`` stays as it is now."""
+        """A copy with a number as its weight and the same factor of ``mass_precision``."""
         return self.model_copy(update={"weight": weight, "mass_precision": self.mass_precision_factor})
 
     def fixed_or_weak(self) -> Regularization:
-        """Itself if the weight is a number, else a weak prior that needs no choice of weight: the paper's."""
+        """Itself if the weight is a number, else the paper's weak prior, which needs no choice of weight."""
         if self.weight != "auto":
             return self
         return WEAK_PRIOR if self.is_automatic else self.with_weight(0.0)
 
     @model_validator(mode="after")
-    def _units_of_the_euclidean(self) -> Self:
+    def _check_units(self) -> Self:
         if self.units == "si" and self.kind in ("entropic", "pullback"):
             raise ValueError(f"units: si is for kind euclidean; {self.kind} does not depend on units")
         if self.units == "si" and self.weight == "auto":
@@ -112,7 +112,7 @@ class Mirror(ConfigRecord):
     plane: Literal["xy", "xz", "yz"] | None = None
 
     @model_validator(mode="after")
-    def _one_thing(self) -> Self:
+    def _check_copy(self) -> Self:
         if (self.body is None) == (self.joint is None):
             raise ValueError("give either body or joint, and of")
         if self.joint is not None and self.plane is not None:
@@ -123,13 +123,13 @@ class Mirror(ConfigRecord):
 
 
 class Solver(ConfigRecord):
-    """The conic solver, one of those that cvxpy knows, or a local one on a manifold of realizable bodies."""
+    """The conic solver, one of cvxpy's, or a local one on a manifold of realizable bodies."""
 
     name: Literal["clarabel", "cvxpy", "log_cholesky", "manifold"] = "clarabel"
     backend: str | None = None
 
     @model_validator(mode="after")
-    def _backend_of_cvxpy(self) -> Self:
+    def _check_backend(self) -> Self:
         if self.backend is not None and self.name != "cvxpy":
             raise ValueError(f"backend is for name: cvxpy; {self.name} has none")
         return self

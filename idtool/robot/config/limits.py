@@ -1,4 +1,4 @@
-"""What a joint may be asked to do when a trajectory is designed; it can only tighten the URDF's limits."""
+"""Joint limits for the design of trajectories; they can only tighten the URDF's limits."""
 
 from __future__ import annotations
 

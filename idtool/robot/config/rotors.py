@@ -1,4 +1,4 @@
-"""Rotors: bodies that spin with joints, which a URDF does not know."""
+"""Rotors: bodies that spin with joints, which a URDF cannot describe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from idtool.robot.config.bounds import BoundingEllipsoid
 
 
 class Origin(ConfigRecord):
-    """A frame's place: xyz [m], roll–pitch–yaw [rad]."""
+    """Pose of a frame: xyz [m], roll–pitch–yaw [rad]."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
@@ -29,7 +29,7 @@ class Inertial(ConfigRecord):
 class RotorConfig(ConfigRecord):
     """A body that spins with a joint, or with a combination of joint velocities.
 
-    A rotor that bears the name of a URDF link on a fixed joint is that link: what is left out here comes from there.
+    A rotor with the name of a URDF link on a fixed joint is that link: what is missing here comes from the URDF.
     """
 
     joint: str | None = None
@@ -42,7 +42,7 @@ class RotorConfig(ConfigRecord):
     bounding_ellipsoid: BoundingEllipsoid | None = None
 
     @model_validator(mode="after")
-    def _one_drive(self) -> Self:
+    def _check_drive(self) -> Self:
         if self.coupling and (self.joint or self.gear_ratio is not None):
             raise ValueError("give either joint and gear_ratio, or coupling")
         if not self.coupling and (self.joint is None or self.gear_ratio is None):
@@ -59,5 +59,5 @@ class RotorConfig(ConfigRecord):
         if self.coupling:
             return dict(self.coupling)
         if self.joint is None or self.gear_ratio is None:
-            raise AssertionError  # ruled out by _one_drive
+            raise AssertionError  # ruled out by _check_drive
         return {self.joint: self.gear_ratio}

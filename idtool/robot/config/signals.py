@@ -1,4 +1,4 @@
-"""How logs are read and filtered, and what commanded the joints meanwhile."""
+"""Reading and filtering of logs, and the controller that commanded the joints."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
 from idtool.robot.config.terms import UncertainValue
 
 
-def _keeps_the_signal(factor: float) -> float:
+def _nonzero(factor: float) -> float:
     if factor == 0:
         raise ValueError("a signal times 0 is lost; to leave a joint out, leave it out of joints")
     return factor
 
 
-Factors = dict[str, Annotated[Finite, AfterValidator(_keeps_the_signal)]]
+Factors = dict[str, Annotated[Finite, AfterValidator(_nonzero)]]
 
 
 class Scale(ConfigRecord):
@@ -31,7 +31,7 @@ class Scale(ConfigRecord):
 
 
 class LogOptions(ConfigRecord):
-    """How to read the logs."""
+    """Options for reading the logs."""
 
     topic: str | None = None
     columns: dict[str, str] = Field(default_factory=dict)

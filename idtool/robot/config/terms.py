@@ -11,7 +11,7 @@ from idtool.robot.config.base import ConfigRecord, Finite, NonNegative
 
 
 class UncertainValue(ConfigRecord):
-    """A number that may carry its standard error, both in the number's unit."""
+    """A number that may have a standard error, both in the same unit."""
 
     value: Finite
     standard_error: NonNegative | None = None
@@ -22,22 +22,22 @@ class UncertainValue(ConfigRecord):
         return data if isinstance(data, Mapping) else {"value": data}
 
 
-def _term(data: Any) -> Any:
+def _parse_term(data: Any) -> Any:
     return data if isinstance(data, bool | UncertainValue) else UncertainValue.model_validate(data)
 
 
-def _dissipates(term: bool | UncertainValue) -> bool | UncertainValue:
+def _check_dissipative(term: bool | UncertainValue) -> bool | UncertainValue:
     if isinstance(term, UncertainValue) and term.value < 0:
         raise ValueError(f"friction of {term.value:g} would drive the joint; give 0 or more")
     return term
 
 
-Term = Annotated[bool | UncertainValue, BeforeValidator(_term)]
-Dissipation = Annotated[Term, AfterValidator(_dissipates)]
+Term = Annotated[bool | UncertainValue, BeforeValidator(_parse_term)]
+Dissipation = Annotated[Term, AfterValidator(_check_dissipative)]
 
 
 class Friction(ConfigRecord):
-    """Which friction terms a joint has, or their values [N·m·s/rad, N·m, N·m], as prior for `fit`, as is elsewhere."""
+    """Friction terms of a joint, or their values [N·m·s/rad, N·m, N·m], which `fit` takes as its prior."""
 
     viscous: Dissipation = True
     coulomb: Dissipation = True
@@ -45,14 +45,15 @@ class Friction(ConfigRecord):
 
 
 def friction_tag(data: Any) -> str:
-    """Terms for all joints alike, or by joint: told apart by the keys, so that errors speak of one of them."""
+    """Tag of the form: terms for all joints alike, or by joint. Told by the keys, so that errors are about one form."""
     if not isinstance(data, Mapping) or not data or set(data) & set(Friction.model_fields):
         return "alike"
-    return "by joint" if all(isinstance(terms, Mapping | Friction) for terms in data.values()) else "alike"
+    is_by_joint = all(isinstance(terms, Mapping | Friction) for terms in data.values())
+    return "by joint" if is_by_joint else "alike"
 
 
 class EffectEntry(ConfigRecord):
-    """An effect that the model carries; parameters in SI, each a number or a value with its standard error."""
+    """An effect of the model; parameters in SI, each a number or a value with its standard error."""
 
     effect: str
     joint: str | None = None

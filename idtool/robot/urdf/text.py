@@ -26,7 +26,7 @@ class Edit(NamedTuple):
 
 @dataclass
 class Element:
-    """An element of the document and its place in the text.
+    """An element of the document and its position in the text.
 
     Attributes
     ----------
@@ -72,11 +72,11 @@ def root_element(text: bytes) -> Element:
     stack = [document]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        at = parser.CurrentByteIndex
-        opening = _OPENING.match(text, at)
+        position = parser.CurrentByteIndex
+        opening = _OPENING.match(text, position)
         if opening is None:
-            raise AssertionError  # the parser has already seen the tag's end
-        element = Element(tag, attributes, at, opening.end())
+            raise AssertionError  # the parser has already read the tag's end
+        element = Element(tag, attributes, position, opening.end())
         stack[-1].children.append(element)
         stack.append(element)
 
@@ -102,9 +102,9 @@ def set_attribute(text: bytes, element: Element, name: str, value: str) -> Edit:
 
 
 def set_child(text: bytes, element: Element, tag: str, rows: Iterable[bytes]) -> Edit:
-    """The edit that puts rows in place of an element's first child with a tag, or where it has none at its beginning.
+    """The edit that replaces an element's first child with a tag by rows, or inserts them as its first child.
 
-    Rows take the child's indentation; without any the child is removed, with the white space before it.
+    Rows take the child's indentation. Without rows the child is removed, with the white space before it.
     """
     child = element.first(tag)
     rows = list(rows)

@@ -1,6 +1,6 @@
-"""An estimate into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
+"""Estimates written into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
 
-In another folder than its own, relative names of mesh files are made to hold there.
+For another folder, the relative paths of mesh files are changed so that they stay valid.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class JointDynamics:
 def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, Array | None]:
     """New inertials of a body's links, in the links' frames, which together are the body's.
 
-    The carrying link takes the difference between what was identified and what the URDF gives the links lumped into it.
-    Where no body could have that difference, it takes all, and the others become links without mass (None).
+    The first link takes the difference between the identified parameters and those that the URDF gives the links lumped
+    with it. If that difference is not realizable, it takes all, and the others become links without mass (None).
 
     Parameters
     ----------
@@ -40,17 +40,19 @@ def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, 
     pi
         Its identified parameters, shape (10,).
     links
-        Names of the URDF's links; a rotor that is locked and none of them stays in the configuration.
+        Names of the URDF's links; a locked rotor that is none of them stays in the configuration.
     """
     if not body.members:
         return {}
     first, *others = body.members
     lumped = [member for member in others if member.link in links]
-    own = pi - sum((member.pi_in_body for member in others if member.link not in links), np.zeros(len(pi)))
-    rest = own - sum((member.pi_in_body for member in lumped), np.zeros(len(pi)))
-    if is_realizable(rest):
-        return {first.link: rest}
-    return {first.link: own, **{member.link: None for member in lumped}}
+    zero = np.zeros(len(pi))
+    of_links = pi - sum((member.pi_in_body for member in others if member.link not in links), zero)
+    of_first = of_links - sum((member.pi_in_body for member in lumped), zero)
+    if is_realizable(of_first):
+        return {first.link: of_first}
+    massless: dict[str, Array | None] = {member.link: None for member in lumped}
+    return {first.link: of_links} | massless
 
 
 def replace_parameters(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
@@ -127,18 +129,19 @@ def identified_urdf(
 
 
 def relocate_meshes(text: bytes, urdf: Path, folder: Path) -> bytes:
-    """The URDF's text for a file in another folder: relative names of files that are there, meshes and textures.
+    """The URDF's text for a file in another folder, with new relative paths of its meshes and textures.
 
     Parameters
     ----------
     text
         The text.
     urdf
-        The file it stood in.
+        The file it was read from.
     folder
-        Where it will stand.
+        The folder it is written to.
     """
-    old_folder, new_folder = os.path.realpath(urdf.parent), os.path.realpath(folder)
+    old_folder = os.path.realpath(urdf.parent)
+    new_folder = os.path.realpath(folder)
     if old_folder == new_folder:
         return text
     edits: list[Edit] = []
