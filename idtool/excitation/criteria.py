@@ -44,19 +44,19 @@ class DesignCriterion:
 
     Attributes
     ----------
-    criterion
+    kind
         D, A, E or condition number.
     favoured
         Indices into the base parameters, shape (n,); all, or those to favour.
     """
 
-    criterion: Criterion
+    kind: Criterion
     favoured: Indices
 
     def value(self, M: Array, criterion: Criterion | None = None) -> float:
         """The criterion, or another one, of an information matrix (r, r); infinite where that is singular."""
         C = self._covariance(M)[np.ix_(self.favoured, self.favoured)]
-        kind = criterion or self.criterion
+        kind = criterion or self.kind
         if not np.isfinite(C).all():
             return np.inf
         L = np.linalg.eigvalsh(C)
@@ -68,7 +68,7 @@ class DesignCriterion:
             return float(np.sqrt(L.mean()))
         return float(np.sqrt(L[-1] / (L[0] if kind == "condition" else 1.0)))
 
-    def search(self, M: Array) -> tuple[float, Array]:
+    def smooth_log(self, M: Array) -> tuple[float, Array]:
         """A smooth stand-in for the criterion's logarithm, and its derivative by M, shape (r, r)."""
         C = self._covariance(M)
         some = np.ix_(self.favoured, self.favoured)
@@ -80,12 +80,12 @@ class DesignCriterion:
         return value, -C @ F @ C
 
     def _of_eigenvalues(self, L: Array) -> tuple[float, Array]:
-        if self.criterion == "d":
+        if self.kind == "d":
             return float(np.log(L).mean() / 2), 1 / (2 * len(L) * L)
-        if self.criterion == "a":
+        if self.kind == "a":
             return float(np.log(L.mean()) / 2), np.full(len(L), 1 / (2 * L.sum()))
         value, by_L = _norm(L)
-        if self.criterion == "e":
+        if self.kind == "e":
             return value / 2, by_L / 2
         inverse, by_inverse = _norm(1 / L)
         return (value + inverse) / 2, (by_L - by_inverse / L**2) / 2
@@ -121,19 +121,19 @@ class BaseColumns:
     def __init__(self, equation: LinearModel, base: BaseParameters, equalities: EqualityConstraints) -> None:
         place = np.searchsorted(equalities.free, base.own)
         K = equalities.K[:, place]  # (p, r)
-        self.own: list[Indices] = []  # per joint, which of the r appear in its equation
+        self.joint_columns: list[Indices] = []  # per joint, which of the r appear in its equation
         self._shares: list[Array] = []
         for active in equation.active():
             rows = K[active]
-            self.own.append(np.flatnonzero(rows.any(axis=0)))
-            self._shares.append(np.ascontiguousarray(rows[:, self.own[-1]].T))
+            self.joint_columns.append(np.flatnonzero(rows.any(axis=0)))
+            self._shares.append(np.ascontiguousarray(rows[:, self.joint_columns[-1]].T))
         self.size = len(base)
 
-    def of(self, joint: int, columns: Array) -> Array:
+    def project(self, joint: int, columns: Array) -> Array:
         """Columns (m_j, N) of a joint's equation → those of the base parameters in ``own[joint]``, (r_j, N)."""
         return self._shares[joint] @ columns
 
-    def back(self, joint: int, by: Array) -> Array:
+    def project_gradient(self, joint: int, by: Array) -> Array:
         """Derivatives by the base parameters' columns (r_j, N) → by the equation's columns (m_j, N)."""
         return self._shares[joint].T @ by
 
@@ -143,13 +143,13 @@ class BaseColumns:
         for j, (factor, sigma) in enumerate(zip(reduction, noise, strict=True)):
             W = np.zeros((len(factor.R), self.size))
             worth = np.sqrt(factor.independent / max(factor.rows, 1)) / sigma
-            W[:, self.own[j]] = self.of(j, factor.R[:, :-1].T).T * worth
+            W[:, self.joint_columns[j]] = self.project(j, factor.R[:, :-1].T).T * worth
             rows.append(W)
         return np.concatenate(rows)
 
 
 @dataclass(frozen=True)
-class Errors:
+class StandardErrors:
     """What least squares on rows in units of noise would be off by.
 
     Attributes
@@ -164,7 +164,7 @@ class Errors:
     coefficients: Array
 
 
-def expected_errors(W: Array, base: BaseParameters) -> Errors:
+def expected_standard_errors(W: Array, base: BaseParameters) -> StandardErrors:
     """Standard errors from rows in units of noise.
 
     Parameters
@@ -184,13 +184,13 @@ def expected_errors(W: Array, base: BaseParameters) -> Errors:
     alone = np.abs(G @ base.B - np.eye(len(G))).max(axis=1) < _ALONE
     G[np.abs(G) < _ALONE * np.abs(G).max(axis=1, initial=_ALONE, keepdims=True)] = 0.0
     told = alone & ~(G[:, unseen] != 0).any(axis=1)
-    return Errors(
+    return StandardErrors(
         base=np.where(unseen, np.inf, np.linalg.norm(root, axis=1)),
         coefficients=np.where(told, np.linalg.norm(G @ root, axis=1), np.inf),
     )
 
 
-def sizes(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
+def base_parameter_scales(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
     """Units in which the base parameters are measured, shape (r,).
 
     Parameters
@@ -208,7 +208,7 @@ def sizes(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
     return np.asarray(np.linalg.norm(base.B * scale, axis=1))
 
 
-def favoured(names: Sequence[str], base: BaseParameters, equation: LinearModel) -> Indices:
+def favoured_indices(names: Sequence[str], base: BaseParameters, equation: LinearModel) -> Indices:
     """Indices of the base parameters that are meant; all without a name.
 
     Parameters

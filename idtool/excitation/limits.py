@@ -19,9 +19,12 @@ from idtool.robot.config.limits import JointLimits
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint
 
-TURN = math.pi  # rad to either side of zero, of a joint that has no position limits
-SPEED = {False: 3.0, True: 0.3}  # rad/s, m/s of a joint that has no velocity limit; True: prismatic
-RISE = {True: 0.1, False: 0.2}  # s in which a joint without an acceleration limit may reach its velocity limit from
+DEFAULT_RANGE = math.pi  # rad to either side of zero, of a joint that has no position limits
+DEFAULT_VELOCITY = {False: 3.0, True: 0.3}  # rad/s, m/s of a joint that has no velocity limit; True: prismatic
+DEFAULT_RISE_TIME = {
+    True: 0.1,
+    False: 0.2,
+}  # s in which a joint without an acceleration limit may reach its velocity limit from
 # rest; True: its effort limit bounds the acceleration too
 QUANTITIES = ("position", "velocity", "acceleration", "effort")
 
@@ -56,11 +59,11 @@ class Limits:
         return (self.lower + self.upper) / 2
 
     @property
-    def half(self) -> Array:
+    def half_range(self) -> Array:
         """Half the position's range, shape (nv,)."""
         return (self.upper - self.lower) / 2
 
-    def within(self, margin: float) -> Limits:
+    def with_margin(self, margin: float) -> Limits:
         """The limits that a design keeps to.
 
         Parameters
@@ -69,7 +72,7 @@ class Limits:
             Share of every limit that is left unused, for the error of tracking; twice that of the effort, since the
             model that predicts the torque is the one to be improved.
         """
-        spare = margin * self.half
+        spare = margin * self.half_range
         return replace(
             self,
             lower=self.lower + spare,
@@ -79,7 +82,7 @@ class Limits:
             effort=(1 - 2 * margin) * self.effort,
         )
 
-    def use(self, q: Array, v: Array, a: Array, tau: Array | None = None) -> Array:
+    def utilization(self, q: Array, v: Array, a: Array, tau: Array | None = None) -> Array:
         """The largest share of each limit that a motion takes, 1 at the limit.
 
         Parameters
@@ -92,7 +95,7 @@ class Limits:
         Shape (4, nv), in the order of `QUANTITIES`.
         """
         shares = [
-            np.abs(q - self.middle[:, None]) / self.half[:, None],
+            np.abs(q - self.middle[:, None]) / self.half_range[:, None],
             np.abs(v) / self.velocity[:, None],
             np.abs(a) / self.acceleration[:, None],
             np.zeros_like(q) if tau is None else np.abs(tau) / self.effort[:, None],
@@ -100,7 +103,7 @@ class Limits:
         return np.array([share.max(axis=1) for share in shares])
 
 
-def limits_of(model: Model, config: Config) -> Limits:
+def joint_limits(model: Model, config: Config) -> Limits:
     """The limits of a model's joints.
 
     Parameters
@@ -141,14 +144,14 @@ def _joint(joint: Joint, own: JointLimits, assumed: dict[str, list[str]]) -> tup
     if not (math.isfinite(lower) and math.isfinite(upper)):
         if prismatic:
             raise ConfigError(f"limits: {joint.name}", "has no position limits in the URDF; give `position: [a, b]`")
-        lower, upper = max(lower, -TURN), min(upper, TURN)
+        lower, upper = max(lower, -DEFAULT_RANGE), min(upper, DEFAULT_RANGE)
         assumed.setdefault("no position limit, half a turn to either side of zero is taken", []).append(joint.name)
     velocity = min(own.velocity or math.inf, joint.velocity if joint.velocity > 0 else math.inf)
     if not math.isfinite(velocity):
-        velocity = SPEED[prismatic]
+        velocity = DEFAULT_VELOCITY[prismatic]
         assumed.setdefault(f"no velocity limit, {velocity:g} {per_second} is taken", []).append(joint.name)
     effort = min(own.effort or math.inf, joint.effort if joint.effort > 0 else math.inf)
-    rise = RISE[math.isfinite(effort)]
+    rise = DEFAULT_RISE_TIME[math.isfinite(effort)]
     acceleration = own.acceleration or velocity / rise
     if own.acceleration is None:
         told = f"no acceleration limit, that which reaches the velocity limit in {rise:g} s is taken"

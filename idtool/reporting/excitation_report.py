@@ -13,7 +13,7 @@ from idtool.common.provenance import Source
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
-from idtool.excitation.task import Task
+from idtool.excitation.task import DesignTask
 from idtool.reporting.results.base import provenance_fields
 from idtool.reporting.results.excitation import (
     Clearance,
@@ -57,23 +57,23 @@ def excitation_report(
     """
     task, trajectory = design.task, design.trajectory
     starts = trajectory.starts.tolist()
-    parts = zip(trajectory.parts, starts[:-1], starts[1:], strict=True)
+    parts = zip(trajectory.segments, starts[:-1], starts[1:], strict=True)
     return ExcitationReport(
         **provenance_fields(sources),
         file=None,
         urdf=urdf,
         logs=logs,
         seed=seed,
-        samples=math.floor(trajectory.seconds * task.rate + 1e-9) + 1,
+        samples=math.floor(trajectory.duration * task.rate + 1e-9) + 1,
         joints=task.model.names,
         units=task.model.units,
-        duration=trajectory.seconds,
+        duration=trajectory.duration,
         rate_hz=task.rate,
-        highest_hz=design.highest,
+        highest_hz=design.max_frequency,
         parts=[MotionPart(pattern=part.pattern.name, start=start, end=end) for part, start, end in parts],
-        home=_by_joint(task, trajectory.parts[0].pattern.home),
+        home=_by_joint(task, trajectory.segments[0].pattern.home),
         noise=_by_joint(task, task.noise),
-        criterion=task.aim.criterion,
+        criterion=task.criterion.kind,
         criteria={
             name: Criteria(**{kind: _finite(value) for kind, value in values.items()})
             for name, values in design.criteria.items()
@@ -83,7 +83,7 @@ def excitation_report(
         terms=_terms(design),
         limits={joint: _limits(task, j) for j, joint in enumerate(task.model.names)},
         use={
-            joint: LimitUtilization(**dict(zip(QUANTITIES, design.use[:, j].tolist(), strict=True)))
+            joint: LimitUtilization(**dict(zip(QUANTITIES, design.utilization[:, j].tolist(), strict=True)))
             for j, joint in enumerate(task.model.names)
         },
         clearance=_clearance(design),
@@ -98,7 +98,7 @@ def _finite(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
 
 
-def _by_joint(task: Task, values: Array) -> dict[str, float]:
+def _by_joint(task: DesignTask, values: Array) -> dict[str, float]:
     return dict(zip(task.model.names, values.tolist(), strict=True))
 
 
@@ -106,13 +106,13 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
     task, base = design.task, design.task.base
     coefficients = task.equation.coefficients
     prior = base.B @ task.theta
-    chosen = len(task.aim.favoured) < len(base)
+    chosen = len(task.criterion.favoured) < len(base)
     found = []
     for i, own in enumerate(base.own):
         error = float(design.errors.base[i])
         before = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
-        comparable = abs(prior[i]) > _TINY * task.size[i]
-        value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.size[i] else 0.0
+        comparable = abs(prior[i]) > _TINY * task.scales[i]
+        value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.scales[i] else 0.0
         found.append(
             ExpectedParameter(
                 name=combination_name(base, i, coefficients),
@@ -122,7 +122,7 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
                 standard_error=_finite(error),
                 relative=_finite(error / abs(prior[i])) if comparable else None,
                 logged_standard_error=_finite(before),
-                favoured=bool(chosen and i in task.aim.favoured),
+                favoured=bool(chosen and i in task.criterion.favoured),
             )
         )
     return found
@@ -149,7 +149,7 @@ def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
     return terms
 
 
-def _limits(task: Task, j: int) -> JointLimitsReport:
+def _limits(task: DesignTask, j: int) -> JointLimitsReport:
     full = task.full
     return JointLimitsReport(
         position=[float(full.lower[j]), float(full.upper[j])],
@@ -169,8 +169,8 @@ def _clearance(design: Design) -> Clearance | None:
 def _curves(design: Design) -> ExcitationCurves:
     """The motion and its predicted torque at a few instants."""
     task, trajectory = design.task, design.trajectory
-    t = np.linspace(0, trajectory.seconds, _CURVE)
-    samples = trajectory.at(t)
+    t = np.linspace(0, trajectory.duration, _CURVE)
+    samples = trajectory.motion(t)
     q, v, a = samples
     tau = task.torque(samples, t)
     joints = {}
@@ -199,5 +199,5 @@ def _warnings(design: Design) -> list[str]:
 def untold_names(design: Design, base: BaseParameters) -> list[str]:
     """The base parameters whose standard error is larger than their size, by their own coefficients' names."""
     coefficients = design.task.equation.coefficients
-    large = design.errors.base > _LARGE * design.task.size
+    large = design.errors.base > _LARGE * design.task.scales
     return [quantity(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]

@@ -20,7 +20,7 @@ from typing_extensions import override
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import nearest
-from idtool.excitation.patterns.base import Pattern, Samples, Setting, step
+from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec, smooth_step
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.model import Model
 
@@ -56,7 +56,7 @@ class Shell(Pattern):
     name = "shell"
     draws = 5
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: PatternSpec) -> None:
         super().__init__(setting)
         self.model = setting.model
         self.limbs = self._limbs(setting.tip)
@@ -67,9 +67,9 @@ class Shell(Pattern):
         x = np.concatenate([[1.0, 1.0], rng.uniform(-0.4, 0.4, 3), rng.uniform(0.7, 1.3, 3)])
         while x[0] > _LEAST:
             missed = self._solve(x)[1]
-            q, v, a = self.motion(x, np.linspace(0, self.seconds, max(int(self.seconds * _RATE / 4), 100)))
+            q, v, a = self.motion(x, np.linspace(0, self.duration, max(int(self.duration * _RATE / 4), 100)))
             away = np.abs(q - self.home[:, None]).max(axis=1)
-            if missed <= _MISSED and (away <= self.room).all():
+            if missed <= _MISSED and (away <= self.max_excursion).all():
                 fast = (np.abs(v).max(axis=1) / self.limits.velocity).max()
                 hard = np.sqrt((np.abs(a).max(axis=1) / self.limits.acceleration).max())
                 if max(fast, hard) <= 1:
@@ -85,15 +85,15 @@ class Shell(Pattern):
         return np.concatenate([[x[0] * share.min()], x[1:]])
 
     @override
-    def motion(self, x: Array, t: Array) -> Samples:
+    def motion(self, x: Array, t: Array) -> MotionSamples:
         spline = self._solve(x)[0]
-        return Samples(*(np.ascontiguousarray(spline(t, k).T) for k in range(3)))
+        return MotionSamples(*(np.ascontiguousarray(spline(t, k).T) for k in range(3)))
 
     def _solve(self, x: Array) -> tuple[Spline, float]:
         """The joints' positions over time, and by which share of the smallest radius a tip misses its shell at most."""
         key = x.tobytes()
         if key not in self._solved:
-            t = np.linspace(0, self.seconds, min(max(int(self.seconds * _RATE), 100), _MAX_INSTANTS) + 1)
+            t = np.linspace(0, self.duration, min(max(int(self.duration * _RATE), 100), _MAX_INSTANTS) + 1)
             q, missed = np.repeat(self.home[:, None], len(t), axis=1), 0.0
             for i, limb in enumerate(self.limbs):
                 target = self._target(x, t, limb, i)
@@ -111,8 +111,8 @@ class Shell(Pattern):
         theta = THETA / THETA_FREQUENCY * (1 - np.cos(x[1] * THETA_FREQUENCY * t))
         unit = np.array([np.cos(theta), np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)])
         away = (x[2:5, None] + x[5:8, None] * unit) * limb.spread[:, None]
-        ramp = min(_RAMP, self.seconds / 5)
-        window = step(t / ramp).q * step((self.seconds - t) / ramp).q
+        ramp = min(_RAMP, self.duration / 5)
+        window = smooth_step(t / ramp).q * smooth_step((self.duration - t) / ramp).q
         start = tip_and_jacobian(self.model, limb.body, limb.p, self.home[:, None])[0]
         return np.asarray(start + x[0] * window * away)
 

@@ -6,7 +6,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns.base import STEP_SPEED, Pattern, Samples, Setting
+from idtool.excitation.patterns.base import STEP_SPEED, MotionSamples, Pattern, PatternSpec
 
 _SPEEDS = 3  # that each joint sweeps at
 _RATIO = 4.0  # from one speed to the next
@@ -16,7 +16,7 @@ _SHORTEST = 1.0  # s of one speed, there and back; a part too short for all spee
 _TURN = 0.15  # of a sweep is taken by each change of velocity
 
 
-class Slow(Pattern):
+class SlowSweeps(Pattern):
     """All joints sweep out from home and back at one speed each, then at the next.
 
     The joints take their speeds in different orders and directions, told by x: the velocity of each joint in each
@@ -25,13 +25,13 @@ class Slow(Pattern):
 
     name = "slow"
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: PatternSpec) -> None:
         super().__init__(setting)
-        self.sweeps = int(np.clip(self.seconds / _SHORTEST, 1, _SPEEDS))
-        self._each = self.seconds / self.sweeps
+        self.sweeps = int(np.clip(self.duration / _SHORTEST, 1, _SPEEDS))
+        self._each = self.duration / self.sweeps
         way = self._each / 2 * (1 - 1.5 * _TURN)  # of a sweep at a velocity of 1
         change = _TURN * self._each / 2  # s from one velocity to the next; at the turning point, from +1 to −1
-        fastest = np.minimum(_FASTEST * self.limits.velocity, _ROOM * self.room / way)
+        fastest = np.minimum(_FASTEST * self.limits.velocity, _ROOM * self.max_excursion / way)
         self.fastest: Array = np.minimum(fastest, self.limits.acceleration * change / (2 * STEP_SPEED))
 
     @override
@@ -46,13 +46,13 @@ class Slow(Pattern):
         return np.asarray(x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
     @override
-    def motion(self, x: Array, t: Array) -> Samples:
+    def motion(self, x: Array, t: Array) -> MotionSamples:
         sweep = np.clip((t / self._each).astype(int), 0, self.sweeps - 1)
         q, v, a = self._sweep(t - sweep * self._each)
         velocity = self.fastest[:, None] * x.reshape(len(self.home), -1)[:, sweep]
-        return Samples(self.home[:, None] + velocity * q, velocity * v, velocity * a)
+        return MotionSamples(self.home[:, None] + velocity * q, velocity * v, velocity * a)
 
-    def _sweep(self, t: Array) -> Samples:
+    def _sweep(self, t: Array) -> MotionSamples:
         """Out and back at velocities of 1 and −1: the velocity is a sum of smooth steps, the way its integral."""
         change = _TURN * self._each / 2
         q, v, a = np.zeros((3, len(t)))
@@ -62,4 +62,4 @@ class Slow(Pattern):
             q += size * (change * x**4 * (2.5 - 3 * x + x**2) + after)
             v += size * x**3 * (10 - 15 * x + 6 * x**2)
             a += size * 30 * x**2 * (1 - x) ** 2 / change
-        return Samples(q, v, a)
+        return MotionSamples(q, v, a)

@@ -6,7 +6,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns.base import Pattern, Samples, Setting, farthest, step
+from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec, max_step_distance, smooth_step
 
 _CELL = 1.0  # s that a move and the hold after it take, about
 _HOLD = 0.4  # of it is held
@@ -18,12 +18,14 @@ class Standstill(Pattern):
 
     name = "standstill"
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: PatternSpec) -> None:
         super().__init__(setting)
-        self.holds = max(int(self.seconds / _CELL) - 1, 1)
-        self._each = self.seconds / (self.holds + 1)
-        far = farthest(self.limits.velocity, self.limits.acceleration, (1 - _HOLD) * self._each)
-        self.reach: Array = np.minimum(_ROOM * self.room, far / 2)  # from pose to pose it is twice that at most
+        self.holds = max(int(self.duration / _CELL) - 1, 1)
+        self._each = self.duration / (self.holds + 1)
+        far = max_step_distance(self.limits.velocity, self.limits.acceleration, (1 - _HOLD) * self._each)
+        self.reach: Array = np.minimum(
+            _ROOM * self.max_excursion, far / 2
+        )  # from pose to pose it is twice that at most
 
     @override
     def draw(self, rng: np.random.Generator) -> Array:
@@ -34,11 +36,11 @@ class Standstill(Pattern):
         return np.asarray(x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
     @override
-    def motion(self, x: Array, t: Array) -> Samples:
+    def motion(self, x: Array, t: Array) -> MotionSamples:
         away = self.reach[:, None] * x.reshape(len(self.home), -1)
         poses = self.home[:, None] + np.pad(away, [(0, 0), (1, 1)])
         cell = np.clip((t / self._each).astype(int), 0, self.holds)
         move = (1 - _HOLD) * self._each
-        q, v, a = step((t - cell * self._each) / move)
+        q, v, a = smooth_step((t - cell * self._each) / move)
         way = poses[:, cell + 1] - poses[:, cell]
-        return Samples(poses[:, cell] + way * q, way * v / move, way * a / move**2)
+        return MotionSamples(poses[:, cell] + way * q, way * v / move, way * a / move**2)

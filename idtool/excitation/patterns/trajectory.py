@@ -8,55 +8,55 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns.base import Pattern, Samples
+from idtool.excitation.patterns.base import MotionSamples, Pattern
 
 _BLOCK = 8192  # samples
 
 
 @dataclass(frozen=True)
-class Part:
+class TrajectorySegment:
     """A motion of a pattern's family."""
 
     pattern: Pattern
     x: Array
 
-    def at(self, t: Array) -> Samples:
+    def motion(self, t: Array) -> MotionSamples:
         """At times since its start, shape (N,) [s]."""
-        return self.pattern.motion(self.x, np.clip(t, 0.0, self.pattern.seconds))
+        return self.pattern.motion(self.x, np.clip(t, 0.0, self.pattern.duration))
 
-    def blocks(self, dt: float) -> Iterator[tuple[Array, Samples]]:
+    def blocks(self, dt: float) -> Iterator[tuple[Array, MotionSamples]]:
         """Times no more than dt [s] apart, both ends among them, and the motion then, block by block."""
-        t = np.linspace(0, self.pattern.seconds, max(int(np.ceil(self.pattern.seconds / dt)) + 1, 2))
+        t = np.linspace(0, self.pattern.duration, max(int(np.ceil(self.pattern.duration / dt)) + 1, 2))
         for start in range(0, len(t), _BLOCK):
             some = t[start : start + _BLOCK]
-            yield some, self.at(some)
+            yield some, self.motion(some)
 
 
 @dataclass(frozen=True)
 class Trajectory:
     """Parts that all begin and end at rest at the home pose."""
 
-    parts: tuple[Part, ...]
+    segments: tuple[TrajectorySegment, ...]
 
     @property
-    def seconds(self) -> float:
+    def duration(self) -> float:
         """How long it takes [s]."""
-        return sum(part.pattern.seconds for part in self.parts)
+        return sum(part.pattern.duration for part in self.segments)
 
     @property
     def starts(self) -> Array:
         """When each part begins [s], and the end."""
-        return np.cumsum([0.0, *(part.pattern.seconds for part in self.parts)])
+        return np.cumsum([0.0, *(part.pattern.duration for part in self.segments)])
 
-    def at(self, t: Array) -> Samples:
+    def motion(self, t: Array) -> MotionSamples:
         """At times since its start, shape (N,) [s], ascending."""
         starts = self.starts
-        index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(self.parts) - 1)
-        pieces = [part.at(t[index == i] - starts[i]) for i, part in enumerate(self.parts)]
-        return Samples(*(np.concatenate(signal, axis=1) for signal in zip(*pieces, strict=True)))
+        index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(self.segments) - 1)
+        pieces = [part.motion(t[index == i] - starts[i]) for i, part in enumerate(self.segments)]
+        return MotionSamples(*(np.concatenate(signal, axis=1) for signal in zip(*pieces, strict=True)))
 
-    def sampled(self, rate: float) -> tuple[Array, Samples]:
+    def sampled(self, rate: float) -> tuple[Array, MotionSamples]:
         """At an even rate [Hz]: times (N,) [s] and the motion."""
-        t = np.arange(int(np.floor(self.seconds * rate + 1e-9)) + 1) / rate
-        blocks = [self.at(t[start : start + _BLOCK]) for start in range(0, len(t), _BLOCK)]
-        return t, Samples(*(np.concatenate(signal, axis=1) for signal in zip(*blocks, strict=True)))
+        t = np.arange(int(np.floor(self.duration * rate + 1e-9)) + 1) / rate
+        blocks = [self.motion(t[start : start + _BLOCK]) for start in range(0, len(t), _BLOCK)]
+        return t, MotionSamples(*(np.concatenate(signal, axis=1) for signal in zip(*blocks, strict=True)))

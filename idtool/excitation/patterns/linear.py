@@ -1,4 +1,4 @@
-"""`Series`: motions that are linear in their numbers: home plus a sum of functions of time."""
+"""`LinearPattern`: motions that are linear in their numbers: home plus a sum of functions of time."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns.base import Pattern, Samples, Setting
+from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec
 
 _DRAWN = 0.9  # of the limits that a random motion takes
 _LOOKED_AT = 500  # samples
 _KEPT = 2  # sets of times: those of the samples, and those at which the clearance is looked at
 
 
-class Series(Pattern):
+class LinearPattern(Pattern):
     """q = home + Σ over k of x_k unit_k f_k(t), with functions that vanish with two derivatives at both ends."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: PatternSpec) -> None:
         super().__init__(setting)
-        self.highest = setting.highest
-        self._last: list[tuple[Array, Samples]] = []
+        self.max_frequency = setting.max_frequency
+        self._last: list[tuple[Array, MotionSamples]] = []
 
     @abstractmethod
-    def functions(self, t: Array) -> Samples:
+    def functions(self, t: Array) -> MotionSamples:
         """The K functions and their two derivatives, shape (K, N) each."""
 
     @abstractmethod
@@ -36,23 +36,25 @@ class Series(Pattern):
         w = self.frequencies()
         velocity, acceleration = self.limits.velocity[:, None], self.limits.acceleration[:, None]
         with np.errstate(divide="ignore"):
-            return np.asarray(np.minimum(self.limits.half[:, None], np.minimum(velocity / w, acceleration / w**2)))
+            return np.asarray(
+                np.minimum(self.limits.half_range[:, None], np.minimum(velocity / w, acceleration / w**2))
+            )
 
     @override
     def draw(self, rng: np.random.Generator) -> Array:
         x = rng.normal(size=self.units().size)
-        q, v, a = self.motion(x, np.linspace(0, self.seconds, _LOOKED_AT))
-        ways = ((q - self.home[:, None], self.room), (v, self.limits.velocity), (a, self.limits.acceleration))
+        q, v, a = self.motion(x, np.linspace(0, self.duration, _LOOKED_AT))
+        ways = ((q - self.home[:, None], self.max_excursion), (v, self.limits.velocity), (a, self.limits.acceleration))
         return self.scaled(x, np.min([_DRAWN * limit / np.abs(way).max(axis=1) for way, limit in ways], axis=0))
 
     @override
-    def motion(self, x: Array, t: Array) -> Samples:
+    def motion(self, x: Array, t: Array) -> MotionSamples:
         C = x.reshape(len(self.home), -1) * self.units()
         q, v, a = (C @ f for f in self._at(t))
-        return Samples(self.home[:, None] + q, v, a)
+        return MotionSamples(self.home[:, None] + q, v, a)
 
     @override
-    def gradient(self, x: Array, t: Array, by: Samples) -> Array:
+    def gradient(self, x: Array, t: Array, by: MotionSamples) -> Array:
         total = np.sum([d @ f.T for d, f in zip(by, self._at(t), strict=True)], axis=0)
         return np.asarray(total * self.units()).ravel()
 
@@ -60,7 +62,7 @@ class Series(Pattern):
     def scaled(self, x: Array, share: Array) -> Array:
         return (x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
-    def _at(self, t: Array) -> Samples:
+    def _at(self, t: Array) -> MotionSamples:
         """The functions; those of the last few times are kept."""
         for times, functions in self._last:
             if times is t:
