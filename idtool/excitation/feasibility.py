@@ -173,7 +173,7 @@ def _within_torque_and_clearance(task: DesignTask, segment: TrajectorySegment) -
     if task.collision is None:
         return True
     for _, samples in segment.blocks(1 / _CLEARANCE_RATE):
-        if (task.collision.clearance(samples.q) < task.clearance).any():
+        if not (task.collision.clearance(samples.q) >= task.clearance).all():
             return False
     return True
 

@@ -1,4 +1,4 @@
-"""`DesignTask`: what a trajectory is to tell, of which robot, within which limits.
+"""`DesignTask`: robot, limits and criterion of a trajectory design.
 
 Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m, s, N·m or N.
 """
@@ -25,33 +25,33 @@ from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
 from idtool.robot.model import Model
 
-VELOCITY_DEADBAND = 3e-3  # rad/s or m/s: least velocity whose sign a fit believes
-_REST = 3.0  # times that: where a joint rests and its row is left out
+VELOCITY_DEADBAND = 3e-3  # rad/s or m/s: below it, a fit does not rely on the sign of the velocity
+_REST = 3.0  # times that: a slower joint is at rest, and its row is left out
 _NOISE = 0.01  # of the effort limit, or of the largest torque of a random motion
-_TYPICAL = 10.0  # times the noise: the torque of a coefficient whose size nothing tells
-_SECONDS = 10.0  # of a random motion
+_TYPICAL_TORQUE = 10.0  # times the noise, of a coefficient whose magnitude is unknown
+_RANDOM_DURATION = 10.0  # s of a random motion
 
 
 @dataclass(frozen=True)
 class DesignTask:
-    """What is to be told, of which robot, within which limits.
+    """Robot, limits and criterion of a trajectory design.
 
     Attributes
     ----------
     model, equation, equalities
-        The robot, its torque equation, and what is known of its coefficients.
+        The robot, its torque equation, and the equality constraints between its coefficients.
     theta
         Coefficients that predict the torque, shape (p,).
     full, limits
-        The joints' limits, and what a design keeps to.
+        The joints' limits, and the tighter ones of the design.
     collision, clearance
-        The robot's geometry, None without any, and how near links may come to each other [m].
+        The robot's geometry, None without any, and the smallest distance that links may have [m].
     base, columns, scales
-        The base parameters, their columns, and their units, shape (r,).
+        The base parameters, their columns, and their scales, shape (r,).
     noise, noise_assumed
-        Of each joint's torque in the band [N·m or N], shape (nv,), and that of the joints for which it was not given.
+        Torque noise of each joint in the band [N·m or N], shape (nv,), and that of the joints for which it is assumed.
     rate, independent_rate
-        Samples and independent samples in the band a second [Hz].
+        Samples, and independent samples in the band, per second [Hz].
     criterion
         The criterion.
     """
@@ -73,32 +73,36 @@ class DesignTask:
     independent_rate: float
     criterion: DesignCriterion
 
-    def blocks(self, samples: MotionSamples, t: Array, still: Array) -> list[Array]:
-        """Columns of each joint's equation, less what takes no coefficient in the last, (m_j + 1, N)."""
-        zero = np.zeros_like(samples.q)
-        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
-        return self.equation.columns(Motion(t, *samples, zero, zero, still, dt))
+    def blocks(self, samples: MotionSamples, t: Array, velocity_deadband: Array) -> list[Array]:
+        """Columns of each joint's equation and, last, minus the part without coefficients, (m_j + 1, N) each."""
+        return self.equation.columns(_motion(samples, t, velocity_deadband))
 
     def torque(self, samples: MotionSamples, t: Array) -> Array:
         """Predicted torque, shape (nv, N)."""
-        zero, still = np.zeros_like(samples.q), np.full(len(samples.q), VELOCITY_DEADBAND)
-        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
-        return self.equation.torque(Motion(t, *samples, zero, zero, still, dt), self.theta)
+        velocity_deadband = np.full(len(samples.q), VELOCITY_DEADBAND)
+        return self.equation.torque(_motion(samples, t, velocity_deadband), self.theta)
 
     def information(self, samples: MotionSamples, t: Array) -> Array:
-        """Of even samples of a motion about the base parameters in units of their sizes, shape (r, r).
+        """Information in even samples of a motion on the base parameters in units of their scales, shape (r, r).
 
-        Where a joint rests, its row tells nothing.
+        Rows of a joint at rest are left out.
         """
-        still = np.full(len(samples.q), VELOCITY_DEADBAND)
+        velocity_deadband = np.full(len(samples.q), VELOCITY_DEADBAND)
         M = np.zeros((len(self.scales), len(self.scales)))
-        worth = self.independent_rate * float(t[1] - t[0])
-        for j, block in enumerate(self.blocks(samples, t, still)):
-            own = self.columns.joint_columns[j]
-            moving = np.abs(samples.v[j]) > _REST * VELOCITY_DEADBAND
-            Y = self.columns.project(j, block[:-1, moving]) * (self.scales[own, None] / self.noise[j])
-            M[np.ix_(own, own)] += worth * Y @ Y.T
+        samples_per_row = self.independent_rate * float(t[1] - t[0])
+        for j, block in enumerate(self.blocks(samples, t, velocity_deadband)):
+            columns = self.columns.joint_columns[j]
+            is_moving = np.abs(samples.v[j]) > _REST * VELOCITY_DEADBAND
+            Y = self.columns.project(j, block[:-1, is_moving]) * (self.scales[columns, None] / self.noise[j])
+            M[np.ix_(columns, columns)] += samples_per_row * Y @ Y.T
         return M
+
+
+def _motion(samples: MotionSamples, t: Array, velocity_deadband: Array) -> Motion:
+    """Samples of a design as the torque equation takes them, without measured torque."""
+    zero = np.zeros_like(samples.q)
+    dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
+    return Motion(t, *samples, tau=zero, logged=zero, velocity_deadband=velocity_deadband, dt=dt)
 
 
 def make_design_task(
@@ -114,22 +118,22 @@ def make_design_task(
     favour: Sequence[str],
     noise: Mapping[str, float],
 ) -> DesignTask:
-    """What is to be told of a model.
+    """The task of designing a trajectory for a model.
 
     Parameters
     ----------
     model, equation, equalities, config
-        The robot, its torque equation, what is known of its coefficients, and the configuration.
+        The robot, its torque equation, the constraints between its coefficients, and the configuration.
     rate
-        Of the log to come [Hz].
+        Sampling rate of the log to come [Hz].
     margin
-        Share of every limit that is left unused, see `Limits.within`.
+        Share of every limit that is not used, see `Limits.within`.
     clearance
-        How near links may come to each other [m].
+        Smallest distance that links may have [m].
     criterion, favour
-        The aim; names as in `criteria.favoured_indices`.
+        The criterion, and the names of `criteria.favoured_indices`.
     noise
-        Of a joint's torque in the band, by name [N·m or N]; of others, a share of the effort limit.
+        Torque noise in the band by joint [N·m or N]; that of others is a share of the effort limit.
 
     Raises
     ------
@@ -160,38 +164,40 @@ def make_design_task(
         noise=sigma,
         noise_assumed=assumed,
         rate=rate,
-        independent_rate=_independent(config, rate),
+        independent_rate=_independent_rate(config, rate),
         criterion=DesignCriterion(criterion, favoured_indices(favour, base, equation)),
     )
 
 
-def _independent(config: Config, rate: float) -> float:
-    """Independent samples a second in the band of the log to come."""
+def _independent_rate(config: Config, rate: float) -> float:
+    """Independent samples per second in the band of the log to come [Hz]."""
     band = config.filter.cutoff_hz or default_cutoff(1 / rate)
     if band >= 0.45 * rate:
         raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for --rate {rate:g}")
     stride = max(1, int(rate / (4 * band)))
-    return rate / (stride * LowPass(band, config.filter.order, 1 / rate, stride).redundancy)
+    low_pass = LowPass(band, config.filter.order, 1 / rate, stride)
+    return rate / (stride * low_pass.redundancy)
 
 
 def _scales(
     model: Model, equation: LinearModel, limits: Limits, given: Mapping[str, float]
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Noise of each joint (nv,), typical sizes of the coefficients (p,), and what is to be said of the noise.
+    """Noise of each joint (nv,), typical magnitudes of the coefficients (p,), and the joints whose noise is assumed.
 
-    Of a random motion within the limits: the largest torque where there is no limit, and the columns' sizes.
+    A random motion within the limits gives the largest torque where there is no limit, and the columns' magnitudes.
     """
-    pattern = Fourier(PatternSpec(model, limits, limits.middle, _SECONDS))
-    t = np.linspace(0, _SECONDS, 500)
+    pattern = Fourier(PatternSpec(model, limits, limits.middle, _RANDOM_DURATION))
+    t = np.linspace(0, _RANDOM_DURATION, 500)
     samples = pattern.motion(pattern.draw(np.random.default_rng(0)), t)
-    zero = np.zeros_like(samples.q)
-    motion = Motion(t, *samples, zero, zero, np.full(len(zero), VELOCITY_DEADBAND), float(t[1]))
+    motion = _motion(samples, t, np.full(len(samples.q), VELOCITY_DEADBAND))
     largest = np.abs(equation.torque(motion, equation.prior)).max(axis=1)
-    of = np.where(np.isfinite(limits.effort), limits.effort, np.where(largest > 0, largest, 1.0))
-    noise = np.array([given.get(name, _NOISE * x) for name, x in zip(model.names, of, strict=True)])
+    largest = np.where(largest > 0, largest, 1.0)
+    full_torque = np.where(np.isfinite(limits.effort), limits.effort, largest)
+    noise = np.array([given.get(name, _NOISE * tau) for name, tau in zip(model.names, full_torque, strict=True)])
     typical = np.zeros(len(equation.prior))
     for active, block, sigma in zip(equation.active(), equation.columns(motion), noise, strict=True):
         rms = np.sqrt(np.square(block[:-1]).mean(axis=1))
-        typical[active] = np.maximum(typical[active], np.divide(_TYPICAL * sigma, rms, where=rms > 0, out=0 * rms))
+        magnitude = np.divide(_TYPICAL_TORQUE * sigma, rms, where=rms > 0, out=0 * rms)
+        typical[active] = np.maximum(typical[active], magnitude)
     assumed = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
     return noise, np.where(typical > 0, typical, 1.0), tuple(assumed)

@@ -1,4 +1,4 @@
-"""Motions that excite: one file a pattern. A pattern's motions begin and end at rest at one pose."""
+"""Exciting motions, one file a pattern. A pattern's motions begin and end at rest at the home pose."""
 
 from __future__ import annotations
 

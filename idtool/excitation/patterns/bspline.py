@@ -17,23 +17,27 @@ _MAX_CONTROL_POINTS = 160  # control points of a joint
 
 
 class BSpline(LinearPattern):
-    """Control points at even spaces in time."""
+    """Control points at even intervals of time."""
 
     name = "bspline"
 
     @override
     def frequencies(self) -> Array:
-        """A control point by itself moves the joint there and back in about four spans."""
         count = self._spans() + _DEGREE - 2 * _FIXED
+        # A control point by itself moves the joint there and back in about four spans.
         return np.full(count, 2 * np.pi * self._spans() / (4 * self.duration))
 
     @override
     def functions(self, t: Array) -> MotionSamples:
         spans = self._spans()
         knots = np.pad(np.linspace(0, self.duration, spans + 1), _DEGREE, mode="edge")
-        every = Spline(knots, np.eye(spans + _DEGREE)[:, _FIXED:-_FIXED], _DEGREE)
-        f, df, ddf = (every.derivative(k)(t) if k else every(t) for k in range(3))
-        return MotionSamples(*(np.ascontiguousarray(x.T) for x in (f, df, ddf)))
+        control_points = np.eye(spans + _DEGREE)[:, _FIXED:-_FIXED]
+        basis = Spline(knots, control_points, _DEGREE)
+        f = basis(t)
+        df = basis.derivative(1)(t)
+        ddf = basis.derivative(2)(t)
+        return MotionSamples(np.ascontiguousarray(f.T), np.ascontiguousarray(df.T), np.ascontiguousarray(ddf.T))
 
     def _spans(self) -> int:
+        """Number of intervals between knots."""
         return int(np.clip(np.ceil(_SPANS * self.max_frequency * self.duration), 2 * _FIXED, _MAX_CONTROL_POINTS))

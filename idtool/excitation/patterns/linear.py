@@ -10,18 +10,18 @@ from typing_extensions import override
 from idtool.common.arrays import Array
 from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec
 
-_DRAWN = 0.9  # of the limits that a random motion takes
-_LOOKED_AT = 500  # samples
-_KEPT = 2  # sets of times: those of the samples, and those at which the clearance is looked at
+_RANDOM_SHARE = 0.9  # of the limits that a random motion uses
+_SAMPLES = 500  # of a random motion, to scale it
+_CACHED = 2  # sets of times: those of the samples, and those of the clearance
 
 
 class LinearPattern(Pattern):
     """q = home + Σ over k of x_k unit_k f_k(t), with functions that vanish with two derivatives at both ends."""
 
-    def __init__(self, setting: PatternSpec) -> None:
-        super().__init__(setting)
-        self.max_frequency = setting.max_frequency
-        self._last: list[tuple[Array, MotionSamples]] = []
+    def __init__(self, spec: PatternSpec) -> None:
+        super().__init__(spec)
+        self.max_frequency = spec.max_frequency
+        self._cache: list[tuple[Array, MotionSamples]] = []
 
     @abstractmethod
     def functions(self, t: Array) -> MotionSamples:
@@ -29,43 +29,49 @@ class LinearPattern(Pattern):
 
     @abstractmethod
     def frequencies(self) -> Array:
-        """About how fast each function changes, shape (K,) [rad/s]."""
+        """Approximate angular frequency of each function, shape (K,) [rad/s]."""
 
     def units(self) -> Array:
-        """By how much each function may move each joint by itself, shape (nv, K) [rad or m]."""
+        """Amplitude within the limits of each joint moved by each function alone, shape (nv, K) [rad or m]."""
         w = self.frequencies()
-        velocity, acceleration = self.limits.velocity[:, None], self.limits.acceleration[:, None]
         with np.errstate(divide="ignore"):
-            return np.asarray(
-                np.minimum(self.limits.half_range[:, None], np.minimum(velocity / w, acceleration / w**2))
-            )
+            by_velocity = self.limits.velocity[:, None] / w
+            by_acceleration = self.limits.acceleration[:, None] / w**2
+        return np.asarray(np.minimum(self.limits.half_range[:, None], np.minimum(by_velocity, by_acceleration)))
 
     @override
     def draw(self, rng: np.random.Generator) -> Array:
         x = rng.normal(size=self.units().size)
-        q, v, a = self.motion(x, np.linspace(0, self.duration, _LOOKED_AT))
-        ways = ((q - self.home[:, None], self.max_excursion), (v, self.limits.velocity), (a, self.limits.acceleration))
-        return self.scaled(x, np.min([_DRAWN * limit / np.abs(way).max(axis=1) for way, limit in ways], axis=0))
+        q, v, a = self.motion(x, np.linspace(0, self.duration, _SAMPLES))
+        excursion = np.abs(q - self.home[:, None]).max(axis=1)
+        shares = [
+            _RANDOM_SHARE * self.max_excursion / excursion,
+            _RANDOM_SHARE * self.limits.velocity / np.abs(v).max(axis=1),
+            _RANDOM_SHARE * self.limits.acceleration / np.abs(a).max(axis=1),
+        ]
+        return self.scaled(x, np.min(shares, axis=0))
 
     @override
     def motion(self, x: Array, t: Array) -> MotionSamples:
-        C = x.reshape(len(self.home), -1) * self.units()
-        q, v, a = (C @ f for f in self._at(t))
-        return MotionSamples(self.home[:, None] + q, v, a)
+        amplitudes = x.reshape(len(self.home), -1) * self.units()
+        f, df, ddf = self._functions_at(t)
+        return MotionSamples(self.home[:, None] + amplitudes @ f, amplitudes @ df, amplitudes @ ddf)
 
     @override
     def gradient(self, x: Array, t: Array, by: MotionSamples) -> Array:
-        total = np.sum([d @ f.T for d, f in zip(by, self._at(t), strict=True)], axis=0)
-        return np.asarray(total * self.units()).ravel()
+        f, df, ddf = self._functions_at(t)
+        by_amplitude = by.q @ f.T + by.v @ df.T + by.a @ ddf.T
+        return np.asarray(by_amplitude * self.units()).ravel()
 
     @override
     def scaled(self, x: Array, share: Array) -> Array:
         return (x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
-    def _at(self, t: Array) -> MotionSamples:
-        """The functions; those of the last few times are kept."""
-        for times, functions in self._last:
+    def _functions_at(self, t: Array) -> MotionSamples:
+        """The functions; those of the last few sets of times are cached."""
+        for times, functions in self._cache:
             if times is t:
                 return functions
-        self._last = [(t, self.functions(t)), *self._last[: _KEPT - 1]]
-        return self._last[0][1]
+        functions = self.functions(t)
+        self._cache = [(t, functions), *self._cache[: _CACHED - 1]]
+        return functions
