@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "sample_logs"))
 
 from bodies import Body, realizable
 
-from idtool.robot.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
-from idtool.robot.metric import pullback
+from idtool.robot.inertia import LENGTH_POWERS, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.metric import pullback_metric
 
 Array = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def parameters(bodies: Mapping[str, Body]) -> Array:
 
 def sizes(bodies: Mapping[str, Body]) -> Array:
     """Typical sizes m L^powers of their parameters, (bodies, 10)."""
-    return np.array([body.mass * length(body) ** POWERS for body in bodies.values()])
+    return np.array([body.mass * length(body) ** LENGTH_POWERS for body in bodies.values()])
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Truth:
         true = parameters(self.bodies)
         deviation = (pi - true) / sizes(self.bodies)
         squares = np.mean(np.square(deviation), axis=1)
-        pulled = [d @ pullback(t) @ d for d, t in zip(pi - true, true, strict=True)]
+        pulled = [d @ pullback_metric(t) @ d for d, t in zip(pi - true, true, strict=True)]
         ratios = np.log(np.maximum(pi[:, 0], _LEAST) / true[:, 0])
         return {
             "euclidean": _root_mean(squares),

@@ -58,7 +58,7 @@ def beyond(points: Array) -> Mapping[str, list[float]]:
     rng = np.random.default_rng(1)
     points = points - points.mean(axis=0)
     points = points / np.ptp(points, axis=0).max()
-    hull, true = Hull.around(points), Hull.around(points, most=len(points))
+    hull, true = Hull.around(points), Hull.around(points, max_vertices=len(points))
     corners = np.array(true.vertices)
     places = np.concatenate([corners, true._lattice((true.volume / PLACES) ** (1 / 3))])
     if len(places) > 2 * PLACES:

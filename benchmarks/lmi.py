@@ -24,7 +24,7 @@ from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
-from idtool.robot.config import WEAK, parse_config
+from idtool.robot.config import WEAK_PRIOR, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
@@ -65,7 +65,9 @@ def stated(rng: np.random.Generator) -> dict[str, Problem]:
     factors = tuple(Factor.from_columns(rows) for rows in columns)
     noise = free_noise(equation, factors)
     return {
-        name: build_problem(equation, model.bodies, factors, [choose_set(b, name) for b in model.bodies], WEAK, noise)
+        name: build_problem(
+            equation, model.bodies, factors, [choose_set(b, name) for b in model.bodies], WEAK_PRIOR, noise
+        )
         for name in SETS
     }
 

@@ -67,7 +67,7 @@ from idtool.estimation.identification import estimate_from_logs
 from idtool.estimation.study.learning import held_out, rms
 from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
 from idtool.robot.config import Regularization, parse_config
-from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
 from idtool.robot.urdf.reading import Robot, parse_robot
 
 Array = NDArray[np.float64]
@@ -181,7 +181,7 @@ class ReducedExperiment(Experiment):
 
     def bodies(self, theta: Array) -> Array:
         """Inertia parameters of the bodies, (bodies, 10)."""
-        return theta[: SIZE * len(self.model.bodies)].reshape(-1, SIZE)
+        return theta[: PI_SIZE * len(self.model.bodies)].reshape(-1, PI_SIZE)
 
     def errors(self, theta: Array) -> list[float]:
         """Rms torque error over all joints on every log for validation."""
@@ -255,7 +255,7 @@ class Setup:
         """The true coefficients, (p,)."""
         values = dict(self.robot.joint_terms)
         for name, pi in zip(self.robot.bodies, parameters(self.robot.bodies), strict=True):
-            values |= {(name, entry): float(x) for entry, x in zip(NAMES, pi, strict=True)}
+            values |= {(name, entry): float(x) for entry, x in zip(PARAMETER_NAMES, pi, strict=True)}
         return np.array([values[c.owner, c.name] for c in experiment.equation.coefficients])
 
 
@@ -354,9 +354,9 @@ def draw_leg(prior: LegPrior, choices: Sequence[Choice]) -> list[Outcome]:
     experiment = prior.experiment()
     truth, true = experiment.truth(leg_truth.TRUTH.bodies), leg_truth.true_theta(experiment)
     combinations = structural_base_parameters(experiment.model, experiment.equation)
-    base = combinations.B[combinations.own < SIZE * len(truth.bodies)]
+    base = combinations.B[combinations.own < PI_SIZE * len(truth.bodies)]
     typical = np.zeros(len(true))
-    typical[: SIZE * len(truth.bodies)] = sizes(truth.bodies).ravel()
+    typical[: PI_SIZE * len(truth.bodies)] = sizes(truth.bodies).ravel()
     size, own = np.sqrt(np.square(base * typical).sum(axis=1)), np.abs(base @ true)
     large = own > _SMALL * size
     data = merge_reductions([log.total for log in experiment.reduced])

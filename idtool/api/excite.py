@@ -23,8 +23,8 @@ from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
 from idtool.excitation.criteria import Criterion
-from idtool.excitation.design import Design, DesignOptions, Logged, design
-from idtool.excitation.task import Task, make_task
+from idtool.excitation.design import Design, DesignOptions, LoggedData, design
+from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
 from idtool.reporting.figures import figure
 from idtool.reporting.results.excitation import ExcitationReport
@@ -151,9 +151,9 @@ def excite(
     model = as_model(model)
     wishes = DesignOptions(
         pattern=pattern,
-        seconds=duration,
-        slow=slow,
-        highest=max_frequency,
+        duration=duration,
+        friction_share=slow,
+        max_frequency=max_frequency,
         iterations=iterations,
         seed=model.settings.seed if seed is None else seed,
         start=dict(start or {}),
@@ -207,7 +207,7 @@ def _task(
     criterion: str,
     favour: Sequence[str],
     progress: Progress,
-) -> tuple[Task, Logged | None]:
+) -> tuple[DesignTask, LoggedData | None]:
     """The design task, and what existing logs determine already; with logs, only the logged joints take part."""
     measured: dict[str, float] = {}
     logged = None
@@ -215,7 +215,7 @@ def _task(
         tree, equation, settings = experiment.model, experiment.equation, experiment.config
         equalities = experiment.equalities
         reduction = experiment.reduce(progress)
-        logged = Logged(reduction, free_noise(equation, reduction, equalities))
+        logged = LoggedData(reduction, free_noise(equation, reduction, equalities))
         measured = dict(zip(tree.names, logged.noise.tolist(), strict=True))
     else:
         robot, settings = model.robot, model.settings
@@ -230,7 +230,7 @@ def _task(
     else:
         given = {ALL: noise}
     of_all = dict.fromkeys(tree.names, given.pop(ALL)) if ALL in given else {}
-    task = make_task(
+    task = make_design_task(
         tree,
         equation,
         equalities,

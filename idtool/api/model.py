@@ -22,7 +22,7 @@ from idtool.robot.config import Config, parse_config, read_config
 from idtool.robot.model import Model as Tree
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot, parse_robot
-from idtool.robot.urdf.writing import identified_urdf, moved
+from idtool.robot.urdf.writing import identified_urdf, relocate_meshes
 
 Source = str | os.PathLike[str]
 IDENTIFIED, SETTINGS = "identified.urdf", "model.yaml"  # what fit and diagnose write
@@ -217,7 +217,7 @@ def identified_text(fit: Fit, folder: Path | None = None) -> bytes:
     model = fit.experiment.model
     bodies = {body.name: (body, fit.parameters(i)) for i, body in enumerate(model.bodies)}
     text = identified_urdf(model.robot, bodies, joint_dynamics(fit))
-    return text if folder is None else moved(text, model.robot.path, folder)
+    return text if folder is None else relocate_meshes(text, model.robot.path, folder)
 
 
 def _settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:

@@ -7,20 +7,20 @@ import os
 from collections.abc import Collection
 from pathlib import Path
 
-_LONGEST = 60
-_MOST = 6
+_MAX_LENGTH = 60
+_MAX_LISTED = 6
 
 
 def shown(name: str) -> str:
     """The name, cut to a length that can be read, and without characters that cannot be printed."""
-    short = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}…"
+    short = name if len(name) <= _MAX_LENGTH else f"{name[:_MAX_LENGTH]}…"
     return short if short.isprintable() else ascii(short)[1:-1]
 
 
 def some(names: Collection[str]) -> str:
     """The first few of ``names``, and how many more there are."""
-    few = ", ".join(map(shown, list(names)[:_MOST])) or "none"
-    more = len(names) - _MOST
+    few = ", ".join(map(shown, list(names)[:_MAX_LISTED])) or "none"
+    more = len(names) - _MAX_LISTED
     return f"{few} and {more} more" if more > 0 else few
 
 

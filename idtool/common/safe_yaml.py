@@ -9,9 +9,9 @@ import yaml
 
 from idtool.common.exceptions import ConfigError
 
-_MOST_BYTES = 1 << 20  # a configuration is written by hand or by idtool; more is not one
-_MOST_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up
-_MOST_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of their length to read
+_MAX_BYTES = 1 << 20  # a configuration is written by hand or by idtool; more is not one
+_MAX_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up
+_MAX_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of their length to read
 
 
 def read_yaml(path: Path) -> Any:
@@ -29,11 +29,11 @@ def yaml_bytes(path: Path) -> bytes:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(path, f"cannot be read ({error.strerror})") from None
-    if len(data) > _MOST_BYTES:
-        raise ConfigError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no configuration is")
+    if len(data) > _MAX_BYTES:
+        raise ConfigError(path, f"is larger than {_MAX_BYTES >> 20} MiB, which no configuration is")
     return data
 
 
@@ -72,7 +72,7 @@ def _check_nodes(path: Path, root: yaml.Node | None) -> None:
     def size(node: yaml.Node) -> int:
         if id(node) in sizes:
             return sizes[id(node)]
-        sizes[id(node)] = _MOST_NODES  # an alias to a node that holds itself
+        sizes[id(node)] = _MAX_NODES  # an alias to a node that holds itself
         children: list[yaml.Node] = []
         if isinstance(node, yaml.MappingNode):
             seen: set[str] = set()
@@ -84,10 +84,10 @@ def _check_nodes(path: Path, root: yaml.Node | None) -> None:
                 children += [key, value]
         elif isinstance(node, yaml.SequenceNode):
             children = list(node.value)
-        elif len(node.value) > _MOST_CHARACTERS:
+        elif len(node.value) > _MAX_CHARACTERS:
             raise ConfigError(path, f"holds a value of {len(node.value)} characters in line {node.start_mark.line + 1}")
         sizes[id(node)] = 1 + sum(map(size, children))
         return sizes[id(node)]
 
-    if root is not None and size(root) >= _MOST_NODES:
-        raise ConfigError(path, f"holds more than {_MOST_NODES} values, aliases written out; no configuration does")
+    if root is not None and size(root) >= _MAX_NODES:
+        raise ConfigError(path, f"holds more than {_MAX_NODES} values, aliases written out; no configuration does")

@@ -157,7 +157,7 @@ def linearize_fit(
         experiment.model.bodies,
         reduction,
         sets,
-        config.regularization.or_weak(),
+        config.regularization.fixed_or_weak(),
         equalities,
         config.solver.name,
         noise,

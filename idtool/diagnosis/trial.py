@@ -27,7 +27,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import Constraint, equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry, Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 Key = tuple[int, str]  # place in the configuration's effects, and name of a parameter
 
@@ -98,7 +98,7 @@ _FIXED = "--inertia fixed"
 def with_fixed_inertia(experiment: Experiment) -> Experiment:
     """The same with the bodies' parameters known to be those of the URDF."""
     p, equalities = len(experiment.equation.coefficients), experiment.equalities
-    prior, count = experiment.equation.prior, SIZE * len(experiment.model.bodies)
+    prior, count = experiment.equation.prior, PI_SIZE * len(experiment.model.bodies)
     inertia = tuple(Constraint(_FIXED, np.eye(p)[i], float(prior[i])) for i in equalities.free if i < count)
     nothing = Regularization(kind="none", weight=0)  # left for a prior to say
     config = experiment.config.model_copy(update={"constraints": "none", "regularization": nothing})

@@ -17,7 +17,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
-from idtool.robot.inertia import SIZE, symmetric
+from idtool.robot.inertia import PI_SIZE, symmetric_matrix
 
 _RATE = 150.0  # Hz, of the samples at which derivatives are evaluated
 _STEP = 1e-5  # rad, rad/s: of a finite difference
@@ -138,8 +138,8 @@ class LinearizedModel:
         inertia = np.zeros((nv, nv))
         for i, body in enumerate(self._bodies.model.bodies):
             if body.kind == "rotor":
-                pi = self.theta[SIZE * i : SIZE * (i + 1)]
-                axial = float(body.axis @ symmetric(pi[4:]) @ body.axis)
+                pi = self.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
+                axial = float(body.axis @ symmetric_matrix(pi[4:]) @ body.axis)
                 inertia += axial * np.outer(body.ratios, body.ratios)
         return inertia
 

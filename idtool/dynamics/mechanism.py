@@ -17,7 +17,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import Model
 
 TorqueFunction = Callable[[Motion], Array]
@@ -130,7 +130,7 @@ class Mechanism:
 
     def __post_init__(self) -> None:
         nv = len(self.model.joints)
-        self.pi = np.zeros((len(self.model.bodies), SIZE))
+        self.pi = np.zeros((len(self.model.bodies), PI_SIZE))
         self.armature = np.zeros(nv)
         self.torque_delay = np.zeros(nv)
         self.position_offset = np.zeros(nv)

@@ -34,7 +34,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.dataset.weights import free_noise, freedom_left
 from idtool.estimation.uncertainty.cluster_robust import FEWEST_CLUSTERS
-from idtool.robot.config import Config, Uncertain
+from idtool.robot.config import Config, UncertainValue
 
 _CONFOUNDED = 0.9  # correlation of two effects from which it is reported
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
@@ -75,7 +75,7 @@ class CommandDelay:
     known_friction_error: float | None
     correlation: float
     slope: Array
-    given: Uncertain | None
+    given: UncertainValue | None
     gain: float
     viscous: tuple[float, float]
 
@@ -155,7 +155,7 @@ def with_delay(
     if result is None:
         return experiment, None, None
     fitted, data, lags = result
-    delay = Uncertain(value=fitted.value, standard_error=fitted.standard_error)
+    delay = UncertainValue(value=fitted.value, standard_error=fitted.standard_error)
     config = experiment.config.model_copy(update={"controller": controller.model_copy(update={"delay": delay})})
     runs = tuple(_with_known_delay(run, config, fitted.value) for run in experiment.runs)
     experiment = replace(experiment, config=config, runs=runs)

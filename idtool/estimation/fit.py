@@ -18,7 +18,7 @@ from idtool.estimation.problem.regularization_path import RegularizationPath
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import ConstraintSet
 
 _REFITS = 2  # where columns depend on the values of the coefficients
@@ -77,7 +77,7 @@ class Fit:
 
     def parameters(self, index: int) -> Array:
         """The identified parameters of the model's body of that index, shape (10,)."""
-        return self.estimate.theta[SIZE * index : SIZE * (index + 1)]
+        return self.estimate.theta[PI_SIZE * index : PI_SIZE * (index + 1)]
 
 
 def fit(

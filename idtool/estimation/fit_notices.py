@@ -15,7 +15,7 @@ from idtool.estimation.identification import Identification
 from idtool.estimation.problem.estimate import stuck_note, unfinished_note
 from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.body import Body
-from idtool.robot.inertia import SIZE, is_realizable, pseudo_inertia
+from idtool.robot.inertia import PI_SIZE, is_realizable, pseudo_inertia
 
 _MASS_RATIO = 3.0  # to its mass in the prior, of a body that is too heavy or too light
 _TOTAL_MASS_CHANGE = 0.3  # relative to the prior's total mass
@@ -129,7 +129,7 @@ def _shape_notices(experiment: Experiment, identification: Identification) -> It
 def _bodies(identification: Identification) -> Iterator[tuple[Body, Array]]:
     """Every body of the prior with its identified parameters, shape (10,)."""
     for i, body in enumerate(identification.prior):
-        yield body, identification.estimate.theta[SIZE * i : SIZE * (i + 1)]
+        yield body, identification.estimate.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
 
 
 def _gyration(pi: Array) -> Array:

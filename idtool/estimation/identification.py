@@ -171,7 +171,7 @@ def _with_prior(
             regularization = regularization.with_weight(path.weight)
         except SolverError:  # if it is infeasible, the fit itself says so, with the place in the configuration
             regularization = regularization.with_weight(assumed_weight(reduction))
-            message = f"could not be chosen from the data; {regularization.number:.1g} is assumed"
+            message = f"could not be chosen from the data; {regularization.numeric_weight:.1g} is assumed"
             notices.append(Notice("prior_weight_assumed", "warning", "regularization.weight", message))
     config = experiment.config.model_copy(update={"regularization": regularization})
     return replace(experiment, config=config), path, notices

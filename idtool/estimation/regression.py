@@ -12,11 +12,11 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.safe_yaml import read_yaml
 from idtool.estimation.dataset.experiment import Progress, prepare
 from idtool.estimation.fit import fit
-from idtool.robot.config import Config, Positive, Record, checked, read_config
+from idtool.robot.config import Config, ConfigRecord, Positive, read_config, validate_record
 from idtool.robot.urdf.reading import read_robot
 
 
-class Case(Record):
+class Case(ConfigRecord):
     """A robot, its logs, and the largest rms in the band [N·m or N] on the validation logs, by joint or ``overall``."""
 
     name: str
@@ -75,7 +75,7 @@ def read_manifest(path: Path) -> tuple[Case, ...]:
     cases = data.get("cases") if isinstance(data, dict) else None
     if not isinstance(cases, list) or not cases:
         raise ConfigError(path, "holds no cases; list them under cases")
-    return tuple(checked(Case, case, f"{path}: case {number}") for number, case in enumerate(cases, start=1))
+    return tuple(validate_record(Case, case, f"{path}: case {number}") for number, case in enumerate(cases, start=1))
 
 
 def run_case(case: Case, folder: Path, progress: Progress) -> list[Outcome]:

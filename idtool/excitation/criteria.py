@@ -1,7 +1,7 @@
-"""What a motion tells of the base parameters, as one number to be made small, and as standard errors.
+"""Criteria of optimal experiment design for the base parameters, and expected standard errors.
 
-With rows W in units of noise, M = Wᵀ W is the information and C = M⁻¹ the covariance. Base parameters are taken in
-units of their sizes. Of C, or its part that belongs to the favoured ones, the others being nuisance:
+With rows W in units of noise, M = Wᵀ W is the information and C = M⁻¹ the covariance. Base parameters are in
+units of their scales. Of C, or its block of the favoured parameters, the others being nuisance parameters:
 
     D  det(C)^(1/2n)      geometric mean of the standard errors along C's axes
     A  (tr(C) / n)^(1/2)  root of the mean square of the standard errors
@@ -33,9 +33,9 @@ from idtool.estimation.uncertainty.base_parameters import BaseParameters
 Criterion = Literal["d", "a", "e", "condition"]
 CRITERIA: tuple[Criterion, ...] = ("d", "a", "e", "condition")
 
-_POWER = 12  # of the norm that stands in for the largest eigenvalue while searching
+_NORM_POWER = 12  # of the smooth norm in place of the largest eigenvalue while searching
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
-_ALONE = 1e-6  # of a coefficient: less of it, or of a combination, is rounding
+_ROUNDING = 1e-6  # of a coefficient or of a combination: less is rounding
 
 
 @dataclass(frozen=True)
@@ -44,51 +44,55 @@ class DesignCriterion:
 
     Attributes
     ----------
-    criterion
+    kind
         D, A, E or condition number.
     favoured
         Indices into the base parameters, shape (n,); all, or those to favour.
     """
 
-    criterion: Criterion
+    kind: Criterion
     favoured: Indices
 
     def value(self, M: Array, criterion: Criterion | None = None) -> float:
         """The criterion, or another one, of an information matrix (r, r); infinite where that is singular."""
         C = self._covariance(M)[np.ix_(self.favoured, self.favoured)]
-        kind = criterion or self.criterion
+        kind = criterion or self.kind
         if not np.isfinite(C).all():
             return np.inf
-        L = np.linalg.eigvalsh(C)
-        if L[0] <= 0:
+        eigenvalues = np.linalg.eigvalsh(C)
+        smallest, largest = eigenvalues[0], eigenvalues[-1]
+        if smallest <= 0:
             return np.inf
         if kind == "d":
-            return float(np.exp(np.log(L).mean() / 2))
+            return float(np.exp(np.log(eigenvalues).mean() / 2))
         if kind == "a":
-            return float(np.sqrt(L.mean()))
-        return float(np.sqrt(L[-1] / (L[0] if kind == "condition" else 1.0)))
+            return float(np.sqrt(eigenvalues.mean()))
+        if kind == "e":
+            return float(np.sqrt(largest))
+        return float(np.sqrt(largest / smallest))
 
-    def search(self, M: Array) -> tuple[float, Array]:
-        """A smooth stand-in for the criterion's logarithm, and its derivative by M, shape (r, r)."""
+    def smooth_log(self, M: Array) -> tuple[float, Array]:
+        """A smooth approximation of the criterion's logarithm, and its derivative by M, shape (r, r)."""
         C = self._covariance(M)
-        some = np.ix_(self.favoured, self.favoured)
-        L, V = np.linalg.eigh(C[some])
-        L = np.maximum(L, np.finfo(float).tiny)
-        value, by_L = self._of_eigenvalues(L)
-        F = np.zeros_like(C)
-        F[some] = (V * by_L) @ V.T
-        return value, -C @ F @ C
+        block = np.ix_(self.favoured, self.favoured)
+        eigenvalues, V = np.linalg.eigh(C[block])
+        eigenvalues = np.maximum(eigenvalues, np.finfo(float).tiny)
+        value, by_eigenvalue = self._log_of_eigenvalues(eigenvalues)
+        by_C = np.zeros_like(C)
+        by_C[block] = (V * by_eigenvalue) @ V.T
+        return value, -C @ by_C @ C
 
-    def _of_eigenvalues(self, L: Array) -> tuple[float, Array]:
-        if self.criterion == "d":
+    def _log_of_eigenvalues(self, L: Array) -> tuple[float, Array]:
+        """Logarithm of the criterion from the covariance's eigenvalues L, shape (n,), and its derivative by them."""
+        if self.kind == "d":
             return float(np.log(L).mean() / 2), 1 / (2 * len(L) * L)
-        if self.criterion == "a":
+        if self.kind == "a":
             return float(np.log(L.mean()) / 2), np.full(len(L), 1 / (2 * L.sum()))
-        value, by_L = _norm(L)
-        if self.criterion == "e":
-            return value / 2, by_L / 2
-        inverse, by_inverse = _norm(1 / L)
-        return (value + inverse) / 2, (by_L - by_inverse / L**2) / 2
+        log_largest, by_L = _log_norm(L)
+        if self.kind == "e":
+            return log_largest / 2, by_L / 2
+        log_inverse, by_inverse = _log_norm(1 / L)
+        return (log_largest + log_inverse) / 2, (by_L - by_inverse / L**2) / 2
 
     @staticmethod
     def _covariance(M: Array) -> Array:
@@ -99,14 +103,22 @@ class DesignCriterion:
         return np.asarray((C + C.T) / 2)
 
 
-def _norm(L: Array) -> tuple[float, Array]:
+def _log_norm(L: Array) -> tuple[float, Array]:
     """Logarithm of (Σ L^p)^(1/p), which is nearly the largest, and its derivative."""
-    share = (L / L.max()) ** _POWER
-    return float(np.log(L.max()) + np.log(share.sum()) / _POWER), share / share.sum() / L
+    powers = (L / L.max()) ** _NORM_POWER
+    value = float(np.log(L.max()) + np.log(powers.sum()) / _NORM_POWER)
+    return value, powers / powers.sum() / L
 
 
 class BaseColumns:
-    """From the regressor's columns to those of the base parameters, joint by joint.
+    """Map from the regressor's columns to those of the base parameters, joint by joint.
+
+    Attributes
+    ----------
+    joint_columns
+        Indices of the base parameters in each joint's equation, shape (r_j,) each.
+    size
+        Number of base parameters r.
 
     Parameters
     ----------
@@ -115,56 +127,56 @@ class BaseColumns:
     base
         Its base parameters.
     equalities
-        Whose copies share their columns.
+        Constraints between coefficients: copies share their columns.
     """
 
     def __init__(self, equation: LinearModel, base: BaseParameters, equalities: EqualityConstraints) -> None:
-        place = np.searchsorted(equalities.free, base.own)
-        K = equalities.K[:, place]  # (p, r)
-        self.own: list[Indices] = []  # per joint, which of the r appear in its equation
-        self._shares: list[Array] = []
+        K = equalities.K[:, np.searchsorted(equalities.free, base.own)]  # (p, r)
+        self.size = len(base)
+        self.joint_columns: list[Indices] = []
+        self._projections: list[Array] = []  # (r_j, m_j) per joint
         for active in equation.active():
             rows = K[active]
-            self.own.append(np.flatnonzero(rows.any(axis=0)))
-            self._shares.append(np.ascontiguousarray(rows[:, self.own[-1]].T))
-        self.size = len(base)
+            columns = np.flatnonzero(rows.any(axis=0))
+            self.joint_columns.append(columns)
+            self._projections.append(np.ascontiguousarray(rows[:, columns].T))
 
-    def of(self, joint: int, columns: Array) -> Array:
-        """Columns (m_j, N) of a joint's equation → those of the base parameters in ``own[joint]``, (r_j, N)."""
-        return self._shares[joint] @ columns
+    def project(self, joint: int, columns: Array) -> Array:
+        """Columns of the base parameters in ``joint_columns[joint]``, (r_j, N), from the equation's own, (m_j, N)."""
+        return self._projections[joint] @ columns
 
-    def back(self, joint: int, by: Array) -> Array:
-        """Derivatives by the base parameters' columns (r_j, N) → by the equation's columns (m_j, N)."""
-        return self._shares[joint].T @ by
+    def project_gradient(self, joint: int, by: Array) -> Array:
+        """Derivatives by the equation's columns (m_j, N) from those by the base parameters' columns (r_j, N)."""
+        return self._projections[joint].T @ by
 
     def rows(self, reduction: Reduction, noise: Array) -> Array:
-        """The data's rows in units of noise, W (rows, r), each worth one independent sample."""
+        """The data's rows in units of noise, W (rows, r), weighted by their number of independent samples."""
         rows = []
         for j, (factor, sigma) in enumerate(zip(reduction, noise, strict=True)):
+            weight = np.sqrt(factor.independent / max(factor.rows, 1)) / sigma
             W = np.zeros((len(factor.R), self.size))
-            worth = np.sqrt(factor.independent / max(factor.rows, 1)) / sigma
-            W[:, self.own[j]] = self.of(j, factor.R[:, :-1].T).T * worth
+            W[:, self.joint_columns[j]] = self.project(j, factor.R[:, :-1].T).T * weight
             rows.append(W)
         return np.concatenate(rows)
 
 
 @dataclass(frozen=True)
-class Errors:
-    """What least squares on rows in units of noise would be off by.
+class StandardErrors:
+    """Standard errors of least squares on rows in units of noise.
 
     Attributes
     ----------
     base
-        Standard errors of the base parameters, shape (r,), infinite where the rows do not tell.
+        Of the base parameters, shape (r,), infinite where the rows do not determine them.
     coefficients
-        Of the coefficients, shape (p,), infinite where no motion tells the coefficient by itself.
+        Of the coefficients, shape (p,), infinite where no motion determines the coefficient by itself.
     """
 
     base: Array
     coefficients: Array
 
 
-def expected_errors(W: Array, base: BaseParameters) -> Errors:
+def expected_standard_errors(W: Array, base: BaseParameters) -> StandardErrors:
     """Standard errors from rows in units of noise.
 
     Parameters
@@ -174,23 +186,27 @@ def expected_errors(W: Array, base: BaseParameters) -> Errors:
     base
         The base parameters. A coefficient that is a combination g of them has the standard error (gᵀ C g)^(1/2).
     """
-    size = np.linalg.norm(W, axis=0)
-    size[size == 0] = 1.0
-    _, s, Vt = svd(np.linalg.qr(W / size, mode="r"), full=True)
+    norms = np.linalg.norm(W, axis=0)
+    norms[norms == 0] = 1.0
+    _, s, Vt = svd(np.linalg.qr(W / norms, mode="r"), full=True)
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
-    root = Vt[:rank].T / s[:rank] / size[:, None]  # C = root rootᵀ
-    unseen = np.square(Vt[rank:]).sum(axis=0) > _RANK
+    root = Vt[:rank].T / s[:rank] / norms[:, None]  # C = root rootᵀ
+    is_undetermined = np.square(Vt[rank:]).sum(axis=0) > _RANK
+
+    # Each coefficient as a combination of the base parameters, where it is one.
     G = np.linalg.lstsq(base.B.T, np.eye(base.B.shape[1]), rcond=None)[0].T  # (p, r)
-    alone = np.abs(G @ base.B - np.eye(len(G))).max(axis=1) < _ALONE
-    G[np.abs(G) < _ALONE * np.abs(G).max(axis=1, initial=_ALONE, keepdims=True)] = 0.0
-    told = alone & ~(G[:, unseen] != 0).any(axis=1)
-    return Errors(
-        base=np.where(unseen, np.inf, np.linalg.norm(root, axis=1)),
-        coefficients=np.where(told, np.linalg.norm(G @ root, axis=1), np.inf),
+    is_combination = np.abs(G @ base.B - np.eye(len(G))).max(axis=1) < _ROUNDING
+    largest = np.abs(G).max(axis=1, initial=_ROUNDING, keepdims=True)
+    G[np.abs(G) < _ROUNDING * largest] = 0.0
+    depends_on_undetermined = (G[:, is_undetermined] != 0).any(axis=1)
+    is_determined = is_combination & ~depends_on_undetermined
+    return StandardErrors(
+        base=np.where(is_undetermined, np.inf, np.linalg.norm(root, axis=1)),
+        coefficients=np.where(is_determined, np.linalg.norm(G @ root, axis=1), np.inf),
     )
 
 
-def sizes(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
+def base_parameter_scales(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
     """Units in which the base parameters are measured, shape (r,).
 
     Parameters
@@ -198,18 +214,17 @@ def sizes(base: BaseParameters, equation: LinearModel, typical: Array) -> Array:
     base
         The base parameters.
     equation
-        Whose coefficients have scales, by the prior; of those that have none, the prior's value counts.
+        The torque equation, whose coefficients have scales; for those that have none, the prior's magnitude counts.
     typical
-        What to take where the prior has neither, shape (p,).
+        Scale where both are missing or zero, shape (p,).
     """
-    coefficients = equation.coefficients
-    scale = np.array([c.scale if c.scale is not None else abs(c.prior) for c in coefficients])
+    scale = np.array([c.scale if c.scale is not None else abs(c.prior) for c in equation.coefficients])
     scale = np.where(scale > 0, scale, typical)
     return np.asarray(np.linalg.norm(base.B * scale, axis=1))
 
 
-def favoured(names: Sequence[str], base: BaseParameters, equation: LinearModel) -> Indices:
-    """Indices of the base parameters that are meant; all without a name.
+def favoured_indices(names: Sequence[str], base: BaseParameters, equation: LinearModel) -> Indices:
+    """Indices of the base parameters that the names stand for; without a name, of all.
 
     Parameters
     ----------
@@ -222,21 +237,24 @@ def favoured(names: Sequence[str], base: BaseParameters, equation: LinearModel) 
     Raises
     ------
     ConfigError
-        If a name means nothing, or nothing that any motion could tell.
+        If a name is unknown, or stands for nothing that any motion could determine.
     """
     if not names:
         return np.arange(len(base))
-    means: dict[str, list[int]] = {}
+    coefficients_of: dict[str, list[int]] = {}
     for i, c in enumerate(equation.coefficients):
-        for label in (c.owner, f"{c.owner}.{c.name}"):
-            means.setdefault(label, []).append(i)
-    chosen = np.zeros(len(base), dtype=bool)
+        coefficients_of.setdefault(c.owner, []).append(i)
+        coefficients_of.setdefault(f"{c.owner}.{c.name}", []).append(i)
+    is_favoured = np.zeros(len(base), dtype=bool)
     for name in names:
-        if name not in means:
-            raise ConfigError("--favour", f"{name} is no body, joint or coefficient; {nearest(name, list(means))}")
-        called = np.isin(base.own, means[name])
-        with_any = called if called.any() else base.B[:, means[name]].any(axis=1)
-        if not with_any.any():
+        if name not in coefficients_of:
+            hint = nearest(name, list(coefficients_of))
+            raise ConfigError("--favour", f"{name} is no body, joint or coefficient; {hint}")
+        indices = coefficients_of[name]
+        matches = np.isin(base.own, indices)  # base parameters with that name
+        if not matches.any():
+            matches = (base.B[:, indices] != 0).any(axis=1)  # that contain it
+        if not matches.any():
             raise ConfigError("--favour", f"the torque does not depend on {name}: no motion could tell it")
-        chosen |= with_any
-    return np.flatnonzero(chosen)
+        is_favoured |= matches
+    return np.flatnonzero(is_favoured)

@@ -1,7 +1,7 @@
-"""`design`: what is to be told → a trajectory that tells it, and how well.
+"""`design`: an exciting trajectory, and the standard errors to expect from it.
 
-The search knows a coarse grid and penalties; what it finds is then fitted to within the limits on a fine one, and its
-standard errors are predicted by what `fit` will do with the log: the same filter, the same rows left out.
+The search uses a coarse grid and penalties. Its result is then scaled to the limits on a fine grid, and the standard
+errors are predicted by what `fit` will do with the log: the same filter, the same rows left out.
 
 Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m, s, N·m or N.
 """
@@ -22,45 +22,46 @@ from idtool.data.logs import Log, make_log
 from idtool.data.signals import Signals, default_cutoff
 from idtool.estimation.dataset.experiment import Progress
 from idtool.estimation.dataset.reduction import Reduction, empty, reduce_blocks
-from idtool.excitation.criteria import CRITERIA, Errors, expected_errors
-from idtool.excitation.feasible import collisions, feasible, home_of, largest_use, nearest_links
+from idtool.excitation.criteria import CRITERIA, StandardErrors, expected_standard_errors
+from idtool.excitation.feasibility import collision_times, home_pose, limit_utilization, nearest_links, scale_to_limits
 from idtool.excitation.objective import Objective
-from idtool.excitation.patterns import PATTERNS, Part, Setting, Slow, Standstill, Trajectory
-from idtool.excitation.task import Task
+from idtool.excitation.patterns import PATTERNS, PatternSpec, SlowSweeps, Standstill, Trajectory, TrajectorySegment
+from idtool.excitation.task import DesignTask
 from idtool.robot.config import Config
 
-_LONGEST = 40.0  # s of a motion that is searched for; longer ones are repeated
-_SHORTEST = 2.0  # s
-_STANDING = 0.25  # of the time for friction is for standstill, if that is
-_LEAST = 1.0  # s
-_PER_PERIOD = 16.0  # coarse samples in a period of the highest frequency
-_COARSE = 20.0  # Hz: no fewer
-_FINE = 100.0  # Hz, for the parts that are not searched for
+_MAX_DURATION = 40.0  # s of a motion that is searched for; longer ones are repeated
+_MIN_DURATION = 2.0  # s
+_STANDSTILL_SHARE = 0.25  # of the time for friction
+_MIN_FRICTION_DURATION = 1.0  # s of slow sweeps or standstill; shorter ones are left out
+_SAMPLES_PER_PERIOD = 16.0  # of the highest frequency, on the coarse grid
+_MIN_COARSE_RATE = 20.0  # Hz
+_FINE_RATE = 100.0  # Hz, for the segments that are not searched for
 _BELOW_BAND = 0.25  # of the filter's cut-off: highest frequency of a motion
 _ABOVE_CORNER = 2.0  # times the frequency at which a joint that uses its range reaches another limit
-_STAGES = ((1e2, 0.3), (1e3, 0.3), (1e4, 0.4))  # price of leaving the limits, and share of the iterations at it
+_STAGES = ((1e2, 0.3), (1e3, 0.3), (1e4, 0.4))  # weight of the penalties, and share of the iterations at it
 _TRIAL = 0.1  # of the iterations, for each of the motions drawn at random, and each repair
-_REPAIRS, _WATCHED = 4, 300  # of collisions between coarse samples, and instants that each looks at more
+_REPAIRS = 4  # of collisions between coarse samples
+_REPAIR_INSTANTS = 300  # at which each repair adds the clearance to the objective
 
 
 @dataclass(frozen=True)
 class DesignOptions:
-    """What a user may choose of a trajectory.
+    """Options of a trajectory.
 
     Attributes
     ----------
     pattern
-        Name of the motion's family.
-    seconds
-        Duration of all [s].
-    slow
-        Share of it that is for friction: slow sweeps and standstill.
-    highest
-        Highest frequency [Hz]; None: by the limits.
+        Name of the pattern.
+    duration
+        Duration of the whole trajectory [s].
+    friction_share
+        Share of it for friction: slow sweeps and standstill.
+    max_frequency
+        Highest frequency [Hz]; None: from the limits.
     iterations
         Of the search.
     seed
-        Of what is drawn.
+        Of the random numbers.
     start
         Positions at the start, by joint [rad or m].
     tip
@@ -68,9 +69,9 @@ class DesignOptions:
     """
 
     pattern: str = "fourier"
-    seconds: float = 20.0
-    slow: float = 0.2
-    highest: float | None = None
+    duration: float = 20.0
+    friction_share: float = 0.2
+    max_frequency: float | None = None
     iterations: int = 150
     seed: int = 0
     start: Mapping[str, float] = field(default_factory=dict)
@@ -79,67 +80,69 @@ class DesignOptions:
 
 @dataclass(frozen=True)
 class Design:
-    """A trajectory and what it will tell.
+    """A trajectory and the standard errors to expect from it.
 
     Attributes
     ----------
     task, trajectory
-        What was asked, and the answer.
+        The task and the trajectory that solves it.
     errors, logged_errors
-        Standard errors to expect of all data together, and of what is logged already, None where nothing is; SI.
+        Standard errors to expect from all data together, and from the logged data alone, None without any; SI.
     criteria
-        By name: of a random motion of the same family, of the design, and of what is logged.
-    use
-        Share of each of the robot's limits that is taken, shape (4, nv).
+        Values by criterion: of a random motion of the same pattern, of the design, and of the logged data.
+    utilization
+        Largest share of each of the robot's limits that is used, shape (4, nv).
     nearest
-        Links that come nearest to each other, how near [m], when [s].
-    highest
+        The links that come nearest to each other, their distance [m], and the time [s]; None without geometry.
+    max_frequency
         Highest frequency of the pattern [Hz].
     evaluations
-        Motions looked at.
+        Number of motions evaluated.
     interrupted
-        Whether the search was ended before its time.
+        True if the search was interrupted.
     """
 
-    task: Task
+    task: DesignTask
     trajectory: Trajectory
-    errors: Errors
-    logged_errors: Errors | None
+    errors: StandardErrors
+    logged_errors: StandardErrors | None
     criteria: dict[str, dict[str, float]]
-    use: Array
+    utilization: Array
     nearest: tuple[tuple[str, str], float, float] | None
-    highest: float
+    max_frequency: float
     evaluations: int
     interrupted: bool
 
     def log(self, path: Path) -> Log:
-        """The trajectory as a log of commands; q and v are those that a perfect controller would give."""
+        """The trajectory as a log of commands; q and v are those of perfect tracking."""
         t, (q, v, _) = self.trajectory.sampled(self.task.rate)
         signals = {"q": q.T, "v": v.T, "qcmd": q.T, "vcmd": v.T}
         return make_log(path, t, self.task.model.names, {name: x.copy() for name, x in signals.items()})
 
 
 @dataclass(frozen=True)
-class Logged:
-    """What is logged already: its R-factors, and the noise of each joint in them, shape (nv,)."""
+class LoggedData:
+    """Data that was logged before: its R-factors, and the noise of each joint in them, shape (nv,)."""
 
     reduction: Reduction
     noise: Array
 
 
-def design(task: Task, config: Config, wishes: DesignOptions, logged: Logged | None, progress: Progress) -> Design:
+def design(
+    task: DesignTask, config: Config, options: DesignOptions, logged: LoggedData | None, progress: Progress
+) -> Design:
     """Find a trajectory.
 
     Parameters
     ----------
     task
-        Robot, limits and aim.
+        Robot, limits and criterion.
     config
         For the filter that the log will go through.
-    wishes
+    options
         Pattern, duration and the like.
     logged
-        What is there already.
+        Data that was logged before, if any.
     progress
         Told the stage and its share.
 
@@ -148,124 +151,167 @@ def design(task: Task, config: Config, wishes: DesignOptions, logged: Logged | N
     IdtoolError
         If there is no such motion.
     """
-    if wishes.pattern not in PATTERNS:
-        raise ConfigError("--pattern", f"{wishes.pattern} is no pattern; {nearest(wishes.pattern, list(PATTERNS))}")
-    rng = np.random.default_rng(wishes.seed)
-    highest = wishes.highest or highest_frequency(task, config)
-    home = home_of(task, wishes.start, rng)
-    fixed, main = _for_friction(task, wishes, home, rng)
-    known = task.columns.rows(logged.reduction, logged.noise) * task.size if logged else np.zeros((0, len(task.size)))
-    repeats = int(np.ceil(main / _LONGEST))
-    setting = Setting(task.model, task.limits, home, main / repeats, max(highest, 2 * repeats / main), wishes.tip)
-    before = known.T @ known + _information(task, fixed)
-    rate = max(_PER_PERIOD * setting.highest, _COARSE)
-    objective = Objective(task, PATTERNS[wishes.pattern](setting), before, repeats, rate)
-    start, interrupted = _search(objective, wishes.iterations, rng, progress)
+    if options.pattern not in PATTERNS:
+        raise ConfigError("--pattern", f"{options.pattern} is no pattern; {nearest(options.pattern, list(PATTERNS))}")
+    rng = np.random.default_rng(options.seed)
+    frequency = options.max_frequency or max_frequency(task, config)
+    home = home_pose(task, options.start, rng)
+    friction_segments, remaining = _friction_segments(task, options, home, rng)
+
+    # Rows of the data that was logged before, by base parameters in units of their scales.
+    logged_rows = np.zeros((0, len(task.scales)))
+    if logged is not None:
+        logged_rows = task.columns.rows(logged.reduction, logged.noise) * task.scales
+    logged_information = logged_rows.T @ logged_rows
+
+    repeats = int(np.ceil(remaining / _MAX_DURATION))
+    spec = PatternSpec(
+        model=task.model,
+        limits=task.limits,
+        home=home,
+        duration=remaining / repeats,
+        max_frequency=max(frequency, 2 * repeats / remaining),
+        tip=options.tip,
+    )
+    pattern = PATTERNS[options.pattern](spec)
+    information = logged_information + _information(task, friction_segments)
+    rate = max(_SAMPLES_PER_PERIOD * spec.max_frequency, _MIN_COARSE_RATE)
+    objective = Objective(task, pattern, information, repeats, rate)
+    first, interrupted = _search(objective, options.iterations, rng, progress)
+
     progress("checking the limits", 0.0)
-    best = objective.best if objective.best is not None else start
-    drawn, part = (feasible(task, Part(objective.pattern, x)) for x in (start, best))
-    part = min(drawn, part, key=lambda one: task.aim.value(objective.information(one.x)))
-    trajectory = Trajectory((part,) * repeats + fixed)
+    best = first if objective.best is None else objective.best
+    random_segment = scale_to_limits(task, TrajectorySegment(pattern, first))
+    best_segment = scale_to_limits(task, TrajectorySegment(pattern, best))
+    segment = min(
+        random_segment, best_segment, key=lambda option: task.criterion.value(objective.information(option.x))
+    )
+    trajectory = Trajectory((segment,) * repeats + friction_segments)
+
     progress("predicting the standard errors", 0.0)
-    every = np.concatenate([known, task.columns.rows(_to_come(task, config, trajectory), task.noise) * task.size])
-    information = {"random": objective.information(drawn.x), "design": every.T @ every}
-    information |= {"logged": known.T @ known} if logged else {}
+    predicted_rows = task.columns.rows(_predicted_reduction(task, config, trajectory), task.noise) * task.scales
+    all_rows = np.concatenate([logged_rows, predicted_rows])
+    information_of = {"random": objective.information(random_segment.x), "design": all_rows.T @ all_rows}
+    logged_errors = None
+    if logged is not None:
+        information_of["logged"] = logged_information
+        logged_errors = expected_standard_errors(logged_rows / task.scales, task.base)
+    criteria: dict[str, dict[str, float]] = {}
+    for name, M in information_of.items():
+        criteria[name] = {kind: task.criterion.value(M, kind) for kind in CRITERIA}
     return Design(
         task=task,
         trajectory=trajectory,
-        errors=expected_errors(every / task.size, task.base),
-        logged_errors=expected_errors(known / task.size, task.base) if logged else None,
-        criteria={name: {kind: task.aim.value(M, kind) for kind in CRITERIA} for name, M in information.items()},
-        use=largest_use(task, trajectory),
+        errors=expected_standard_errors(all_rows / task.scales, task.base),
+        logged_errors=logged_errors,
+        criteria=criteria,
+        utilization=limit_utilization(task, trajectory),
         nearest=nearest_links(task, trajectory),
-        highest=setting.highest,
+        max_frequency=spec.max_frequency,
         evaluations=objective.evaluations,
         interrupted=interrupted,
     )
 
 
-def _information(task: Task, parts: Sequence[Part]) -> Array:
-    """Of parts that are not searched for, shape (r, r)."""
-    M = np.zeros((len(task.size), len(task.size)))
-    for part in parts:
-        t = np.linspace(0, part.pattern.seconds, int(_FINE * part.pattern.seconds) + 2)
-        M += task.information(part.at(t), t)
+def _information(task: DesignTask, segments: Sequence[TrajectorySegment]) -> Array:
+    """Information of segments that are not searched for, shape (r, r)."""
+    M = np.zeros((len(task.scales), len(task.scales)))
+    for segment in segments:
+        duration = segment.pattern.duration
+        t = np.linspace(0, duration, int(_FINE_RATE * duration) + 2)
+        M += task.information(segment.motion(t), t)
     return M
 
 
-def highest_frequency(task: Task, config: Config) -> float:
-    """Up to which frequency a motion is worth its while [Hz].
+def max_frequency(task: DesignTask, config: Config) -> float:
+    """Highest useful frequency of a motion [Hz].
 
     A joint that moves over its whole range and at its velocity limit meets its acceleration limit at some frequency;
     far above that, it hardly moves. And the filter must let it through.
     """
     limits = task.limits
-    corner = np.maximum(limits.acceleration / limits.velocity, np.sqrt(limits.acceleration / limits.half)) / (2 * np.pi)
+    by_velocity = limits.acceleration / limits.velocity
+    by_range = np.sqrt(limits.acceleration / limits.half_range)
+    corner = np.maximum(by_velocity, by_range) / (2 * np.pi)
     band = config.filter.cutoff_hz or default_cutoff(1 / task.rate)
     return float(min(_ABOVE_CORNER * corner.max(), _BELOW_BAND * band))
 
 
-def _for_friction(
-    task: Task, wishes: DesignOptions, home: Array, rng: np.random.Generator
-) -> tuple[tuple[Part, ...], float]:
-    """Slow sweeps and standstill, and how many seconds are left."""
-    if not 0 <= wishes.slow < 1:
-        raise ConfigError("--slow", f"{wishes.slow:g} is no share; give a number from 0 to below 1")
-    time, parts = wishes.slow * wishes.seconds, []
-    standing = _STANDING * time if _STANDING * time >= _LEAST else 0.0
-    for kind, seconds in ((Slow, time - standing), (Standstill, standing)):
-        if seconds >= _LEAST:
-            pattern = kind(Setting(task.model, task.limits, home, seconds))
-            parts.append(feasible(task, Part(pattern, pattern.draw(rng))))
-    left = wishes.seconds - sum(part.pattern.seconds for part in parts)
-    if left < _SHORTEST:
-        raise ConfigError("--duration", f"leaves {left:.3g} s for the motion; give at least {_SHORTEST:g} s more")
-    return tuple(parts), left
+def _friction_segments(
+    task: DesignTask, options: DesignOptions, home: Array, rng: np.random.Generator
+) -> tuple[tuple[TrajectorySegment, ...], float]:
+    """Slow sweeps and standstill, and the duration that remains [s]."""
+    if not 0 <= options.friction_share < 1:
+        raise ConfigError("--slow", f"{options.friction_share:g} is no share; give a number from 0 to below 1")
+    friction_duration = options.friction_share * options.duration
+    standstill_duration = _STANDSTILL_SHARE * friction_duration
+    if standstill_duration < _MIN_FRICTION_DURATION:
+        standstill_duration = 0.0
+
+    segments = []
+    durations = ((SlowSweeps, friction_duration - standstill_duration), (Standstill, standstill_duration))
+    for kind, duration in durations:
+        if duration >= _MIN_FRICTION_DURATION:
+            pattern = kind(PatternSpec(task.model, task.limits, home, duration))
+            segments.append(scale_to_limits(task, TrajectorySegment(pattern, pattern.draw(rng))))
+    remaining = options.duration - sum(segment.pattern.duration for segment in segments)
+    if remaining < _MIN_DURATION:
+        raise ConfigError(
+            "--duration", f"leaves {remaining:.3g} s for the motion; give at least {_MIN_DURATION:g} s more"
+        )
+    return tuple(segments), remaining
 
 
 def _search(objective: Objective, iterations: int, rng: np.random.Generator, progress: Progress) -> tuple[Array, bool]:
-    """Look for the best motion; gives the first one drawn, and whether the search was interrupted."""
-    pattern, done = objective.pattern, 0
+    """Search for the best motion; returns the first one drawn, and True if the search was interrupted."""
+    pattern = objective.pattern
     draws = [pattern.draw(rng) for _ in range(pattern.draws)]
-    every = max(round(iterations * (1 + _TRIAL * len(draws))), 1)
+    trial_iterations = max(round(_TRIAL * iterations), 1)
+    total = max(round(iterations * (1 + _TRIAL * len(draws))), 1)
+    done = 0
 
-    def improved(x: Array, most: int) -> tuple[float, Array]:
-        def told(_: Array) -> None:
-            nonlocal done
-            done += 1
-            progress("designing", min(done / every, 1.0))
+    def count_iteration(_: Array) -> None:
+        nonlocal done
+        done += 1
+        progress("designing", min(done / total, 1.0))
 
-        options = {"maxiter": most, "maxcor": 20}
-        found = minimize(  # type: ignore[call-overload]
-            objective, x, jac=True, method="L-BFGS-B", callback=told, options=options
+    def improve(x: Array, max_iterations: int) -> tuple[float, Array]:
+        result = minimize(  # type: ignore[call-overload]
+            objective,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            callback=count_iteration,
+            options={"maxiter": max_iterations, "maxcor": 20},
         )
-        return float(found.fun), found.x
+        return float(result.fun), result.x
 
     try:
         progress("designing", 0.0)
-        objective.price = _STAGES[0][0]
-        trials = [improved(x, max(round(_TRIAL * iterations), 1)) for x in draws]
-        x = min(trials, key=lambda trial: trial[0])[1]
-        for price, share in _STAGES:
-            objective.price = price
-            x = improved(x, max(round(share * iterations), 1))[1]
+        objective.penalty_weight = _STAGES[0][0]
+        trials = [improve(x, trial_iterations) for x in draws]
+        _, x = min(trials, key=lambda trial: trial[0])
+        for penalty_weight, share in _STAGES:
+            objective.penalty_weight = penalty_weight
+            _, x = improve(x, max(round(share * iterations), 1))
         for _ in range(_REPAIRS):
             best = x if objective.best is None else objective.best
-            when = collisions(objective.task, Part(pattern, best))
-            if not len(when):
+            times = collision_times(objective.task, TrajectorySegment(pattern, best))
+            if not len(times):
                 break
-            objective.watch(when[:: max(len(when) // _WATCHED, 1)])
-            x = improved(best, max(round(_TRIAL * iterations), 1))[1]
+            stride = max(len(times) // _REPAIR_INSTANTS, 1)
+            objective.add_clearance_times(times[::stride])
+            _, x = improve(best, trial_iterations)
     except KeyboardInterrupt:
         return draws[0], True
     return draws[0], False
 
 
-def _to_come(task: Task, config: Config, trajectory: Trajectory) -> Reduction:
-    """The log of the trajectory as `fit` would reduce it, its torque as predicted."""
+def _predicted_reduction(task: DesignTask, config: Config, trajectory: Trajectory) -> Reduction:
+    """The trajectory's log as `fit` would reduce it, with the predicted torque."""
     t, samples = trajectory.sampled(task.rate)
     names = task.model.names
-    signals = {"q": samples.q.T, "v": samples.v.T, "tau": task.torque(samples, t).T}
-    signals_of = Signals(make_log(Path("design"), t, names, signals), names, config)
-    blocks = map(task.equation.block, signals_of.batches())
-    return reduce_blocks(blocks, empty(task.equation.active()), signals_of.low_pass.redundancy)
+    channels = {"q": samples.q.T, "v": samples.v.T, "tau": task.torque(samples, t).T}
+    signals = Signals(make_log(Path("design"), t, names, channels), names, config)
+    blocks = map(task.equation.block, signals.batches())
+    return reduce_blocks(blocks, empty(task.equation.active()), signals.low_pass.redundancy)

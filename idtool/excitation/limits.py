@@ -1,4 +1,4 @@
-"""`Limits`: what the joints of a model may be asked to do: the URDF's limits, tightened by the configuration.
+"""`Limits` of a model's joints: the URDF's limits, tightened by the configuration.
 
 Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 """
@@ -6,7 +6,6 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,10 +19,11 @@ from idtool.robot.config.limits import JointLimits
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint
 
-TURN = math.pi  # rad to either side of zero, of a joint that has no position limits
-SPEED = {False: 3.0, True: 0.3}  # rad/s, m/s of a joint that has no velocity limit; True: prismatic
-RISE = {True: 0.1, False: 0.2}  # s in which a joint without an acceleration limit may reach its velocity limit from
-# rest; True: its effort limit bounds the acceleration too
+DEFAULT_RANGE = math.pi  # rad to either side of zero, of a joint without position limits
+DEFAULT_VELOCITY = {False: 3.0, True: 0.3}  # rad/s, or m/s of a prismatic joint (True), without a velocity limit
+# Time [s] from rest to the velocity limit of a joint without an acceleration limit. With an effort limit (True) it is
+# shorter, since that bounds the acceleration too.
+DEFAULT_RISE_TIME = {True: 0.1, False: 0.2}
 QUANTITIES = ("position", "velocity", "acceleration", "effort")
 
 
@@ -36,9 +36,9 @@ class Limits:
     joints
         Their names.
     lower, upper
-        Of the position, shape (nv,) [rad or m].
+        Limits of the position, shape (nv,) [rad or m].
     velocity, acceleration, effort
-        Of the absolute values, shape (nv,) [rad/s, rad/s², N·m or m/s, m/s², N]; an effort may be infinite.
+        Limits of the magnitudes, shape (nv,) [rad/s, rad/s², N·m or m/s, m/s², N]; an effort may be infinite.
     notices
         What was assumed where neither URDF nor configuration has a limit.
     """
@@ -57,20 +57,20 @@ class Limits:
         return (self.lower + self.upper) / 2
 
     @property
-    def half(self) -> Array:
+    def half_range(self) -> Array:
         """Half the position's range, shape (nv,)."""
         return (self.upper - self.lower) / 2
 
-    def within(self, margin: float) -> Limits:
-        """The limits that a design keeps to.
+    def with_margin(self, margin: float) -> Limits:
+        """Tighter limits, for a design.
 
         Parameters
         ----------
         margin
-            Share of every limit that is left unused, for the error of tracking; twice that of the effort, since the
-            model that predicts the torque is the one to be improved.
+            Share of every limit that is not used, for the tracking error; twice that share of the effort, since the
+            torque is predicted by the model that is still to be identified.
         """
-        spare = margin * self.half
+        spare = margin * self.half_range
         return replace(
             self,
             lower=self.lower + spare,
@@ -80,8 +80,8 @@ class Limits:
             effort=(1 - 2 * margin) * self.effort,
         )
 
-    def use(self, q: Array, v: Array, a: Array, tau: Array | None = None) -> Array:
-        """The largest share of each limit that a motion takes, 1 at the limit.
+    def utilization(self, q: Array, v: Array, a: Array, tau: Array | None = None) -> Array:
+        """The largest share of each limit that a motion uses, 1 at the limit.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Limits:
         Shape (4, nv), in the order of `QUANTITIES`.
         """
         shares = [
-            np.abs(q - self.middle[:, None]) / self.half[:, None],
+            np.abs(q - self.middle[:, None]) / self.half_range[:, None],
             np.abs(v) / self.velocity[:, None],
             np.abs(a) / self.acceleration[:, None],
             np.zeros_like(q) if tau is None else np.abs(tau) / self.effort[:, None],
@@ -101,13 +101,13 @@ class Limits:
         return np.array([share.max(axis=1) for share in shares])
 
 
-def limits_of(model: Model, config: Config) -> Limits:
+def joint_limits(model: Model, config: Config) -> Limits:
     """The limits of a model's joints.
 
     Parameters
     ----------
     model
-        Whose URDF has limits. Those of joints that mimic a moving one count for that one.
+        The model. Limits of joints that mimic a moving one apply to that one.
     config
         Its `limits` tighten them.
 
@@ -121,56 +121,64 @@ def limits_of(model: Model, config: Config) -> Limits:
         if name not in actuated:
             raise ConfigError(f"limits: {name}", f"is no actuated joint of the URDF; {nearest(name, actuated)}")
     assumed: dict[str, list[str]] = {}
-    rows = [_joint(joint, config.limits.get(joint.name, JointLimits()), assumed) for joint in model.joints]
-    found = np.array(rows).T
-    _follow(model, found)
-    for joint, (lower, upper, *_) in zip(model.joints, found.T, strict=True):
-        if not lower < upper:
-            what = f"leaves no room to move: from {lower:g} to {upper:g}; widen it, or leave the joint out of joints"
-            raise ConfigError(f"limits: {joint.name}", what)
+    limits = np.empty((5, len(model.joints)))
+    for j, joint in enumerate(model.joints):
+        limits[:, j] = _limits_of_joint(joint, config.limits.get(joint.name, JointLimits()), assumed)
+    _tighten_by_mimics(model, limits)
+    lower, upper, velocity, acceleration, effort = limits
+    for name, low, high in zip(model.names, lower, upper, strict=True):
+        if not low < high:
+            what = f"leaves no room to move: from {low:g} to {high:g}; widen it, or leave the joint out of joints"
+            raise ConfigError(f"limits: {name}", what)
+    advice = "give limits in the configuration"
     notices = tuple(
-        Notice("limit_assumed", "warning", None, f"{what}: {some(names)}", "give limits in the configuration")
-        for what, names in assumed.items()
+        Notice("limit_assumed", "warning", None, f"{what}: {some(names)}", advice) for what, names in assumed.items()
     )
-    lower, upper, velocity, acceleration, effort = found
     return Limits(model.names, lower, upper, velocity, acceleration, effort, notices)
 
 
-def _joint(joint: Joint, own: JointLimits, assumed: dict[str, list[str]]) -> tuple[float, float, float, float, float]:
-    """Lower, upper, velocity, acceleration, effort; what is assumed is put down."""
+def _limits_of_joint(
+    joint: Joint, own: JointLimits, assumed: dict[str, list[str]]
+) -> tuple[float, float, float, float, float]:
+    """Lower, upper, velocity, acceleration, effort; adds to the names of joints by assumption."""
     prismatic = joint.kind == "prismatic"
     per_second = "m/s" if prismatic else "rad/s"
-    lower, upper = own.position or (-math.inf, math.inf)
-    lower, upper = max(lower, joint.lower), min(upper, joint.upper)
+    own_lower, own_upper = own.position or (-math.inf, math.inf)
+    lower = max(own_lower, joint.lower)
+    upper = min(own_upper, joint.upper)
     if not (math.isfinite(lower) and math.isfinite(upper)):
         if prismatic:
             raise ConfigError(f"limits: {joint.name}", "has no position limits in the URDF; give `position: [a, b]`")
-        lower, upper = max(lower, -TURN), min(upper, TURN)
+        lower = max(lower, -DEFAULT_RANGE)
+        upper = min(upper, DEFAULT_RANGE)
         assumed.setdefault("no position limit, half a turn to either side of zero is taken", []).append(joint.name)
     velocity = min(own.velocity or math.inf, joint.velocity if joint.velocity > 0 else math.inf)
     if not math.isfinite(velocity):
-        velocity = SPEED[prismatic]
+        velocity = DEFAULT_VELOCITY[prismatic]
         assumed.setdefault(f"no velocity limit, {velocity:g} {per_second} is taken", []).append(joint.name)
     effort = min(own.effort or math.inf, joint.effort if joint.effort > 0 else math.inf)
-    rise = RISE[math.isfinite(effort)]
-    acceleration = own.acceleration or velocity / rise
+    rise_time = DEFAULT_RISE_TIME[math.isfinite(effort)]
+    acceleration = own.acceleration or velocity / rise_time
     if own.acceleration is None:
-        told = f"no acceleration limit, that which reaches the velocity limit in {rise:g} s is taken"
-        assumed.setdefault(told, []).append(f"{joint.name} {acceleration:g} {per_second}²")
+        what = f"no acceleration limit, that which reaches the velocity limit in {rise_time:g} s is taken"
+        assumed.setdefault(what, []).append(f"{joint.name} {acceleration:g} {per_second}²")
     if not math.isfinite(effort):
         assumed.setdefault("no effort limit, torque is not limited", []).append(joint.name)
     return lower, upper, velocity, acceleration, effort
 
 
-def _follow(model: Model, found: Array) -> None:
-    """Tighten limits, shape (5, nv), by those of the joints that mimic; one that follows a locked joint has none."""
-    bodies: Mapping[str, Array] = {body.name: np.append(body.ratios, body.offset) for body in model.bodies}
+def _tighten_by_mimics(model: Model, limits: Array) -> None:
+    """Tighten limits, shape (5, nv), by those of mimic joints; one that follows a locked joint is no body's."""
+    lower, upper, velocity, *_ = limits  # views of the rows
+    bodies = {body.name: body for body in model.bodies}
     for joint in model.robot.joints.values():
         if joint.mimic is None or joint.child not in bodies:
             continue
-        *ratios, offset = bodies[joint.child]
-        j = int(np.argmax(np.abs(ratios)))
-        ends = sorted((end - offset) / ratios[j] for end in (joint.lower, joint.upper))
-        found[0, j], found[1, j] = max(found[0, j], ends[0]), min(found[1, j], ends[1])
+        body = bodies[joint.child]
+        j = int(np.argmax(np.abs(body.ratios)))
+        ratio = body.ratios[j]
+        first, last = sorted((end - body.offset) / ratio for end in (joint.lower, joint.upper))
+        lower[j] = max(lower[j], first)
+        upper[j] = min(upper[j], last)
         if joint.velocity > 0:
-            found[2, j] = min(found[2, j], joint.velocity / abs(ratios[j]))
+            velocity[j] = min(velocity[j], joint.velocity / abs(ratio))

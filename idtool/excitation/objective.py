@@ -1,9 +1,10 @@
-"""How good a motion is at telling the base parameters, and how that changes with every number that tells it.
+"""Objective of the trajectory design and its gradient.
 
-The information of the samples' regressors depends on a sample's q, v and a only. So its derivative by them takes one
-regressor more for each joint and each of q, v, a, however many numbers tell the motion; the pattern does the rest.
+The information of the samples' regressors depends on a sample's q, v and a only. So its derivatives with respect to
+these take one more regressor for each joint and each of q, v, a, however many parameters the motion has; the pattern
+applies the chain rule.
 
-Letters: nv joints, N coarse samples, r base parameters, p coefficients; x (n,) the numbers that tell a motion.
+Letters: nv joints, N coarse samples, r base parameters, p coefficients; x (n,) the parameters of a motion.
 """
 
 from __future__ import annotations
@@ -11,168 +12,192 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns import Pattern, Samples
-from idtool.excitation.task import Task
+from idtool.excitation.patterns import MotionSamples, Pattern
+from idtool.excitation.task import DesignTask
 
-RIDGE = 1e-6  # information that there is beforehand: a standard error of a thousand sizes
-_ROUNDED = 0.02  # of the velocity limit over which sign(v) is rounded while searching
+RIDGE = 1e-6  # information that is always added: a standard error of a thousand scales
+_SIGN_WIDTH = 0.02  # of the velocity limit, over which sign(v) is smoothed while searching
 _STEPS = (1e-6, 1e-5, 1.0)  # of the differences by q, v, a; columns are linear in a
-_FINE = 1.2  # times the clearance wanted: pairs farther apart do not matter
-_TOUCH, _NEAR = 1e-3, 5.0  # m, least clearance that is aimed at, and weight of the share of it that is missing
-_APART = 1e-4  # rad or m, of the differences of clearance
-_SPARE = 0.97  # of the effort limits is used while searching: between coarse samples there may be more
-_WEIGHT = 20.0  # of what is more: it is the weight of the robot, mostly, and hardly less where the way is shorter
-_WORTH = 1.5  # by which power of a scale the standard errors go, about
+_CLEARANCE_MARGIN = 1.2  # times the wanted clearance: farther pairs have no penalty
+_MIN_CLEARANCE = 1e-3  # m, that is aimed at
+_CLEARANCE_STEP = 1e-4  # rad or m, of the differences of clearance
+_EFFORT_SHARE = 0.97  # of the effort limits is used while searching: between coarse samples there may be more
+# A motion beyond the limits is compared with others as if it were scaled. These price the scaling:
+_MOTION_PRICE = 1.5  # power of the scale with which the standard errors grow, about
+_EFFORT_PRICE = 20.0  # high, since most of the effort is weight, which a smaller motion hardly reduces
+_CLEARANCE_PRICE = 5.0  # for the missing share of the clearance
 
 
 class Objective:
-    """The criterion's logarithm of a pattern's motions, more where they leave the limits; with its derivative.
+    """Logarithm of the criterion of a pattern's motions plus penalties outside the limits, with its gradient.
 
     Attributes
     ----------
-    best, score
-        The best motion looked at so far, and how good it is when scaled to within the limits; less is better.
+    best, best_score
+        The best motion so far, and its value when scaled to the limits; less is better.
     evaluations
-        How many motions were looked at.
-    instants
-        When the clearance is looked at, shape (M,) [s].
-    price
-        Of leaving the limits.
+        Number of motions evaluated.
+    clearance_times
+        Times at which the clearance is evaluated, shape (M,) [s].
+    penalty_weight
+        Weight of the penalties.
 
     Parameters
     ----------
     task
-        What is to be told.
+        Robot, limits and criterion.
     pattern
         The family of motions.
-    before
-        Information there is without the motion, shape (r, r).
+    information
+        Information from other data, shape (r, r).
     repeats
         How often the motion is run.
     rate
         Of the coarse samples [Hz].
     """
 
-    def __init__(self, task: Task, pattern: Pattern, before: Array, repeats: int, rate: float) -> None:
-        self.task, self.pattern = task, pattern
-        self.t: Array = np.linspace(0, pattern.seconds, max(int(np.ceil(rate * pattern.seconds)), 10) + 1)
-        self.instants: Array = self.t.copy()
-        self.price = 1.0
+    def __init__(self, task: DesignTask, pattern: Pattern, information: Array, repeats: int, rate: float) -> None:
+        self.task = task
+        self.pattern = pattern
+        intervals = max(int(np.ceil(rate * pattern.duration)), 10)
+        self.t: Array = np.linspace(0, pattern.duration, intervals + 1)
+        self.clearance_times: Array = self.t.copy()
+        self.penalty_weight = 1.0
         self.best: Array | None = None
-        self.score = np.inf
+        self.best_score = np.inf
         self.evaluations = 0
-        self._before = before + RIDGE * np.eye(len(before))
-        worth = task.independent * float(self.t[1] - self.t[0]) * repeats
-        self._units = [
-            task.size[own, None] * np.sqrt(worth) / sigma
-            for own, sigma in zip(task.columns.own, task.noise, strict=True)
-        ]
-        self._still = _ROUNDED * task.limits.velocity
+        self._other_information = information + RIDGE * np.eye(len(information))
+        self._sign_width = _SIGN_WIDTH * task.limits.velocity
+        # Factors of each joint's rows, by base parameter: their scales over the noise, times √ of the independent
+        # samples per row.
+        samples_per_row = task.independent_rate * float(self.t[1] - self.t[0]) * repeats
+        self._units: list[Array] = []
+        for columns, noise in zip(task.columns.joint_columns, task.noise, strict=True):
+            self._units.append(task.scales[columns, None] * np.sqrt(samples_per_row) / noise)
 
     def __call__(self, x: Array) -> tuple[float, Array]:
-        """Value and derivative by x, shape (n,)."""
-        task, samples = self.task, self.pattern.motion(x, self.t)
+        """Value, and gradient with respect to x, shape (n,)."""
+        samples = self.pattern.motion(x, self.t)
         self.evaluations += 1
-        blocks = task.blocks(samples, self.t, self._still)
-        value, weights = self._information(blocks)
-        tau = np.array([theta @ b[:-1] - b[-1] for theta, b in zip(self._thetas(), blocks, strict=True)])
-        outside, by, by_tau = self._outside(samples, tau)
-        nearness, by_clearance, least = self._nearness(x)
-        for w, theta, push in zip(weights, self._thetas(), by_tau, strict=True):
-            w[:-1] += theta[:, None] * push
-            w[-1] -= push
-        total = self._differences(samples, blocks, weights, by)
-        self._remember(x, value, samples, tau, least)
-        return value + outside + nearness, self.pattern.gradient(x, self.t, total) + by_clearance
+        blocks = self.task.blocks(samples, self.t, self._sign_width)
+        value, by_columns = self._criterion(blocks)
+
+        thetas = [self.task.theta[active] for active in self.task.equation.active()]
+        tau = np.array([theta @ block[:-1] - block[-1] for theta, block in zip(thetas, blocks, strict=True)])
+        limit_penalty, by_samples, by_tau = self._limit_penalty(samples, tau)
+        for by_joint_columns, theta, by_joint_tau in zip(by_columns, thetas, by_tau, strict=True):
+            by_joint_columns[:-1] += theta[:, None] * by_joint_tau
+            by_joint_columns[-1] -= by_joint_tau
+        self._add_column_gradient(by_samples, samples, blocks, by_columns)
+
+        clearance_penalty, clearance_gradient, clearance = self._clearance_penalty(x)
+        self._keep_if_best(x, value, samples, tau, clearance)
+        gradient = self.pattern.gradient(x, self.t, by_samples) + clearance_gradient
+        return value + limit_penalty + clearance_penalty, gradient
 
     def information(self, x: Array) -> Array:
-        """All there would be with the motion, about the base parameters in units of their sizes, shape (r, r)."""
-        return self._all(self.task.blocks(self.pattern.motion(x, self.t), self.t, self._still))[0]
+        """Information on the base parameters in units of their scales, with the other data's, shape (r, r)."""
+        blocks = self.task.blocks(self.pattern.motion(x, self.t), self.t, self._sign_width)
+        return self._information(blocks)[0]
 
-    def _thetas(self) -> list[Array]:
-        return [self.task.theta[active] for active in self.task.equation.active()]
+    def add_clearance_times(self, t: Array) -> None:
+        """Evaluate the clearance at these times [s] too, and forget the score of the best motion."""
+        self.clearance_times = np.union1d(self.clearance_times, t)
+        self.best_score = np.inf
 
-    def _information(self, blocks: list[Array]) -> tuple[float, list[Array]]:
-        """The criterion, and its derivative by the equation's columns, (m_j + 1, N) a joint; of the last it is 0."""
-        M, scaled = self._all(blocks)
-        value, by_M = self.task.aim.search(M)
-        weights = []
-        for j, Y in enumerate(scaled):
-            own = self.task.columns.own[j]
-            by = self.task.columns.back(j, 2 * self._units[j] * (by_M[np.ix_(own, own)] @ Y))
-            weights.append(np.concatenate([by, np.zeros((1, by.shape[1]))]))
-        return value, weights
+    def _criterion(self, blocks: list[Array]) -> tuple[float, list[Array]]:
+        """Logarithm of the criterion, and its derivatives by the equation's columns, (m_j + 1, N) a joint.
 
-    def _all(self, blocks: list[Array]) -> tuple[Array, list[Array]]:
-        """The information with what was there before (r, r), and the base parameters' columns (r_j, N) it is of."""
-        M, scaled = self._before.copy(), []
+        The derivatives by the last column are 0.
+        """
+        M, base_columns = self._information(blocks)
+        value, by_M = self.task.criterion.smooth_log(M)
+        derivatives = []
+        for j, Y in enumerate(base_columns):
+            columns = self.task.columns.joint_columns[j]
+            by_Y = 2 * self._units[j] * (by_M[np.ix_(columns, columns)] @ Y)
+            by_block = self.task.columns.project_gradient(j, by_Y)
+            derivatives.append(np.concatenate([by_block, np.zeros((1, by_block.shape[1]))]))
+        return value, derivatives
+
+    def _information(self, blocks: list[Array]) -> tuple[Array, list[Array]]:
+        """Information (r, r), and the scaled columns of the base parameters, (r_j, N) a joint."""
+        M = self._other_information.copy()
+        base_columns = []
         for j, block in enumerate(blocks):
-            own = self.task.columns.own[j]
-            scaled.append(self.task.columns.of(j, block[:-1]) * self._units[j])
-            M[np.ix_(own, own)] += scaled[-1] @ scaled[-1].T
-        return M, scaled
+            columns = self.task.columns.joint_columns[j]
+            Y = self.task.columns.project(j, block[:-1]) * self._units[j]
+            M[np.ix_(columns, columns)] += Y @ Y.T
+            base_columns.append(Y)
+        return M, base_columns
 
-    def _differences(self, samples: Samples, blocks: list[Array], weights: list[Array], by: Samples) -> Samples:
-        """Derivatives by q, v and a of what has the derivatives ``weights`` by the columns, and ``by`` itself."""
-        for which, step in enumerate(_STEPS):
+    def _add_column_gradient(
+        self, gradient: MotionSamples, samples: MotionSamples, blocks: list[Array], by_columns: list[Array]
+    ) -> None:
+        """Add to derivatives by q, v, a those by the columns, by finite differences of the columns."""
+        for signal, step in enumerate(_STEPS):
             for k in range(len(samples.q)):
-                moved = samples[which].copy()
-                moved[k] += step
-                near = samples._replace(**{samples._fields[which]: moved})
-                other = self.task.blocks(near, self.t, self._still)
-                for w, b, c in zip(weights, blocks, other, strict=True):
-                    by[which][k] += np.einsum("mn,mn->n", w, c - b) / step
-        return by
+                shifted = samples[signal].copy()
+                shifted[k] += step
+                shifted_samples = samples._replace(**{samples._fields[signal]: shifted})
+                shifted_blocks = self.task.blocks(shifted_samples, self.t, self._sign_width)
+                for by_block, block, shifted_block in zip(by_columns, blocks, shifted_blocks, strict=True):
+                    change = shifted_block - block
+                    gradient[signal][k] += np.einsum("mn,mn->n", by_block, change) / step
 
-    def _outside(self, samples: Samples, tau: Array) -> tuple[float, Samples, Array]:
-        """The price of leaving the limits, and its derivatives by q, v, a and tau."""
-        limits, share = self.task.limits, self.price / len(self.t)
-        parts = (
-            (samples.q - limits.middle[:, None], limits.half),
+    def _limit_penalty(self, samples: MotionSamples, tau: Array) -> tuple[float, MotionSamples, Array]:
+        """Penalty outside the limits, and its derivatives by q, v, a and by tau."""
+        limits = self.task.limits
+        weight = self.penalty_weight / len(self.t)
+        signals = (
+            (samples.q - limits.middle[:, None], limits.half_range),
             (samples.v, limits.velocity),
             (samples.a, limits.acceleration),
-            (tau, _SPARE * limits.effort),
+            (tau, _EFFORT_SHARE * limits.effort),
         )
-        value, derivatives = 0.0, list[Array]()
-        for x, limit in parts:
-            excess = np.maximum(np.abs(x) / limit[:, None] - 1, 0.0)
-            value += share * float(np.square(excess).sum())
-            derivatives.append(2 * share * excess * np.sign(x) / limit[:, None])
+        penalty = 0.0
+        derivatives: list[Array] = []
+        for values, limit in signals:
+            excess = np.maximum(np.abs(values) / limit[:, None] - 1, 0.0)
+            penalty += weight * float(np.square(excess).sum())
+            derivatives.append(2 * weight * excess * np.sign(values) / limit[:, None])
         by_q, by_v, by_a, by_tau = derivatives
-        return value, Samples(by_q, by_v, by_a), by_tau
+        return penalty, MotionSamples(by_q, by_v, by_a), by_tau
 
-    def _nearness(self, x: Array) -> tuple[float, Array, float]:
-        """The price of links that come too near to each other, its derivative by x, and the least clearance [m]."""
+    def _clearance_penalty(self, x: Array) -> tuple[float, Array, float]:
+        """Penalty of links that are too near to each other, its gradient by x, and the smallest clearance [m]."""
         task = self.task
         if task.collision is None or not task.collision.pairs:
             return 0.0, np.zeros_like(x), np.inf
-        q = self.pattern.motion(x, self.instants).q
+        q = self.pattern.motion(x, self.clearance_times).q
         clearance = task.collision.clearance(q)
-        wanted = max(_FINE * task.clearance, _TOUCH)
-        excess = np.maximum(1 - clearance / wanted, 0.0)
-        near, by = np.flatnonzero(excess), np.zeros_like(q)
-        share = self.price / len(self.t)
-        for k in range(len(q) if len(near) else 0):
-            moved = q[:, near].copy()
-            moved[k] += _APART
-            change = (task.collision.clearance(moved) - clearance[near]) / _APART
-            by[k, near] = -2 * share * excess[near] * change / wanted
-        gradient = self.pattern.gradient(x, self.instants, Samples(by, np.zeros_like(by), np.zeros_like(by)))
-        return share * float(np.square(excess).sum()), gradient, float(clearance.min())
+        wanted = max(_CLEARANCE_MARGIN * task.clearance, _MIN_CLEARANCE)
+        missing = np.maximum(1 - clearance / wanted, 0.0)
+        weight = self.penalty_weight / len(self.t)
+        penalty = weight * float(np.square(missing).sum())
 
-    def watch(self, t: Array) -> None:
-        """Look at the clearance at these instants too, and forget which motion was the best [s]."""
-        self.instants = np.union1d(self.instants, t)
-        self.score = np.inf
+        too_near = np.flatnonzero(missing)
+        by_q = np.zeros_like(q)
+        if len(too_near):
+            for k in range(len(q)):
+                shifted = q[:, too_near].copy()
+                shifted[k] += _CLEARANCE_STEP
+                slope = (task.collision.clearance(shifted) - clearance[too_near]) / _CLEARANCE_STEP
+                by_q[k, too_near] = -2 * weight * missing[too_near] * slope / wanted
+        zero = np.zeros_like(by_q)
+        gradient = self.pattern.gradient(x, self.clearance_times, MotionSamples(by_q, zero, zero))
+        return penalty, gradient, float(clearance.min())
 
-    def _remember(self, x: Array, value: float, samples: Samples, tau: Array, clearance: float) -> None:
+    def _keep_if_best(self, x: Array, value: float, samples: MotionSamples, tau: Array, clearance: float) -> None:
         """Keep the motion if it is the best; one that leaves the limits counts as if it were scaled."""
-        *motion, effort = self.task.limits.use(*samples, tau).max(axis=1)
+        *motion, effort = self.task.limits.utilization(*samples, tau).max(axis=1)
+        wanted = max(self.task.clearance, _MIN_CLEARANCE)
         score = (
             value
-            + _WORTH * np.log(max(*motion, 1.0))
-            + _NEAR * max(1 - clearance / max(self.task.clearance, _TOUCH), 0.0)
+            + _MOTION_PRICE * np.log(max(*motion, 1.0))
+            + _CLEARANCE_PRICE * max(1 - clearance / wanted, 0.0)
+            + _EFFORT_PRICE * max(effort / _EFFORT_SHARE - 1, 0.0)
         )
-        score += _WEIGHT * max(effort / _SPARE - 1, 0.0)
-        if score < self.score:
-            self.best, self.score = x.copy(), score
+        if score < self.best_score:
+            self.best = x.copy()
+            self.best_score = score

@@ -1,4 +1,4 @@
-"""`Task`: what a trajectory is to tell, of which robot, within which limits.
+"""`DesignTask`: robot, limits and criterion of a trajectory design.
 
 Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m, s, N·m or N.
 """
@@ -18,41 +18,41 @@ from idtool.data.signals import Motion, default_cutoff
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
-from idtool.excitation.criteria import BaseColumns, Criterion, DesignCriterion, favoured, sizes
-from idtool.excitation.limits import Limits, limits_of
-from idtool.excitation.patterns import Fourier, Samples, Setting
+from idtool.excitation.criteria import BaseColumns, Criterion, DesignCriterion, base_parameter_scales, favoured_indices
+from idtool.excitation.limits import Limits, joint_limits
+from idtool.excitation.patterns import Fourier, MotionSamples, PatternSpec
 from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
 from idtool.robot.model import Model
 
-STILL = 3e-3  # rad/s or m/s: least velocity whose sign a fit believes
-_REST = 3.0  # times that: where a joint rests and its row is left out
+VELOCITY_DEADBAND = 3e-3  # rad/s or m/s: below it, a fit does not rely on the sign of the velocity
+_REST = 3.0  # times that: a slower joint is at rest, and its row is left out
 _NOISE = 0.01  # of the effort limit, or of the largest torque of a random motion
-_TYPICAL = 10.0  # times the noise: the torque of a coefficient whose size nothing tells
-_SECONDS = 10.0  # of a random motion
+_TYPICAL_TORQUE = 10.0  # times the noise, of a coefficient whose magnitude is unknown
+_RANDOM_DURATION = 10.0  # s of a random motion
 
 
 @dataclass(frozen=True)
-class Task:
-    """What is to be told, of which robot, within which limits.
+class DesignTask:
+    """Robot, limits and criterion of a trajectory design.
 
     Attributes
     ----------
     model, equation, equalities
-        The robot, its torque equation, and what is known of its coefficients.
+        The robot, its torque equation, and the equality constraints between its coefficients.
     theta
         Coefficients that predict the torque, shape (p,).
     full, limits
-        The joints' limits, and what a design keeps to.
+        The joints' limits, and the tighter ones of the design.
     collision, clearance
-        The robot's geometry, None without any, and how near links may come to each other [m].
-    base, columns, size
-        The base parameters, their columns, and their units, shape (r,).
+        The robot's geometry, None without any, and the smallest distance that links may have [m].
+    base, columns, scales
+        The base parameters, their columns, and their scales, shape (r,).
     noise, noise_assumed
-        Of each joint's torque in the band [N·m or N], shape (nv,), and that of the joints for which it was not given.
-    rate, independent
-        Samples and independent samples in the band a second [Hz].
-    aim
+        Torque noise of each joint in the band [N·m or N], shape (nv,), and that of the joints for which it is assumed.
+    rate, independent_rate
+        Samples, and independent samples in the band, per second [Hz].
+    criterion
         The criterion.
     """
 
@@ -66,42 +66,46 @@ class Task:
     clearance: float
     base: BaseParameters
     columns: BaseColumns
-    size: Array
+    scales: Array
     noise: Array
     noise_assumed: tuple[str, ...]
     rate: float
-    independent: float
-    aim: DesignCriterion
+    independent_rate: float
+    criterion: DesignCriterion
 
-    def blocks(self, samples: Samples, t: Array, still: Array) -> list[Array]:
-        """Columns of each joint's equation, less what takes no coefficient in the last, (m_j + 1, N)."""
-        zero = np.zeros_like(samples.q)
-        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
-        return self.equation.columns(Motion(t, *samples, zero, zero, still, dt))
+    def blocks(self, samples: MotionSamples, t: Array, velocity_deadband: Array) -> list[Array]:
+        """Columns of each joint's equation and, last, minus the part without coefficients, (m_j + 1, N) each."""
+        return self.equation.columns(_motion(samples, t, velocity_deadband))
 
-    def torque(self, samples: Samples, t: Array) -> Array:
+    def torque(self, samples: MotionSamples, t: Array) -> Array:
         """Predicted torque, shape (nv, N)."""
-        zero, still = np.zeros_like(samples.q), np.full(len(samples.q), STILL)
-        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
-        return self.equation.torque(Motion(t, *samples, zero, zero, still, dt), self.theta)
+        velocity_deadband = np.full(len(samples.q), VELOCITY_DEADBAND)
+        return self.equation.torque(_motion(samples, t, velocity_deadband), self.theta)
 
-    def information(self, samples: Samples, t: Array) -> Array:
-        """Of even samples of a motion about the base parameters in units of their sizes, shape (r, r).
+    def information(self, samples: MotionSamples, t: Array) -> Array:
+        """Information in even samples of a motion on the base parameters in units of their scales, shape (r, r).
 
-        Where a joint rests, its row tells nothing.
+        Rows of a joint at rest are left out.
         """
-        still = np.full(len(samples.q), STILL)
-        M = np.zeros((len(self.size), len(self.size)))
-        worth = self.independent * float(t[1] - t[0])
-        for j, block in enumerate(self.blocks(samples, t, still)):
-            own = self.columns.own[j]
-            moving = np.abs(samples.v[j]) > _REST * STILL
-            Y = self.columns.of(j, block[:-1, moving]) * (self.size[own, None] / self.noise[j])
-            M[np.ix_(own, own)] += worth * Y @ Y.T
+        velocity_deadband = np.full(len(samples.q), VELOCITY_DEADBAND)
+        M = np.zeros((len(self.scales), len(self.scales)))
+        samples_per_row = self.independent_rate * float(t[1] - t[0])
+        for j, block in enumerate(self.blocks(samples, t, velocity_deadband)):
+            columns = self.columns.joint_columns[j]
+            is_moving = np.abs(samples.v[j]) > _REST * VELOCITY_DEADBAND
+            Y = self.columns.project(j, block[:-1, is_moving]) * (self.scales[columns, None] / self.noise[j])
+            M[np.ix_(columns, columns)] += samples_per_row * Y @ Y.T
         return M
 
 
-def make_task(
+def _motion(samples: MotionSamples, t: Array, velocity_deadband: Array) -> Motion:
+    """Samples of a design as the torque equation takes them, without measured torque."""
+    zero = np.zeros_like(samples.q)
+    dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
+    return Motion(t, *samples, tau=zero, logged=zero, velocity_deadband=velocity_deadband, dt=dt)
+
+
+def make_design_task(
     model: Model,
     equation: LinearModel,
     equalities: EqualityConstraints,
@@ -113,23 +117,23 @@ def make_task(
     criterion: Criterion,
     favour: Sequence[str],
     noise: Mapping[str, float],
-) -> Task:
-    """What is to be told of a model.
+) -> DesignTask:
+    """The task of designing a trajectory for a model.
 
     Parameters
     ----------
     model, equation, equalities, config
-        The robot, its torque equation, what is known of its coefficients, and the configuration.
+        The robot, its torque equation, the constraints between its coefficients, and the configuration.
     rate
-        Of the log to come [Hz].
+        Sampling rate of the log to come [Hz].
     margin
-        Share of every limit that is left unused, see `Limits.within`.
+        Share of every limit that is not used, see `Limits.within`.
     clearance
-        How near links may come to each other [m].
+        Smallest distance that links may have [m].
     criterion, favour
-        The aim; names as in `criteria.favoured`.
+        The criterion, and the names of `criteria.favoured_indices`.
     noise
-        Of a joint's torque in the band, by name [N·m or N]; of others, a share of the effort limit.
+        Torque noise in the band by joint [N·m or N]; that of others is a share of the effort limit.
 
     Raises
     ------
@@ -139,59 +143,61 @@ def make_task(
     for name in noise:
         if name not in model.names:
             raise ConfigError("--noise", f"{name} is no moving joint; {nearest(name, model.names)}")
-    full = limits_of(model, config)
-    limits = full.within(margin)
+    full = joint_limits(model, config)
+    limits = full.with_margin(margin)
     base = structural_base_parameters(model, equation, equalities)
     if not len(base):
         raise ModelError(model.robot.path, "has no parameter that a motion could tell: its torque is always zero")
     sigma, typical, assumed = _scales(model, equation, limits, noise)
-    return Task(
+    return DesignTask(
         model=model,
         equation=equation,
         equalities=equalities,
         theta=equation.prior,
         full=full,
         limits=limits,
-        collision=SelfCollision.of(model, config.locked_joints),
+        collision=SelfCollision.from_model(model, config.locked_joints),
         clearance=clearance,
         base=base,
         columns=BaseColumns(equation, base, equalities),
-        size=sizes(base, equation, typical),
+        scales=base_parameter_scales(base, equation, typical),
         noise=sigma,
         noise_assumed=assumed,
         rate=rate,
-        independent=_independent(config, rate),
-        aim=DesignCriterion(criterion, favoured(favour, base, equation)),
+        independent_rate=_independent_rate(config, rate),
+        criterion=DesignCriterion(criterion, favoured_indices(favour, base, equation)),
     )
 
 
-def _independent(config: Config, rate: float) -> float:
-    """Independent samples a second in the band of the log to come."""
+def _independent_rate(config: Config, rate: float) -> float:
+    """Independent samples per second in the band of the log to come [Hz]."""
     band = config.filter.cutoff_hz or default_cutoff(1 / rate)
     if band >= 0.45 * rate:
         raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for --rate {rate:g}")
     stride = max(1, int(rate / (4 * band)))
-    return rate / (stride * LowPass(band, config.filter.order, 1 / rate, stride).redundancy)
+    low_pass = LowPass(band, config.filter.order, 1 / rate, stride)
+    return rate / (stride * low_pass.redundancy)
 
 
 def _scales(
     model: Model, equation: LinearModel, limits: Limits, given: Mapping[str, float]
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Noise of each joint (nv,), typical sizes of the coefficients (p,), and what is to be said of the noise.
+    """Noise of each joint (nv,), typical magnitudes of the coefficients (p,), and the joints whose noise is assumed.
 
-    Of a random motion within the limits: the largest torque where there is no limit, and the columns' sizes.
+    A random motion within the limits gives the largest torque where there is no limit, and the columns' magnitudes.
     """
-    pattern = Fourier(Setting(model, limits, limits.middle, _SECONDS))
-    t = np.linspace(0, _SECONDS, 500)
+    pattern = Fourier(PatternSpec(model, limits, limits.middle, _RANDOM_DURATION))
+    t = np.linspace(0, _RANDOM_DURATION, 500)
     samples = pattern.motion(pattern.draw(np.random.default_rng(0)), t)
-    zero = np.zeros_like(samples.q)
-    motion = Motion(t, *samples, zero, zero, np.full(len(zero), STILL), float(t[1]))
+    motion = _motion(samples, t, np.full(len(samples.q), VELOCITY_DEADBAND))
     largest = np.abs(equation.torque(motion, equation.prior)).max(axis=1)
-    of = np.where(np.isfinite(limits.effort), limits.effort, np.where(largest > 0, largest, 1.0))
-    noise = np.array([given.get(name, _NOISE * x) for name, x in zip(model.names, of, strict=True)])
+    largest = np.where(largest > 0, largest, 1.0)
+    full_torque = np.where(np.isfinite(limits.effort), limits.effort, largest)
+    noise = np.array([given.get(name, _NOISE * tau) for name, tau in zip(model.names, full_torque, strict=True)])
     typical = np.zeros(len(equation.prior))
     for active, block, sigma in zip(equation.active(), equation.columns(motion), noise, strict=True):
         rms = np.sqrt(np.square(block[:-1]).mean(axis=1))
-        typical[active] = np.maximum(typical[active], np.divide(_TYPICAL * sigma, rms, where=rms > 0, out=0 * rms))
+        magnitude = np.divide(_TYPICAL_TORQUE * sigma, rms, where=rms > 0, out=0 * rms)
+        typical[active] = np.maximum(typical[active], magnitude)
     assumed = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
     return noise, np.where(typical > 0, typical, 1.0), tuple(assumed)

@@ -19,7 +19,7 @@ from idtool.reporting.results.adaptation import (
     FinalEstimate,
 )
 from idtool.reporting.results.base import notice_fields, provenance_fields
-from idtool.robot.inertia import SIZE, is_realizable, mass_com_inertia, six
+from idtool.robot.inertia import PI_SIZE, is_realizable, mass_com_inertia, symmetric_entries
 
 
 def adaptation_report(
@@ -53,7 +53,7 @@ def adaptation_report(
         theta=adaptation.theta.tolist(),
         prediction_rms=adaptation.prediction_rms(equation.joints),
         final=FinalEstimate(
-            bodies={body.name: _body(theta[SIZE * i : SIZE * (i + 1)]) for i, body in enumerate(bodies)},
+            bodies={body.name: _body(theta[PI_SIZE * i : PI_SIZE * (i + 1)]) for i, body in enumerate(bodies)},
             friction={joint: _friction(theta, experiment, joint) for joint in equation.joints},
         ),
         samples=adaptation.samples,
@@ -70,14 +70,14 @@ def _body(pi: Array) -> AdaptedBody:
     return AdaptedBody(
         mass=mass,
         com=com.tolist(),
-        inertia_com=six(inertia).tolist(),
+        inertia_com=symmetric_entries(inertia).tolist(),
         pi=pi.tolist(),
         realizable=is_realizable(pi),
     )
 
 
 def _friction(theta: Array, experiment: Experiment, joint: str) -> AdaptedFriction:
-    inertial = SIZE * len(experiment.model.bodies)
+    inertial = PI_SIZE * len(experiment.model.bodies)
     pairs = zip(experiment.equation.coefficients[inertial:], theta[inertial:], strict=True)
     own = {c.effect: float(value) for c, value in pairs if c.owner == joint}
     return AdaptedFriction(**{key: own.get(kind.id) for key, kind in friction_types().items()})

@@ -11,7 +11,7 @@ from idtool.common.notice import Notice
 from idtool.estimation.problem.link_check import LinkCheck
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.ellipsoids import CheckedLink, CheckReport, RepairedLink
-from idtool.robot.inertia import mass_com_inertia, six
+from idtool.robot.inertia import mass_com_inertia, symmetric_entries
 from idtool.robot.urdf.reading import Robot
 
 
@@ -47,4 +47,4 @@ def _repaired(pi: Array, nearest: Array) -> RepairedLink:
     mass, com, inertia = mass_com_inertia(nearest)
     before = mass_com_inertia(pi)[2]
     moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
-    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=six(inertia).tolist(), moved=moved)
+    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=symmetric_entries(inertia).tolist(), moved=moved)

@@ -14,7 +14,7 @@ from idtool.common.provenance import Source
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
-from idtool.excitation.task import Task
+from idtool.excitation.task import DesignTask
 from idtool.reporting.results.base import notice_fields, provenance_fields
 from idtool.reporting.results.excitation import (
     Clearance,
@@ -30,7 +30,7 @@ from idtool.reporting.results.excitation import (
     MotionPart,
 )
 from idtool.reporting.uncertainty_report import combination_name, quantity, terms_report
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 _CURVE = 500  # instants of each curve
 _TINY = 1e-3  # of a base parameter's size: a prior that small is none to compare with
@@ -58,23 +58,23 @@ def excitation_report(
     """
     task, trajectory = design.task, design.trajectory
     starts = trajectory.starts.tolist()
-    parts = zip(trajectory.parts, starts[:-1], starts[1:], strict=True)
+    parts = zip(trajectory.segments, starts[:-1], starts[1:], strict=True)
     return ExcitationReport(
         **provenance_fields(sources),
         file=None,
         urdf=urdf,
         logs=logs,
         seed=seed,
-        samples=math.floor(trajectory.seconds * task.rate + 1e-9) + 1,
+        samples=math.floor(trajectory.duration * task.rate + 1e-9) + 1,
         joints=task.model.names,
         units=task.model.units,
-        duration=trajectory.seconds,
+        duration=trajectory.duration,
         rate_hz=task.rate,
-        highest_hz=design.highest,
+        highest_hz=design.max_frequency,
         parts=[MotionPart(pattern=part.pattern.name, start=start, end=end) for part, start, end in parts],
-        home=_by_joint(task, trajectory.parts[0].pattern.home),
+        home=_by_joint(task, trajectory.segments[0].pattern.home),
         noise=_by_joint(task, task.noise),
-        criterion=task.aim.criterion,
+        criterion=task.criterion.kind,
         criteria={
             name: Criteria(**{kind: _finite(value) for kind, value in values.items()})
             for name, values in design.criteria.items()
@@ -84,7 +84,7 @@ def excitation_report(
         terms=_terms(design),
         limits={joint: _limits(task, j) for j, joint in enumerate(task.model.names)},
         use={
-            joint: LimitUtilization(**dict(zip(QUANTITIES, design.use[:, j].tolist(), strict=True)))
+            joint: LimitUtilization(**dict(zip(QUANTITIES, design.utilization[:, j].tolist(), strict=True)))
             for j, joint in enumerate(task.model.names)
         },
         clearance=_clearance(design),
@@ -99,7 +99,7 @@ def _finite(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
 
 
-def _by_joint(task: Task, values: Array) -> dict[str, float]:
+def _by_joint(task: DesignTask, values: Array) -> dict[str, float]:
     return dict(zip(task.model.names, values.tolist(), strict=True))
 
 
@@ -107,13 +107,13 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
     task, base = design.task, design.task.base
     coefficients = task.equation.coefficients
     prior = base.B @ task.theta
-    chosen = len(task.aim.favoured) < len(base)
+    chosen = len(task.criterion.favoured) < len(base)
     found = []
     for i, own in enumerate(base.own):
         error = float(design.errors.base[i])
         before = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
-        comparable = abs(prior[i]) > _TINY * task.size[i]
-        value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.size[i] else 0.0
+        comparable = abs(prior[i]) > _TINY * task.scales[i]
+        value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.scales[i] else 0.0
         found.append(
             ExpectedParameter(
                 name=combination_name(base, i, coefficients),
@@ -123,7 +123,7 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
                 standard_error=_finite(error),
                 relative=_finite(error / abs(prior[i])) if comparable else None,
                 logged_standard_error=_finite(before),
-                favoured=bool(chosen and i in task.aim.favoured),
+                favoured=bool(chosen and i in task.criterion.favoured),
             )
         )
     return found
@@ -134,14 +134,14 @@ def _bodies(design: Design) -> dict[str, ExpectedBody]:
     errors = design.errors.coefficients
     bodies = {}
     for i, body in enumerate(design.task.model.bodies):
-        own = errors[SIZE * i : SIZE * (i + 1)]
+        own = errors[PI_SIZE * i : PI_SIZE * (i + 1)]
         bodies[body.name] = ExpectedBody(standard_error=[_finite(error) for error in own])
     return bodies
 
 
 def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
     """Standard errors of friction and other terms, by joint and name."""
-    inertial = SIZE * len(design.task.model.bodies)
+    inertial = PI_SIZE * len(design.task.model.bodies)
     coefficients = design.task.equation.coefficients[inertial:]
     terms: dict[str, dict[str, ExpectedTerm]] = {}
     for c, error in zip(coefficients, design.errors.coefficients[inertial:], strict=True):
@@ -150,7 +150,7 @@ def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
     return terms
 
 
-def _limits(task: Task, j: int) -> JointLimitsReport:
+def _limits(task: DesignTask, j: int) -> JointLimitsReport:
     full = task.full
     return JointLimitsReport(
         position=[float(full.lower[j]), float(full.upper[j])],
@@ -170,8 +170,8 @@ def _clearance(design: Design) -> Clearance | None:
 def _curves(design: Design) -> ExcitationCurves:
     """The motion and its predicted torque at a few instants."""
     task, trajectory = design.task, design.trajectory
-    t = np.linspace(0, trajectory.seconds, _CURVE)
-    samples = trajectory.at(t)
+    t = np.linspace(0, trajectory.duration, _CURVE)
+    samples = trajectory.motion(t)
     q, v, a = samples
     tau = task.torque(samples, t)
     joints = {}
@@ -206,5 +206,5 @@ def _notices(design: Design) -> list[Notice]:
 def untold_names(design: Design, base: BaseParameters) -> list[str]:
     """The base parameters whose standard error is larger than their size, by their own coefficients' names."""
     coefficients = design.task.equation.coefficients
-    large = design.errors.base > _LARGE * design.task.size
+    large = design.errors.base > _LARGE * design.task.scales
     return [quantity(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]

@@ -49,13 +49,13 @@ from idtool.reporting.uncertainty_report import (
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
 from idtool.robot.inertia import (
-    SIZE,
-    least_eigenvalue,
+    PI_SIZE,
     mass_com_inertia,
     pseudo_inertia,
-    rounded,
+    round_to_digits,
     rounded_inertial,
-    six,
+    smallest_eigenvalue,
+    symmetric_entries,
 )
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
@@ -115,8 +115,8 @@ def regularization_report(fit: Fit) -> RegularizationReport:
         )
     return RegularizationReport(
         kind=prior.kind,
-        weight=prior.number,
-        mass_precision=prior.masses_known_better,
+        weight=prior.numeric_weight,
+        mass_precision=prior.mass_precision_factor,
         units=prior.units,
         automatic=automatic,
     )
@@ -157,19 +157,19 @@ def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[st
 
 def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
     """One entry of ``bodies``."""
-    part = slice(SIZE * index, SIZE * (index + 1))
+    part = slice(PI_SIZE * index, PI_SIZE * (index + 1))
     pi = fit.parameters(index)
     mass, com, inertia = mass_com_inertia(pi)
     errors = fit.uncertainty.standard_error[part]
     pieces = fit.estimate.pieces[index]
     copy = fit.experiment.equalities.copies.get(index)
     verdict = check_realizability(body, pi, pieces if len(pieces) else None)
-    least = float(least_eigenvalue(pi))
+    least = float(smallest_eigenvalue(pi))
     return BodyReport(
         kind=body.kind,
         mass=mass,
         com=com.tolist(),
-        inertia_com=six(inertia).tolist(),
+        inertia_com=symmetric_entries(inertia).tolist(),
         pi=pi.tolist(),
         standard_error=[error if np.isfinite(error) else None for error in errors.tolist()],
         interval=intervals(fit)[part],
@@ -180,7 +180,7 @@ def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
         identifiable=fit.uncertainty.identifiable[part].tolist(),
         constraints=fit.sets[index].name,
         copy_of=fit.experiment.model.bodies[copy[0]].name if copy else None,
-        lumped=list(body.lumped),
+        lumped=list(body.lumped_links),
         prior=body.pi.tolist(),
         ellipsoids=[ellipsoid.to_dict() for ellipsoid in body.ellipsoids],
         shapes=[shape.to_dict() for shape in body.shapes],
@@ -272,7 +272,7 @@ def model_config(fit: Fit) -> dict[str, Any]:
             data["rotors"][body.name].pop("inertial", None)
             if body.name not in robot_links:  # else it is in the URDF
                 mass, com, inertia = rounded_inertial(fit.parameters(i))
-                inertial = {"mass": mass, "com": com.tolist(), "inertia": six(inertia).tolist()}
+                inertial = {"mass": mass, "com": com.tolist(), "inertia": symmetric_entries(inertia).tolist()}
                 data["rotors"][body.name]["inertial"] = inertial
     return data
 
@@ -302,8 +302,10 @@ def _term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:
 
 def _written(value: Any, standard_error: Any = None) -> dict[str, Any]:
     """A number or a list of them, with its error, to the digits that stand in a configuration."""
-    written = {"value": rounded(value).tolist()}
-    return written if standard_error is None else written | {"standard_error": rounded(standard_error, 4).tolist()}
+    written = {"value": round_to_digits(value).tolist()}
+    return (
+        written if standard_error is None else written | {"standard_error": round_to_digits(standard_error, 4).tolist()}
+    )
 
 
 def validation_report(

@@ -22,7 +22,7 @@ from idtool.reporting.results.study import (
     StudyReport,
 )
 from idtool.robot.inequality import Inequality
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 
 def study_report(study: Study) -> StudyReport:
@@ -93,7 +93,7 @@ def _set_report(study: Study, name: str, outcome: StudyEntry) -> SetReport:
         lmi=", ".join(forms) or "none",
         violations=int(np.count_nonzero(outcome.least < 0)),
         worst_margin=float(outcome.least.min()),
-        masses={body.name: float(outcome.theta[SIZE * i]) for i, body in enumerate(bodies)},
+        masses={body.name: float(outcome.theta[PI_SIZE * i]) for i, body in enumerate(bodies)},
     )
 
 

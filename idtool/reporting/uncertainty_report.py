@@ -28,9 +28,9 @@ from idtool.reporting.results.fit import (
     RepeatedParameter,
     UncertaintyReport,
 )
-from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
 
-_WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in NAMES[1:4]}}
+_WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in PARAMETER_NAMES[1:4]}}
 _NAMED = 4  # terms of a combination that its name holds
 PULLED = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
 
@@ -138,7 +138,7 @@ def rests_on(fit: Fit, index: int) -> list[ParameterSource] | None:
     asked = fit.uncertainty_analysis.identifiability
     if asked is None:
         return None
-    return [_source_report(fit, asked, SIZE * index + k) for k in range(SIZE)]
+    return [_source_report(fit, asked, PI_SIZE * index + k) for k in range(PI_SIZE)]
 
 
 def _source_report(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
@@ -248,7 +248,7 @@ def reflected_inertia(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]:
         for joint, ratio in zip(model.names, body.ratios, strict=True):
             if ratio:
                 row = np.zeros((1, p))
-                row[0, SIZE * i + 4 : SIZE * (i + 1)] = ratio**2 * about
+                row[0, PI_SIZE * i + 4 : PI_SIZE * (i + 1)] = ratio**2 * about
                 error = float(fit.uncertainty.of(row)[0])
                 sees = np.isfinite(error)
                 joints[joint] = ReflectedInertia(

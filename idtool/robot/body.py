@@ -1,6 +1,6 @@
-"""Bodies and their places: what a `Model` is made of.
+"""Bodies and frames: what a `Model` is made of.
 
-Letters: q joint coordinates (nv,) [rad or m], pi inertia parameters (10,), R (3, 3) and p (3,) [m] a frame's place in
+Letters: q joint coordinates (nv,) [rad or m], pi inertia parameters (10,), R (3, 3) and p (3,) [m] a frame's pose in
 another, phi a body's own coordinate [rad or m].
 """
 
@@ -13,31 +13,31 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import transformation
+from idtool.robot.inertia import parameter_transform
 from idtool.robot.shapes import Shape
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A place: rotation R (3, 3) and position p (3,) [m] in a body's frame; body −1 is the root link."""
+    """Rotation R (3, 3) and position p (3,) [m] in a body's frame; body −1 is the root link."""
 
     body: int
     R: Array
     p: Array
 
-    def then(self, R: Array, p: Array) -> Frame:
-        """The frame that sits at R, p in this one."""
+    def compose(self, R: Array, p: Array) -> Frame:
+        """The frame whose pose in this one is R (3, 3), p (3,) [m]."""
         return Frame(self.body, self.R @ R, self.p + self.R @ p)
 
-    def of(self, ellipsoid: Ellipsoid) -> Ellipsoid:
-        """An ellipsoid that is given in this frame, in the body's."""
+    def transform(self, ellipsoid: Ellipsoid) -> Ellipsoid:
+        """An ellipsoid given in this frame, in the body's frame."""
         center = self.p + self.R @ ellipsoid.center
-        return Ellipsoid.along(center, ellipsoid.semi_axes, self.R @ ellipsoid.rotation)
+        return Ellipsoid.from_axes(center, ellipsoid.semi_axes, self.R @ ellipsoid.rotation)
 
 
 @dataclass(frozen=True)
 class Member:
-    """A URDF link that is part of a body: its own parameters (10,) and where it sits in the body's frame."""
+    """A URDF link that is part of a body: its own parameters (10,) and its frame in the body's."""
 
     link: str
     pi: Array
@@ -46,7 +46,7 @@ class Member:
     @property
     def pi_in_body(self) -> Array:
         """Its parameters in the body's frame, shape (10,)."""
-        return transformation(self.frame.R, self.frame.p) @ self.pi
+        return parameter_transform(self.frame.R, self.frame.p) @ self.pi
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Body:
     Attributes
     ----------
     name
-        The carrying link's name, or the rotor's.
+        Name of the link that carries the others, or of the rotor.
     kind
         Link or rotor.
     pi
@@ -72,11 +72,11 @@ class Body:
     axis
         Unit vector of the motion in the body's frame, shape (3,).
     prismatic
-        Whether it moves along the axis rather than about it.
+        True if it moves along the axis, False if about it.
     ratios, offset
         phi = ratios · q + offset; shape (nv,), [rad or m].
     members
-        The URDF links it is made of, the one that gives the name first; none for a rotor that the URDF has not.
+        The URDF links it is made of, the one that gives the name first; none for a rotor that is not in the URDF.
     """
 
     name: str
@@ -92,20 +92,20 @@ class Body:
     shapes: tuple[Shape, ...] = ()
     com: tuple[float, float, float] | None = None
 
-    def bounded_as(self, other: Body, signs: Array) -> Body:
+    def with_mirrored_bounds(self, other: Body, signs: Array) -> Body:
         """The body with the mirror image of another's bounds, in which x, y and z have these signs, shape (3,)."""
         return replace(
             self,
             ellipsoids=tuple(ellipsoid.mirrored(signs) for ellipsoid in other.ellipsoids),
-            shapes=tuple(shape.moved(np.diag(signs), np.zeros(3)) for shape in other.shapes),
+            shapes=tuple(shape.transformed(np.diag(signs), np.zeros(3)) for shape in other.shapes),
         )
 
     @property
     def bounds(self) -> tuple[Ellipsoid | Shape, ...]:
-        """All that bounds its mass; several are their union."""
+        """Ellipsoids and shapes that bound its mass; several are their union."""
         return (*self.ellipsoids, *self.shapes)
 
     @property
-    def lumped(self) -> tuple[str, ...]:
+    def lumped_links(self) -> tuple[str, ...]:
         """Links with mass that are part of this body under another name."""
         return tuple(member.link for member in self.members[1:] if member.pi.any())

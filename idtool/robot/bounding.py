@@ -1,4 +1,4 @@
-"""What bounds a link's mass: ellipsoids around the geometry that the URDF gives it, and the configuration's shapes."""
+"""Bounds of a link's mass: ellipsoids around the geometry that the URDF gives it, and the configuration's shapes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from idtool.robot.config import BoundingShape, HullBound
-from idtool.robot.ellipsoid import Ellipsoid, smallest_around
+from idtool.robot.ellipsoid import Ellipsoid, minimum_volume_ellipsoid
 from idtool.robot.geometry import link_geometry, link_vertices
 from idtool.robot.shapes import Hull, Shape, known_shapes
 from idtool.robot.urdf.reading import Robot
@@ -25,7 +25,8 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
 
     Returns
     -------
-    By link that has mass and whose geometry was read in full; and why the others with mass have none, by link.
+    Ellipsoids of the links that have mass and whose geometry was read in full, and the reason why each other link with
+    mass has none; by link.
     """
     ellipsoids: dict[str, Ellipsoid] = {}
     reasons: dict[str, str] = {}
@@ -33,19 +34,20 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
         if pi is None or not pi[0] > 0:
             continue
         geometry = link_geometry(robot, link)
-        if geometry.read and not geometry.missing:
-            least = smallest_around(geometry.points)
-            x, y, z = ((1 + margin) * axis for axis in least.semi_axes)
-            ellipsoids[link] = replace(least, semi_axes=(x, y, z))
-        elif not geometry.missing:
+        if geometry.parts_read and not geometry.unreadable:
+            tight = minimum_volume_ellipsoid(geometry.points)
+            x, y, z = tight.semi_axes
+            growth = 1 + margin
+            ellipsoids[link] = replace(tight, semi_axes=(growth * x, growth * y, growth * z))
+        elif not geometry.unreadable:
             reasons[link] = "the URDF gives it no collision or visual"
         else:
-            more = f" (and {len(geometry.missing) - 1} more)" if len(geometry.missing) > 1 else ""
-            reasons[link] = f"{geometry.missing[0]}{more}"
+            more = f" (and {len(geometry.unreadable) - 1} more)" if len(geometry.unreadable) > 1 else ""
+            reasons[link] = f"{geometry.unreadable[0]}{more}"
     return ellipsoids, reasons
 
 
-def as_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
+def ellipsoids_config(ellipsoids: Mapping[str, Ellipsoid]) -> dict[str, Any]:
     """Ellipsoids by link as the value of the configuration's ``bounding_ellipsoids``: plain data, lengths in m."""
     return {link: [ellipsoid.to_dict()] for link, ellipsoid in ellipsoids.items()}
 

@@ -1,9 +1,9 @@
-"""Self-collision: how near a robot's links come to each other.
+"""Self-collision: the distance between a robot's links.
 
-The exact distance is found for those pairs first whose bounding spheres are nearest, until no other pair of spheres is
-nearer than the least distance found.
+The exact distance is computed first for the pairs whose bounding spheres are nearest, until no other pair of spheres
+is nearer than the smallest distance so far.
 
-Letters: q joint coordinates (nv, N) [rad or m]; R (3, 3) and p (3,) [m] a frame's place in another.
+Letters: q joint coordinates (nv, N) [rad or m]; R (3, 3) and p (3,) [m] a frame's pose in another.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,20 +22,20 @@ from idtool.common.exceptions import ModelError
 from idtool.common.names import some
 from idtool.common.notice import Notice
 from idtool.robot.body import Frame
-from idtool.robot.collision_geometry import Distances, Piece, read_pieces
-from idtool.robot.kinematics import body_places
+from idtool.robot.collision_geometry import ConvexPart, DistanceQueries, read_convex_parts
+from idtool.robot.kinematics import body_placements
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Joint, Robot
 
-Pair = tuple[str, str]
+LinkPair = tuple[str, str]
 
-_MOST_LINKS = 1000
-_MOST_PAIRS = 500_000  # of pieces
+_MAX_LINKS = 1000
+_MAX_PAIRS = 500_000  # of convex parts
 _BLOCK = 1 << 20  # pairs times configurations held at a time
-_TOUCH = 1e-4  # m
+_TOUCHING = 1e-4  # m
 _SAMPLES = 200  # random configurations, to tell links that always touch
-_SHARE = 0.5  # of these
-_NO_LIMIT = {"prismatic": 0.5}  # m, of such a joint without limits; half a turn of others
+_TOUCHING_SHARE = 0.5  # of these
+_RANGE_WITHOUT_LIMITS = {"prismatic": 0.5}  # m to either side, of such a joint without limits; half a turn of others
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,15 @@ class SelfCollision:
     """
 
     model: Model
-    pairs: tuple[Pair, ...]
+    pairs: tuple[LinkPair, ...]
     notices: tuple[Notice, ...]
-    _pieces: tuple[Piece, ...]
-    _ends: Indices  # pieces that make pairs, shape (2, pairs of pieces)
-    _owner: Indices  # the pair of links that each is of
+    _parts: tuple[ConvexPart, ...]
+    _part_pairs: Indices  # indices of the parts checked against each other, shape (2, pairs of parts)
+    _link_pair: Indices  # index into `pairs` of each pair of parts
 
     @classmethod
-    def of(cls, model: Model, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
-        """What can collide in a robot; None where there are no two such links with geometry that can be read.
+    def from_model(cls, model: Model, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
+        """Pairs of a robot's links; None where there are no two such links with geometry that can be read.
 
         Parameters
         ----------
@@ -76,31 +76,39 @@ class SelfCollision:
         Raises
         ------
         ModelError
-            If the geometry is of more pieces than can be checked.
+            If the geometry has more parts than can be checked.
         """
-        pieces, unread = read_pieces(model.robot, _frames(model, locked_joints or {}))
-        linked = {frozenset((joint.parent, joint.child)) for joint in model.robot.joints.values()}
-        of_link: dict[str, list[int]] = {}
-        for i, piece in enumerate(pieces):
-            of_link.setdefault(piece.link, []).append(i)
-        body = {piece.link: piece.frame.body for piece in pieces}
-        if len(of_link) > _MOST_LINKS:
-            raise ModelError(
-                model.robot.path, f"has more than {_MOST_LINKS} links with geometry to check for collision"
-            )
-        pairs = [(a, b) for a, b in combinations(of_link, 2) if body[a] != body[b] and frozenset((a, b)) not in linked]
-        if sum(len(of_link[a]) * len(of_link[b]) for a, b in pairs) > _MOST_PAIRS:
+        parts, unread = read_convex_parts(model.robot, _link_frames(model, locked_joints or {}))
+        parts_of: dict[str, list[int]] = {}
+        body_of: dict[str, int] = {}
+        for i, part in enumerate(parts):
+            parts_of.setdefault(part.link, []).append(i)
+            body_of[part.link] = part.frame.body
+        if len(parts_of) > _MAX_LINKS:
+            raise ModelError(model.robot.path, f"has more than {_MAX_LINKS} links with geometry to check for collision")
+
+        adjacent = {frozenset((joint.parent, joint.child)) for joint in model.robot.joints.values()}
+        pairs: list[LinkPair] = []
+        for a, b in combinations(parts_of, 2):
+            if body_of[a] != body_of[b] and frozenset((a, b)) not in adjacent:
+                pairs.append((a, b))
+        if sum(len(parts_of[a]) * len(parts_of[b]) for a, b in pairs) > _MAX_PAIRS:
             raise ModelError(model.robot.path, "has too many pieces of geometry to check for collision; simplify it")
-        ends = [(i, j, k) for k, (a, b) in enumerate(pairs) for i in of_link[a] for j in of_link[b]]
-        if not ends:
+        if not pairs:
             return None
-        *both, owner = np.array(ends).T
-        every = cls(model, tuple(pairs), unread, pieces, np.array(both), owner)
-        touching = every._always_touching()
-        return None if touching.all() else every._less(touching)
+
+        part_pairs: list[tuple[int, int]] = []
+        link_pair: list[int] = []
+        for k, (a, b) in enumerate(pairs):
+            of_this_pair = list(product(parts_of[a], parts_of[b]))
+            part_pairs += of_this_pair
+            link_pair += [k] * len(of_this_pair)
+        collision = cls(model, tuple(pairs), unread, parts, np.array(part_pairs).T, np.array(link_pair))
+        touching = collision._always_touching()
+        return None if touching.all() else collision._without(touching)
 
     def clearance(self, q: Array) -> Array:
-        """The least distance of two links in each configuration, negative by the depth of a penetration.
+        """Smallest distance of two links in each configuration, negative by the depth of a penetration.
 
         Parameters
         ----------
@@ -111,94 +119,110 @@ class SelfCollision:
         -------
         Shape (N,) [m].
         """
-        return self._least(q)[0]
+        return self._min_distances(q)[0]
 
-    def nearest(self, q: Array) -> tuple[Pair, float, int]:
-        """The two links that come nearest to each other, their distance [m], and in which configuration.
+    def nearest(self, q: Array) -> tuple[LinkPair, float, int]:
+        """The two links that come nearest to each other, their distance [m], and the index of the configuration.
 
         Parameters
         ----------
         q
             Positions of the joints, shape (nv, N), N at least 1.
         """
-        least, owner = self._least(q)
-        at = int(least.argmin())
-        return self.pairs[owner[at]], float(least[at]), at
+        distances, nearest_pair = self._min_distances(q)
+        n = int(distances.argmin())
+        return self.pairs[nearest_pair[n]], float(distances[n]), n
 
-    def _least(self, q: Array) -> tuple[Array, Indices]:
-        """The least distance in each configuration, and of which pair; shape (N,) each."""
-        least, owner = np.full(q.shape[1], math.inf), np.zeros(q.shape[1], dtype=np.intp)
-        for first, near, R, p in self._near(q):
-            order = np.argsort(near, axis=0).T.tolist()
-            for n in range(near.shape[1]):
+    def _min_distances(self, q: Array) -> tuple[Array, Indices]:
+        """The smallest distance in each configuration, and the index of its pair of links; shape (N,) each."""
+        smallest = np.full(q.shape[1], math.inf)
+        nearest_pair = np.zeros(q.shape[1], dtype=np.intp)
+        for first, spheres, R, p in self._sphere_distances(q):
+            order = np.argsort(spheres, axis=0).T.tolist()
+            for n in range(spheres.shape[1]):
                 best = math.inf
                 for k in order[n]:
-                    if near[k, n] >= best:
+                    if spheres[k, n] >= best:
                         break
                     distance = self._distance(k, R[:, n], p[:, n])
                     if distance < best:
-                        best, owner[first + n] = distance, self._owner[k]
-                least[first + n] = best
-        return least, owner
+                        best = distance
+                        nearest_pair[first + n] = self._link_pair[k]
+                smallest[first + n] = best
+        return smallest, nearest_pair
 
-    def _near(self, q: Array) -> Iterator[tuple[int, Array, Array, Array]]:
-        """Block by block of configurations: the first's index, the distances of the pieces' spheres, places R, p."""
-        radius = np.array([piece.radius + piece.beyond for piece in self._pieces])
-        i, j = self._ends
+    def _sphere_distances(self, q: Array) -> Iterator[tuple[int, Array, Array, Array]]:
+        """Blocks of configurations: the first's index, distances of the parts' spheres, poses R, p of the parts."""
+        radius = np.array([part.radius + part.swept_sphere_radius for part in self._parts])
+        i, j = self._part_pairs
         size = max(1, _BLOCK // len(i))
         for first in range(0, q.shape[1], size):
-            R, p = self._places(q[:, first : first + size])
-            yield first, np.linalg.norm(p[i] - p[j], axis=2) - (radius[i] + radius[j])[:, None], R, p
+            R, p = self._part_poses(q[:, first : first + size])
+            between_centers = np.linalg.norm(p[i] - p[j], axis=2)
+            yield first, between_centers - (radius[i] + radius[j])[:, None], R, p
 
-    def _places(self, q: Array) -> tuple[Array, Array]:
-        """Where the pieces are in the root link, shapes (pieces, N, 3, 3) and (pieces, N, 3)."""
-        places = body_places(self.model, q)
-        count, N = len(self._pieces), q.shape[1]
-        out_R, out_p = np.empty((count, N, 3, 3)), np.empty((count, N, 3))
-        for k, piece in enumerate(self._pieces):
-            R, p = places[piece.frame.body]
-            out_R[k], out_p[k] = R @ piece.frame.R, p + R @ piece.frame.p
-        return out_R, out_p
+    def _part_poses(self, q: Array) -> tuple[Array, Array]:
+        """Poses of the parts in the root link, shapes (parts, N, 3, 3) and (parts, N, 3)."""
+        placements = body_placements(self.model, q)
+        shape = (len(self._parts), q.shape[1])
+        R = np.empty((*shape, 3, 3))
+        p = np.empty((*shape, 3))
+        for k, part in enumerate(self._parts):
+            R_body, p_body = placements[part.frame.body]
+            R[k] = R_body @ part.frame.R
+            p[k] = p_body + R_body @ part.frame.p
+        return R, p
 
     @cached_property
-    def _distance(self) -> Distances:
-        return Distances(self._pieces, self._ends)
+    def _distance(self) -> DistanceQueries:
+        return DistanceQueries(self._parts, self._part_pairs)
 
     def _always_touching(self) -> Mask:
-        """Which pairs of links touch by the way they are made, shape (pairs,)."""
-        joints = self.model.joints
-        free = [_NO_LIMIT.get(joint.kind, math.pi) for joint in joints]
-        lower = np.array([j.lower if math.isfinite(j.lower) else -x for j, x in zip(joints, free, strict=True)])
-        upper = np.array([j.upper if math.isfinite(j.upper) else x for j, x in zip(joints, free, strict=True)])
-        share = np.random.default_rng(0).random((len(joints), _SAMPLES))
-        random = lower[:, None] + (upper - lower)[:, None] * share
-        at_zero = self._touching(np.clip(0, lower, upper)[:, None])[:, 0]
-        return np.asarray(at_zero | (self._touching(random).mean(axis=1) > _SHARE))
+        """Mask of the pairs of links that touch by the way they are made, shape (pairs,)."""
+        lower: list[float] = []
+        upper: list[float] = []
+        for joint in self.model.joints:
+            default = _RANGE_WITHOUT_LIMITS.get(joint.kind, math.pi)
+            lower.append(joint.lower if math.isfinite(joint.lower) else -default)
+            upper.append(joint.upper if math.isfinite(joint.upper) else default)
+        q_min, q_max = np.array(lower)[:, None], np.array(upper)[:, None]
+        share = np.random.default_rng(0).random((len(lower), _SAMPLES))
+        random = q_min + (q_max - q_min) * share
+        at_zero = self._touching(np.clip(0, q_min, q_max))[:, 0]
+        mostly = self._touching(random).mean(axis=1) > _TOUCHING_SHARE
+        return np.asarray(at_zero | mostly)
 
     def _touching(self, q: Array) -> Mask:
-        """Which pairs of links touch in which configuration, shape (pairs, N)."""
+        """Mask of the pairs of links that touch, by configuration, shape (pairs, N)."""
         touching = np.zeros((len(self.pairs), q.shape[1]), dtype=bool)
-        for first, near, R, p in self._near(q):
-            for k, n in np.argwhere(near <= _TOUCH):
-                if not touching[self._owner[k], first + n]:
-                    touching[self._owner[k], first + n] = self._distance(k, R[:, n], p[:, n]) <= _TOUCH
+        for first, spheres, R, p in self._sphere_distances(q):
+            for k, n in np.argwhere(spheres <= _TOUCHING):
+                pair = self._link_pair[k]
+                if not touching[pair, first + n]:
+                    touching[pair, first + n] = self._distance(k, R[:, n], p[:, n]) <= _TOUCHING
         return touching
 
-    def _less(self, excluded: Mask) -> SelfCollision:
+    def _without(self, excluded: Mask) -> SelfCollision:
         """Without some of the pairs of links, shape (pairs,)."""
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
         message = f"links that touch by construction, not checked for collision: {some(names)}"
         notice = Notice("links_touch", "note", None, message)
-        kept = ~excluded[self._owner]
         pairs = tuple(pair for pair, out in zip(self.pairs, excluded, strict=True) if not out)
-        owner = (np.cumsum(~excluded) - 1)[self._owner[kept]]
-        return replace(self, pairs=pairs, notices=(*self.notices, notice), _ends=self._ends[:, kept], _owner=owner)
+        new_index = np.cumsum(~excluded) - 1
+        kept = ~excluded[self._link_pair]
+        return replace(
+            self,
+            pairs=pairs,
+            notices=(*self.notices, notice),
+            _part_pairs=self._part_pairs[:, kept],
+            _link_pair=new_index[self._link_pair[kept]],
+        )
 
 
-def _frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame]:
-    """Where every link is, rotors excepted."""
+def _link_frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame]:
+    """Frame of every link, rotors excepted."""
     robot = model.robot
     moving = {body.name: i for i, body in enumerate(model.bodies) if body.kind == "link"}
     rotors = {body.name for body in model.bodies if body.kind == "rotor"}
@@ -207,18 +231,21 @@ def _frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame
         if joint.child in moving:
             frames[joint.child] = Frame(moving[joint.child], np.eye(3), np.zeros(3))
             continue
-        mount, x = frames[joint.parent].then(joint.R, joint.p), _held_at(joint, robot, locked_joints)
+        mount = frames[joint.parent].compose(joint.R, joint.p)
+        position = _locked_position(joint, robot, locked_joints)
         if joint.kind == "prismatic":
-            frames[joint.child] = mount.then(np.eye(3), joint.axis * x)
+            frames[joint.child] = mount.compose(np.eye(3), joint.axis * position)
         else:
-            frames[joint.child] = mount.then(Rotation.from_rotvec(joint.axis * x).as_matrix(), np.zeros(3))
+            rotation = Rotation.from_rotvec(joint.axis * position).as_matrix()
+            frames[joint.child] = mount.compose(rotation, np.zeros(3))
     return {link: frame for link, frame in frames.items() if link not in rotors}
 
 
-def _held_at(joint: Joint, robot: Robot, locked_joints: Mapping[str, float]) -> float:
+def _locked_position(joint: Joint, robot: Robot, locked_joints: Mapping[str, float]) -> float:
     """Position of a joint that does not move [rad or m]."""
     if joint.kind == "fixed":
         return 0.0
     if joint.mimic is None:
         return locked_joints.get(joint.name, 0.0)
-    return joint.mimic.multiplier * _held_at(robot.joints[joint.mimic.joint], robot, locked_joints) + joint.mimic.offset
+    leader = _locked_position(robot.joints[joint.mimic.joint], robot, locked_joints)
+    return joint.mimic.multiplier * leader + joint.mimic.offset

@@ -1,9 +1,9 @@
-"""The convex pieces that the links of a robot are made of, and how far they are from each other.
+"""The convex parts that the links of a robot are made of, and the distances between them.
 
 Boxes, cylinders, spheres, capsules and the convex hulls of meshes. Distances are Coal's: GJK (Gilbert, Johnson &
-Keerthi 1988) and, where pieces penetrate, EPA (van den Bergen 2001).
+Keerthi 1988) and, where parts penetrate, EPA (van den Bergen 2001).
 
-Letters: R (3, 3) and p (3,) [m] a frame's place in another.
+Letters: R (3, 3) and p (3,) [m] a frame's pose in another.
 """
 
 from __future__ import annotations
@@ -25,46 +25,61 @@ from idtool.common.names import some
 from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
-from idtool.robot.meshes import UnreadableError, numbers
+from idtool.robot.meshes import UnreadableGeometryError, numeric_attribute
 from idtool.robot.urdf.reading import Robot, parse_xml
 
-_MOST_PIECES = 16  # of a link; more are taken as their common hull
-_MOST_VERTICES = 400  # of a hull
+_MAX_PARTS = 16  # of a link; more are taken as their common hull
+_MAX_VERTICES = 400  # of a hull
 _THICKNESS = 1e-3  # m, of a mesh that spans no volume
 
 
 @dataclass(frozen=True)
-class Piece:
+class ConvexPart:
     """A convex part of a link.
 
-    Its shape, where that sits in a body, the radius of a sphere around the shape's origin that holds it, and how far
-    the part reaches beyond the shape [m].
+    Attributes
+    ----------
+    link
+        The link's name.
+    shape
+        Coal's shape.
+    frame
+        Pose of the shape in a body.
+    radius
+        Radius of a sphere around the shape's origin that encloses it [m].
+    swept_sphere_radius
+        How far the part reaches beyond the shape [m].
     """
 
     link: str
     shape: coal.ShapeBase
     frame: Frame
     radius: float
-    beyond: float = 0.0
+    swept_sphere_radius: float = 0.0
 
 
-class Distances:
-    """Distances of pairs of pieces.
+class DistanceQueries:
+    """Distances of pairs of convex parts.
 
     Parameters
     ----------
-    pieces
-        The pieces.
-    ends
-        Which of them are paired, shape (2, pairs).
+    parts
+        The parts.
+    pairs
+        Indices of the parts of each pair, shape (2, pairs).
     """
 
-    def __init__(self, pieces: Sequence[Piece], ends: Indices) -> None:
-        self._ends = ends.T.tolist()
-        self._pieces = tuple(pieces)  # Coal keeps pointers to their shapes
-        self._solvers = [coal.ComputeDistance(pieces[i].shape, pieces[j].shape) for i, j in self._ends]
-        self._beyond: list[float] = [pieces[i].beyond + pieces[j].beyond for i, j in self._ends]
-        self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
+    def __init__(self, parts: Sequence[ConvexPart], pairs: Indices) -> None:
+        self._parts = tuple(parts)  # Coal keeps pointers to their shapes
+        self._pairs = pairs.T.tolist()
+        self._solvers: list[coal.ComputeDistance] = []
+        self._swept_radii: list[float] = []
+        for i, j in self._pairs:
+            first, second = parts[i], parts[j]
+            self._solvers.append(coal.ComputeDistance(first.shape, second.shape))
+            self._swept_radii.append(first.swept_sphere_radius + second.swept_sphere_radius)
+        self._request = coal.DistanceRequest()
+        self._result = coal.DistanceResult()
 
     def __call__(self, pair: int, R: Array, p: Array) -> float:
         """The distance of a pair, negative by the depth of a penetration [m].
@@ -74,143 +89,164 @@ class Distances:
         pair
             Its index.
         R, p
-            Where all pieces are, shapes (pieces, 3, 3) and (pieces, 3).
+            Poses of all parts, shapes (parts, 3, 3) and (parts, 3).
         """
-        i, j = self._ends[pair]
+        i, j = self._pairs[pair]
+        first_pose = coal.Transform3s(R[i], p[i])
+        second_pose = coal.Transform3s(R[j], p[j])
         self._result.clear()
-        one, other = coal.Transform3s(R[i], p[i]), coal.Transform3s(R[j], p[j])
-        distance = float(self._solvers[pair](one, other, self._request, self._result))
-        return distance - self._beyond[pair]
+        distance = float(self._solvers[pair](first_pose, second_pose, self._request, self._result))
+        return distance - self._swept_radii[pair]
 
 
-def read_pieces(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[Piece, ...], tuple[Notice, ...]]:
-    """The pieces of links, and a notice on what could not be read, if anything.
+def read_convex_parts(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[ConvexPart, ...], tuple[Notice, ...]]:
+    """The convex parts of links, and a notice on what could not be read, if anything.
 
     Parameters
     ----------
     robot
         The URDF.
     frames
-        The links, and where they are.
+        The links' frames, by name.
     """
-    pieces: list[Piece] = []
+    parts: list[ConvexPart] = []
     missing: dict[str, str] = {}
     for element in parse_xml(robot.path, robot.text).iterfind("link"):
         link = str(element.get("name"))
-        if link in frames:
-            found, unread = _of_link(robot, element, link, frames[link])
-            pieces += found
-            missing |= {link: unread[0]} if unread else {}
+        if link not in frames:
+            continue
+        link_parts, unreadable = _parts_of_link(robot, element, link, frames[link])
+        parts += link_parts
+        if unreadable:
+            missing[link] = unreadable[0]
     if not missing:
-        return tuple(pieces), ()
+        return tuple(parts), ()
     why = next(iter(missing.values()))
     message = f"geometry is left out of the check for self-collision, of {some(missing)}: {why}"
-    return tuple(pieces), (Notice("geometry_not_read", "warning", None, message),)
+    return tuple(parts), (Notice("geometry_not_read", "warning", None, message),)
 
 
-def _of_link(robot: Robot, element: etree._Element, link: str, frame: Frame) -> tuple[list[Piece], list[str]]:
-    """A link's pieces and what of it is missing: the visual ones where not all of the collision can be read."""
-    found = []
+def _parts_of_link(
+    robot: Robot, element: etree._Element, link: str, frame: Frame
+) -> tuple[list[ConvexPart], list[str]]:
+    """A link's convex parts and what of it is missing: the visual ones where not all of the collision can be read."""
+    readable: list[ConvexPart] = []
+    unreadable: list[str] = []
     for tag in ("collision", "visual"):
-        pieces, missing = _of_parts(robot, element.findall(tag), link, frame)
-        if pieces and not missing:
-            return pieces, []
-        found.append((pieces, missing))
-    return next((pieces for pieces, _ in found if pieces), []), [note for _, missing in found for note in missing]
+        parts, notes = _parts_of_elements(robot, element.findall(tag), link, frame)
+        if parts and not notes:
+            return parts, []
+        readable = readable or parts
+        unreadable += notes
+    return readable, unreadable
 
 
-def _of_parts(robot: Robot, parts: Sequence[etree._Element], link: str, frame: Frame) -> tuple[list[Piece], list[str]]:
-    """The pieces of all of a link's <collision> or <visual>, and what of it is missing."""
-    if len(parts) > _MOST_PIECES:
-        whole = link_geometry(robot, link)
-        return [_hull(link, whole.points, frame)] if whole.read else [], list(whole.missing)
-    pieces, missing = [], []
-    for part in parts:
+def _parts_of_elements(
+    robot: Robot, elements: Sequence[etree._Element], link: str, frame: Frame
+) -> tuple[list[ConvexPart], list[str]]:
+    """The convex parts of all of a link's <collision> or <visual>, and what of it is missing."""
+    if len(elements) > _MAX_PARTS:
+        geometry = link_geometry(robot, link)
+        hull = [_hull(link, geometry.points, frame)] if geometry.parts_read else []
+        return hull, list(geometry.unreadable)
+    parts: list[ConvexPart] = []
+    unreadable: list[str] = []
+    for element in elements:
         try:
-            pieces.append(_piece(robot, part, link, frame))
-        except UnreadableError as error:
-            missing.append(f"line {part.sourceline}: {error}")
-    return pieces, missing
+            parts.append(_convex_part(robot, element, link, frame))
+        except UnreadableGeometryError as error:
+            unreadable.append(f"line {element.sourceline}: {error}")
+    return parts, unreadable
 
 
-def _piece(robot: Robot, element: etree._Element, link: str, frame: Frame) -> Piece:
-    """A <collision> or <visual>."""
+def _convex_part(robot: Robot, element: etree._Element, link: str, frame: Frame) -> ConvexPart:
+    """The convex part of a <collision> or <visual>."""
+    geometry = next((child for child in element.iterfind("geometry/*") if isinstance(child.tag, str)), None)
+    if geometry is None:
+        raise UnreadableGeometryError(f"{element.tag} has no geometry")
     origin = element.find("origin")
-    part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
-    if part is None:
-        raise UnreadableError(f"{element.tag} has no geometry")
     if origin is not None:
-        xyz, rpy = (numbers(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
-        frame = frame.then(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
-    if part.tag == "mesh":
+        xyz = numeric_attribute(origin, "xyz", 3, "0 0 0")
+        rpy = numeric_attribute(origin, "rpy", 3, "0 0 0")
+        frame = frame.compose(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+    if geometry.tag == "mesh":
         try:
-            points = link_vertices(robot, link, part.get("filename", ""))
+            points = link_vertices(robot, link, geometry.get("filename", ""))
         except ModelError as error:
-            raise UnreadableError(error.what.removesuffix("; give another file")) from None
-        return _hull(link, points * numbers(part, "scale", 3, "1 1 1"), frame)
-    if part.tag == "box":
-        size = np.abs(numbers(part, "size", 3))
-        return Piece(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
-    if part.tag not in ("sphere", "cylinder", "capsule"):
-        raise UnreadableError(f"{part.tag} is not a geometry that is read here")
-    radius = abs(float(numbers(part, "radius", 1)[0]))
-    if part.tag == "sphere":
-        return Piece(link, coal.Sphere(radius), frame, radius)
-    length = abs(float(numbers(part, "length", 1)[0]))
-    if part.tag == "cylinder":
-        return Piece(link, coal.Cylinder(radius, length), frame, math.hypot(radius, length / 2))
-    return Piece(link, coal.Capsule(radius, length), frame, radius + length / 2)
+            raise UnreadableGeometryError(error.what.removesuffix("; give another file")) from None
+        return _hull(link, points * numeric_attribute(geometry, "scale", 3, "1 1 1"), frame)
+    if geometry.tag == "box":
+        size = np.abs(numeric_attribute(geometry, "size", 3))
+        return ConvexPart(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
+    if geometry.tag not in ("sphere", "cylinder", "capsule"):
+        raise UnreadableGeometryError(f"{geometry.tag} is not a geometry that is read here")
+    radius = abs(float(numeric_attribute(geometry, "radius", 1)[0]))
+    if geometry.tag == "sphere":
+        return ConvexPart(link, coal.Sphere(radius), frame, radius)
+    length = abs(float(numeric_attribute(geometry, "length", 1)[0]))
+    if geometry.tag == "cylinder":
+        return ConvexPart(link, coal.Cylinder(radius, length), frame, math.hypot(radius, length / 2))
+    return ConvexPart(link, coal.Capsule(radius, length), frame, radius + length / 2)
 
 
-def _hull(link: str, points: Array, frame: Frame) -> Piece:
+def _hull(link: str, points: Array, frame: Frame) -> ConvexPart:
     """The convex hull of points, shape (n, 3); of many, that of the outermost, and how far the others lie beyond it."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     points = points - center
-    kept = points if len(points) <= _MOST_VERTICES else points[outermost(points)]
+    is_simplified = len(points) > _MAX_VERTICES
+    vertices = points[outermost(points)] if is_simplified else points
     try:
-        hull = ConvexHull(kept)
+        hull = ConvexHull(vertices)
     except QhullError:  # they span no volume
-        corners = _THICKNESS / 2 * np.array(list(product((-1, 1), repeat=3)))
-        hull = ConvexHull((kept[:, None] + corners).reshape(-1, 3))
-    corners, index = hull.points[hull.vertices], np.zeros(len(hull.points), dtype=int)
-    index[hull.vertices] = np.arange(len(hull.vertices))
-    shape = _convex(corners, index[hull.simplices])
-    beyond = 0.0 if kept is points else _farthest(shape, points[~_inside(hull, points)])
+        cube = _THICKNESS / 2 * np.array(list(product((-1, 1), repeat=3)))
+        hull = ConvexHull((vertices[:, None] + cube).reshape(-1, 3))
+    corners = hull.points[hull.vertices]
+    corner_index = np.zeros(len(hull.points), dtype=int)
+    corner_index[hull.vertices] = np.arange(len(hull.vertices))
+    shape = _coal_convex(corners, corner_index[hull.simplices])
+    beyond = _largest_distance(shape, points[~_inside(hull, points)]) if is_simplified else 0.0
     radius = float(np.linalg.norm(corners, axis=1).max())
-    return Piece(link, shape, frame.then(np.eye(3), center), radius, beyond)
+    return ConvexPart(link, shape, frame.compose(np.eye(3), center), radius, beyond)
 
 
 def outermost(points: Array) -> Indices:
-    """Indices of the points that lie farthest in directions spread over all sides."""
-    k = np.arange(_MOST_VERTICES) + 0.5
-    turn, z = math.pi * (1 + math.sqrt(5)) * k, 1 - 2 * k / _MOST_VERTICES
-    directions = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
+    """Indices of the points that lie farthest in directions spread over the sphere along a golden spiral."""
+    k = np.arange(_MAX_VERTICES) + 0.5
+    angle = math.pi * (1 + math.sqrt(5)) * k
+    z = 1 - 2 * k / _MAX_VERTICES
+    width = np.sqrt(1 - z**2)
+    directions = np.column_stack([width * np.cos(angle), width * np.sin(angle), z])
     return np.unique([np.argmax(points @ direction) for direction in directions])
 
 
 def _inside(hull: ConvexHull, points: Array) -> Mask:
-    """Which points a hull holds, shape (n,)."""
+    """Mask of the points inside a hull, shape (n,)."""
     inside = np.ones(len(points), dtype=bool)
     for equation in hull.equations:
         inside &= points @ equation[:3] + equation[3] <= 0
     return inside
 
 
-def _farthest(shape: coal.Convex, points: Array) -> float:
-    """The greatest distance of points, shape (n, 3), from a hull [m]."""
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    still, dot, farthest = coal.Transform3s(), coal.Sphere(0.0), 0.0
+def _largest_distance(shape: coal.Convex, points: Array) -> float:
+    """The largest distance of points, shape (n, 3), from a hull [m]."""
+    request = coal.DistanceRequest()
+    result = coal.DistanceResult()
+    identity = coal.Transform3s()
+    point_shape = coal.Sphere(0.0)
+    largest = 0.0
     for point in points:
         result.clear()
-        place = coal.Transform3s(np.eye(3), point)
-        farthest = max(farthest, float(coal.distance(shape, still, dot, place, request, result)))
-    return farthest
+        pose = coal.Transform3s(np.eye(3), point)
+        distance = float(coal.distance(shape, identity, point_shape, pose, request, result))
+        largest = max(largest, distance)
+    return largest
 
 
-def _convex(corners: Array, faces: Indices) -> coal.Convex:
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+def _coal_convex(corners: Array, faces: Indices) -> coal.Convex:
+    points = coal.StdVec_Vec3s()
     for corner in corners:
         points.append(corner)
+    triangles = coal.StdVec_Triangle()
     for face in faces.tolist():
         triangles.append(coal.Triangle(*face))
     return coal.Convex(points, triangles)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.robot.convex import principal_axes
 
-_MORE = 32  # points beyond an ellipsoid that are heeded next
+_ADDED_POINTS = 32  # farthest points beyond the ellipsoid that each iteration adds
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,19 @@ class Ellipsoid:
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
-    def along(cls, center: ArrayLike, semi_axes: ArrayLike, R: Array) -> Ellipsoid:
-        """The ellipsoid whose own axes are the columns of the rotation matrix R, shape (3, 3)."""
+    def from_axes(cls, center: ArrayLike, semi_axes: ArrayLike, R: Array) -> Ellipsoid:
+        """The ellipsoid whose axes are the columns of the rotation matrix R, shape (3, 3)."""
         with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
             rpy = Rotation.from_matrix(R).as_euler("xyz")
         x, y, z = np.array([center, semi_axes, rpy], dtype=float).tolist()
         return cls(tuple(x), tuple(y), tuple(z))
 
     def mirrored(self, signs: Array) -> Ellipsoid:
-        """Its image in which x, y and z have these signs, shape (3,)."""
-        return Ellipsoid.along(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
+        """Its mirror image: x, y and z times these signs, shape (3,)."""
+        return Ellipsoid.from_axes(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
 
     def to_dict(self) -> dict[str, list[float]]:
-        """As JSON and YAML have it."""
+        """Plain data as in JSON and YAML."""
         return {"center": list(self.center), "semi_axes": list(self.semi_axes), "rpy": list(self.rpy)}
 
     @property
@@ -77,32 +77,35 @@ class Ellipsoid:
         return float(np.prod(self.semi_axes) ** (1 / 3))
 
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """Whether points, shape (..., 3), lie inside, within a relative tolerance."""
+        """Mask of the points, shape (..., 3), that lie inside, within a relative tolerance."""
         local = (np.asarray(points, dtype=float) - self.center) @ self.rotation / self.semi_axes
         return np.asarray(np.square(local).sum(axis=-1) <= 1 + tolerance)
 
     def grid(self, count: int) -> Array:
-        """About ``count`` places spread evenly over the solid, shape (K, 3) [m]: its centre and shells to the surface.
+        """About ``count`` points spread evenly over the solid, shape (K, 3) [m]: its centre and shells to the surface.
 
         Evenly in units of the semi-axes; on each shell along a spiral that turns by the golden angle.
         """
         shells = max(1, round((3 * count / (4 * np.pi)) ** (1 / 3)))
-        share = np.square(np.arange(1, shells + 1))
-        places = [np.zeros((1, 3))]
-        for shell, number in enumerate(np.maximum(6, np.round((count - 1) * share / share.sum())), start=1):
-            k = np.arange(number) + 0.5
-            turn, z = np.pi * (1 + np.sqrt(5)) * k, 1 - 2 * k / number
+        area = np.square(np.arange(1, shells + 1))
+        counts = np.maximum(6, np.round((count - 1) * area / area.sum()))
+        points = [np.zeros((1, 3))]
+        for shell, points_on_shell in enumerate(counts, start=1):
+            k = np.arange(points_on_shell) + 0.5
+            angle = np.pi * (1 + np.sqrt(5)) * k
+            z = 1 - 2 * k / points_on_shell
             width = np.sqrt(1 - z**2)
-            places.append(shell / shells * np.column_stack([width * np.cos(turn), width * np.sin(turn), z]))
-        return np.asarray(np.concatenate(places) * self.semi_axes @ self.rotation.T + self.center)
+            unit = np.column_stack([width * np.cos(angle), width * np.sin(angle), z])
+            points.append(shell / shells * unit)
+        return np.asarray(np.concatenate(points) * self.semi_axes @ self.rotation.T + self.center)
 
 
-def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float = 0.05) -> Ellipsoid:
-    """The ellipsoid of least volume around points, shape (n, 3), within a relative tolerance of its volume.
+def minimum_volume_ellipsoid(points: ArrayLike, tolerance: float = 1e-4, min_thickness: float = 0.05) -> Ellipsoid:
+    """The ellipsoid of minimum volume around points, shape (n, 3), within a relative tolerance of its volume.
 
     Khachiyan's algorithm with the step of Todd & Yildirim (2007), on some of the points to which those farthest beyond
-    the ellipsoid are added until there are none. Points in a plane or on a line get a semi-axis of about ``flattest``
-    times the largest distance from their mean.
+    the ellipsoid are added until there are none. Points in a plane or on a line get a semi-axis of about
+    ``min_thickness`` times the largest distance from their mean.
 
     Raises
     ------
@@ -112,11 +115,11 @@ def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float 
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     if not len(points) or not np.isfinite(points).all():
         raise ValueError("an ellipsoid needs at least one point, all of them finite")
-    cloud = _thicken(points, flattest)
-    middle = cloud.mean(axis=0)
-    scale = float(np.abs(cloud - middle).max())  # far away, squares would lose digits
-    cloud = (cloud - middle) / scale
-    core = _spanning(cloud)
+    cloud = _thicken(points, min_thickness)
+    mean = cloud.mean(axis=0)
+    scale = float(np.abs(cloud - mean).max())  # far away, squares would lose digits
+    cloud = (cloud - mean) / scale
+    core = _spanning_points(cloud)
     while True:
         center, shape = _khachiyan(cloud[core], tolerance)
         squares, axes = np.linalg.eigh(shape)
@@ -124,25 +127,27 @@ def smallest_around(points: ArrayLike, tolerance: float = 1e-4, flattest: float 
         beyond = np.setdiff1d(np.flatnonzero(distance > 1 + 2 * tolerance), core)
         if not len(beyond):
             break
-        core = np.concatenate([core, beyond[np.argsort(distance[beyond])[-_MORE:]]])
+        farthest = beyond[np.argsort(distance[beyond])[-_ADDED_POINTS:]]
+        core = np.concatenate([core, farthest])
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    semi_axes = np.sqrt(squares * max(distance.max(), 1.0))  # Khachiyan stops just inside: grow until every point is in
-    return Ellipsoid.along(middle + scale * center, scale * semi_axes, axes)
+    # Khachiyan's algorithm stops with points just outside: grow until all are inside.
+    semi_axes = np.sqrt(squares * max(distance.max(), 1.0))
+    return Ellipsoid.from_axes(mean + scale * center, scale * semi_axes, axes)
 
 
-def _thicken(points: Array, flattest: float) -> Array:
-    """Add points so that the cloud spans three dimensions."""
+def _thicken(points: Array, min_thickness: float) -> Array:
+    """The points and, where they don't span three dimensions, some to either side."""
     center = points.mean(axis=0)
     axes = principal_axes(points)
     extent = np.ptp((points - center) @ axes.T, axis=0)
     # Not the largest extent: the axes of a square's points may be its sides or its diagonals.
-    least = flattest * max(2 * np.linalg.norm(points - center, axis=1).max(), 1e-3)
-    thin = axes[extent < least]
-    return np.concatenate([points, *(center + sign * 0.5 * least * thin for sign in (-1, 1))])
+    thickness = min_thickness * max(2 * np.linalg.norm(points - center, axis=1).max(), 1e-3)
+    offsets = 0.5 * thickness * axes[extent < thickness]
+    return np.concatenate([points, center - offsets, center + offsets])
 
 
-def _spanning(points: Array) -> Indices:
+def _spanning_points(points: Array) -> Indices:
     """Indices of some extreme points that span three dimensions, as all of them do."""
     axes = principal_axes(points)
     core = np.zeros(0, dtype=np.intp)
@@ -154,23 +159,26 @@ def _spanning(points: Array) -> Indices:
 
 
 def _khachiyan(points: Array, tolerance: float) -> tuple[Array, Array]:
-    """Centre and shape matrix of the least ellipsoid around points, from the dual weights u on the points."""
+    """Centre and shape matrix of the minimum-volume ellipsoid, from the dual weights u on the points."""
     n, d = points.shape
     lifted = np.column_stack([points, np.ones(n)])
     u = np.full(n, 1 / n)
     for _ in range(100_000):
-        distance = np.einsum("ni,ni->n", lifted, np.linalg.solve(lifted.T @ (lifted * u[:, None]), lifted.T).T)
-        up = int(np.argmax(distance))
-        down = int(np.argmin(np.where(u > 0, distance, np.inf)))
-        rise, fall = distance[up] / (d + 1) - 1, 1 - distance[down] / (d + 1)
+        moment = lifted.T @ (lifted * u[:, None])
+        distance = np.einsum("ni,ni->n", lifted, np.linalg.solve(moment, lifted.T).T)
+        farthest = int(np.argmax(distance))
+        nearest = int(np.argmin(np.where(u > 0, distance, np.inf)))
+        rise = distance[farthest] / (d + 1) - 1
+        fall = 1 - distance[nearest] / (d + 1)
         if max(rise, fall) <= tolerance:
             break
-        j = up if rise >= fall else down
+        j = farthest if rise >= fall else nearest
         beyond = distance[j] - 1  # 0 for a point at the very centre, which is dropped
         step = (beyond - d) / ((d + 1) * beyond) if beyond > 0 else -np.inf
-        step = max(step, -u[j] / (1 - u[j])) if step < 0 else step
+        if step < 0:
+            step = max(step, -u[j] / (1 - u[j]))
         u = (1 - step) * u
         u[j] = max(u[j] + step, 0.0)
     center = u @ points
-    spread = points - center
-    return center, d * (spread.T @ (spread * u[:, None]))
+    deviations = points - center
+    return center, d * (deviations.T @ (deviations * u[:, None]))

@@ -1,6 +1,6 @@
 """The geometry that a URDF gives its links: primitives and meshes, as points whose convex hull encloses it.
 
-What cannot be read is said.
+What cannot be read is listed with the reason.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
-from idtool.robot.convex import enclosing
-from idtool.robot.meshes import Mesh, UnreadableError, numbers, read_mesh, together
+from idtool.robot.convex import enclosing_points
+from idtool.robot.meshes import Mesh, UnreadableGeometryError, merge_meshes, numeric_attribute, read_mesh
 from idtool.robot.urdf.reading import Robot, parse_xml
 
 _SIDES = 32  # of the polygon around a circle, 0.5 % larger
@@ -28,56 +28,74 @@ _DIRECTIONS = 400  # of the points around a ball, less than 1 % larger
 
 
 @dataclass(frozen=True)
-class Geometry:
-    """What a URDF says of a link's extent.
+class LinkGeometry:
+    """A link's extent according to the URDF.
 
     Attributes
     ----------
     points
         Points in the link's frame whose convex hull encloses all that was read, shape (n, 3) [m]; around a curved
         primitive or a mesh of many vertices up to 1 % larger than it.
-    read
-        What was read, in words.
-    missing
-        What was not, and why, in words: where there is any, the points do not enclose the link.
+    parts_read
+        The parts that were read, in words.
+    unreadable
+        The parts that were not, and why: where there are any, the points do not enclose the link.
     """
 
     points: Array
-    read: tuple[str, ...]
-    missing: tuple[str, ...]
+    parts_read: tuple[str, ...]
+    unreadable: tuple[str, ...]
 
 
-def link_geometry(robot: Robot, link: str) -> Geometry:
+def link_geometry(robot: Robot, link: str) -> LinkGeometry:
     """The collision geometry of a link or, where that is absent or not all of it can be read, the visual one.
 
     Where not all of the visual can be read either, what there is of the collision geometry, if anything.
     """
-    element = next(e for e in parse_xml(robot.path, robot.text).iterfind("link") if e.get("name") == link)
-    found = [_read_all(robot.path, element.findall(tag)) for tag in ("collision", "visual")]
-    whole = [geometry for geometry in found if geometry.read and not geometry.missing]
-    some = [geometry for geometry in found if geometry.read]
-    notes = tuple(dict.fromkeys(note for geometry in found for note in geometry.missing))
-    return (*whole, *some, Geometry(np.empty((0, 3)), (), notes))[0]
+    element = _link_element(robot, link)
+    collision = _read_elements(robot.path, element.findall("collision"))
+    visual = _read_elements(robot.path, element.findall("visual"))
+    for geometry in (collision, visual):
+        if geometry.parts_read and not geometry.unreadable:
+            return geometry
+    for geometry in (collision, visual):
+        if geometry.parts_read:
+            return geometry
+    notes = tuple(dict.fromkeys(collision.unreadable + visual.unreadable))
+    return LinkGeometry(np.empty((0, 3)), (), notes)
 
 
 def link_surface(robot: Robot, link: str) -> Mesh:
-    """How a link looks: its visual geometry or, where none of that can be read, the collision geometry, as triangles.
+    """Triangles of a link's visual geometry or, where none of that can be read, of its collision geometry.
 
     In the link's frame; what cannot be read is left out.
     """
-    element = next(e for e in parse_xml(robot.path, robot.text).iterfind("link") if e.get("name") == link)
-    looks = (together(_surfaces(robot.path, element.findall(tag))) for tag in ("visual", "collision"))
-    return next((mesh for mesh in looks if len(mesh.faces)), together([]))
+    element = _link_element(robot, link)
+    for tag in ("visual", "collision"):
+        mesh = merge_meshes(_element_meshes(robot.path, element.findall(tag)))
+        if len(mesh.faces):
+            return mesh
+    return merge_meshes([])
 
 
-def _surfaces(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
-    """The geometry of a link's <visual> or <collision>, of each that can be read."""
+def _link_element(robot: Robot, link: str) -> etree._Element:
+    elements = parse_xml(robot.path, robot.text).iterfind("link")
+    return next(element for element in elements if element.get("name") == link)
+
+
+def _geometry_element(element: etree._Element) -> etree._Element | None:
+    """The primitive or mesh of a <collision> or <visual>, if it has one."""
+    return next((child for child in element.iterfind("geometry/*") if isinstance(child.tag, str)), None)
+
+
+def _element_meshes(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
+    """Triangles of each of a link's <visual> or <collision> that can be read, in the link's frame."""
     for element in elements:
-        part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
+        part = _geometry_element(element)
         if part is not None:
-            with suppress(UnreadableError, QhullError):
+            with suppress(UnreadableGeometryError, QhullError):
                 R, p = _origin(element)
-                mesh = _surface(urdf, part)
+                mesh = _part_mesh(urdf, part)
                 yield Mesh(mesh.points @ R.T + p, mesh.faces)
 
 
@@ -98,31 +116,35 @@ def link_vertices(robot: Robot, link: str, file: str | None = None) -> Array:
     """
     if file is not None:
         try:
-            return _mesh(robot.path, file)
-        except UnreadableError as error:
+            return _mesh_points(robot.path, file)
+        except UnreadableGeometryError as error:
             raise ModelError(f"{robot.path}: link {link}", f"{error}; give another file") from None
     geometry = link_geometry(robot, link)
-    if geometry.missing or not geometry.read:
-        why = geometry.missing[0] if geometry.missing else "the URDF gives it no collision or visual"
+    if geometry.unreadable or not geometry.parts_read:
+        why = geometry.unreadable[0] if geometry.unreadable else "the URDF gives it no collision or visual"
         raise ModelError(f"{robot.path}: link {link}", f"its geometry cannot be read: {why}; give a file or dimensions")
     return geometry.points
 
 
-def _read_all(urdf: Path, elements: list[etree._Element]) -> Geometry:
+def _read_elements(urdf: Path, elements: list[etree._Element]) -> LinkGeometry:
     """The geometry of all of a link's <collision> or <visual>."""
-    points, read, missing = [np.empty((0, 3))], [], []
+    points = [np.empty((0, 3))]
+    parts_read: list[str] = []
+    unreadable: list[str] = []
     for element in elements:
-        part = next((e for e in element.iterfind("geometry/*") if isinstance(e.tag, str)), None)
+        part = _geometry_element(element)
         if part is None:
-            missing.append(f"line {element.sourceline}: {element.tag} has no geometry")
+            unreadable.append(f"line {element.sourceline}: {element.tag} has no geometry")
             continue
         try:
             R, p = _origin(element)
-            points.append(_solid(urdf, part) @ R.T + p)
-            read.append(" ".join(filter(None, (str(part.tag), part.get("filename")))))
-        except UnreadableError as error:
-            missing.append(f"line {part.sourceline}: {error}")
-    return Geometry(np.concatenate(points), tuple(read), tuple(missing))
+            points.append(_part_points(urdf, part) @ R.T + p)
+        except UnreadableGeometryError as error:
+            unreadable.append(f"line {part.sourceline}: {error}")
+            continue
+        filename = part.get("filename")
+        parts_read.append(f"{part.tag} {filename}" if filename else str(part.tag))
+    return LinkGeometry(np.concatenate(points), tuple(parts_read), tuple(unreadable))
 
 
 def _origin(element: etree._Element) -> tuple[Array, Array]:
@@ -130,57 +152,60 @@ def _origin(element: etree._Element) -> tuple[Array, Array]:
     origin = element.find("origin")
     if origin is None:
         return np.eye(3), np.zeros(3)
-    xyz, rpy = (numbers(origin, name, 3, default="0 0 0") for name in ("xyz", "rpy"))
+    xyz = numeric_attribute(origin, "xyz", 3, default="0 0 0")
+    rpy = numeric_attribute(origin, "rpy", 3, default="0 0 0")
     return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
 
 
-def _solid(urdf: Path, part: etree._Element) -> Array:
+def _part_points(urdf: Path, part: etree._Element) -> Array:
     """Points around a primitive or of a mesh, in its own frame, shape (n, 3)."""
     if part.tag == "mesh":
-        return _mesh(urdf, part.get("filename", "")) * numbers(part, "scale", 3, default="1 1 1")
+        return _mesh_points(urdf, part.get("filename", "")) * numeric_attribute(part, "scale", 3, default="1 1 1")
     if part.tag == "box":
-        return 0.5 * _corners() * numbers(part, "size", 3)
+        return 0.5 * _cube_corners() * numeric_attribute(part, "size", 3)
     if part.tag not in ("sphere", "cylinder", "capsule"):
-        raise UnreadableError(f"{part.tag} is not a geometry that is read here")
-    radius = abs(numbers(part, "radius", 1))
+        raise UnreadableGeometryError(f"{part.tag} is not a geometry that is read here")
+    radius = abs(numeric_attribute(part, "radius", 1))
     if part.tag == "sphere":
-        return radius * _around_ball()
-    ends = 0.5 * numbers(part, "length", 1) * np.array([[0, 0, 1.0], [0, 0, -1.0]])
-    return np.concatenate(
-        [end + radius * (_around_disc() if part.tag == "cylinder" else _around_ball()) for end in ends]
-    )
+        return radius * _ball_points()
+    end = radius * (_disc_points() if part.tag == "cylinder" else _ball_points())
+    offset = 0.5 * numeric_attribute(part, "length", 1) * np.array([0, 0, 1.0])
+    return np.concatenate([end + offset, end - offset])
 
 
-def _surface(urdf: Path, part: etree._Element) -> Mesh:
-    """A primitive's or a mesh's triangles, in its own frame; QhullError for what has no volume."""
+def _part_mesh(urdf: Path, part: etree._Element) -> Mesh:
+    """Triangles of a primitive or a mesh, in its own frame; QhullError for what has no volume."""
     if part.tag == "mesh":
         mesh = read_mesh(urdf, part.get("filename", ""))
-        return Mesh(mesh.points * numbers(part, "scale", 3, default="1 1 1"), mesh.faces)
-    points = _solid(urdf, part)
+        return Mesh(mesh.points * numeric_attribute(part, "scale", 3, default="1 1 1"), mesh.faces)
+    points = _part_points(urdf, part)
     return Mesh(points, ConvexHull(points).simplices.astype(np.intp))
 
 
 @cache
-def _corners() -> Array:
+def _cube_corners() -> Array:
     return np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
 
 
 @cache
-def _around_disc() -> Array:
+def _disc_points() -> Array:
     """Corners of a polygon around the unit circle."""
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_SIDES)]) / math.cos(math.pi / _SIDES)
 
 
 @cache
-def _around_ball() -> Array:
+def _ball_points() -> Array:
     """Corners of a polyhedron around the unit ball."""
     k = np.arange(_DIRECTIONS) + 0.5
-    turn, z = np.pi * (1 + math.sqrt(5)) * k, 1 - 2 * k / _DIRECTIONS
-    points = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
-    return np.asarray(points / -ConvexHull(points).equations[:, 3].max())
+    angle = np.pi * (1 + math.sqrt(5)) * k
+    z = 1 - 2 * k / _DIRECTIONS
+    width = np.sqrt(1 - z**2)
+    points = np.column_stack([width * np.cos(angle), width * np.sin(angle), z])
+    inscribed_radius = -ConvexHull(points).equations[:, 3].max()
+    return np.asarray(points / inscribed_radius)
 
 
-def _mesh(urdf: Path, name: str) -> Array:
+def _mesh_points(urdf: Path, name: str) -> Array:
     """Points around a mesh, as in the file, shape (n, 3)."""
-    return enclosing(read_mesh(urdf, name).corners)
+    return enclosing_points(read_mesh(urdf, name).corners)

@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
 
-NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
-UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
-SIZE = len(NAMES)
+PARAMETER_NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+PARAMETER_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
+PI_SIZE = len(PARAMETER_NAMES)
 #: Powers of length in the parameters' units.
-POWERS = np.repeat([0.0, 1.0, 2.0], [1, 3, 6])
+LENGTH_POWERS = np.repeat([0.0, 1.0, 2.0], [1, 3, 6])
 
-DIGITS = 12  # of what is written to files: a body 1e-9 inside its set stays there, and more are not known
+WRITTEN_DIGITS = 12  # in files: a body 1e-9 inside its set stays there, and more are not known
 
 # Row and column of the rotational inertia's entries, in the order of pi.
 _ROW = np.array([0, 0, 1, 0, 1, 2])
@@ -35,70 +35,75 @@ def skew(x: ArrayLike) -> Array:
     return np.array([[0, -c, b], [c, 0, -a], [-b, a, 0.0]])
 
 
-def symmetric(six: ArrayLike) -> Array:
-    """[xx, xy, yy, xz, yz, zz], shape (..., 6), as symmetric matrices, shape (..., 3, 3)."""
-    six = np.asarray(six, dtype=float)
-    matrix = np.empty((*six.shape[:-1], 3, 3))
-    matrix[..., _ROW, _COLUMN] = six
-    matrix[..., _COLUMN, _ROW] = six
+def symmetric_matrix(entries: ArrayLike) -> Array:
+    """Symmetric matrices, shape (..., 3, 3), from their entries [xx, xy, yy, xz, yz, zz], shape (..., 6)."""
+    entries = np.asarray(entries, dtype=float)
+    matrix = np.empty((*entries.shape[:-1], 3, 3))
+    matrix[..., _ROW, _COLUMN] = entries
+    matrix[..., _COLUMN, _ROW] = entries
     return matrix
 
 
-def six(matrix: ArrayLike) -> Array:
-    """Symmetric matrices, shape (..., 3, 3), as [xx, xy, yy, xz, yz, zz], shape (..., 6)."""
+def symmetric_entries(matrix: ArrayLike) -> Array:
+    """Entries [xx, xy, yy, xz, yz, zz], shape (..., 6), of symmetric matrices, shape (..., 3, 3)."""
     return np.asarray(matrix, dtype=float)[..., _ROW, _COLUMN]
 
 
 def pseudo_inertia(pi: ArrayLike) -> Array:
     """J(pi), shape (..., 4, 4), linear in pi (Thm 3)."""
     pi = np.asarray(pi, dtype=float)
-    inertia = symmetric(pi[..., 4:])
+    inertia = symmetric_matrix(pi[..., 4:])
+    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
     J = np.empty((*pi.shape[:-1], 4, 4))
-    J[..., :3, :3] = 0.5 * np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - inertia
-    J[..., :3, 3] = J[..., 3, :3] = pi[..., 1:4]
+    J[..., :3, :3] = 0.5 * trace * np.eye(3) - inertia
+    J[..., :3, 3] = pi[..., 1:4]
+    J[..., 3, :3] = pi[..., 1:4]
     J[..., 3, 3] = pi[..., 0]
     return J
 
 
 def from_pseudo_inertia(J: ArrayLike) -> Array:
-    """The pi of a pseudo-inertia: the inverse of `pseudo_inertia`."""
+    """Parameters pi of a pseudo-inertia, shape (..., 10): the inverse of `pseudo_inertia`."""
     J = np.asarray(J, dtype=float)
     sigma = J[..., :3, :3]
-    inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
-    return np.concatenate([J[..., 3:, 3], J[..., :3, 3], six(inertia)], axis=-1)
+    trace = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None]
+    inertia = trace * np.eye(3) - sigma
+    return np.concatenate([J[..., 3:, 3], J[..., :3, 3], symmetric_entries(inertia)], axis=-1)
 
 
-def least_eigenvalue(pi: ArrayLike) -> Array:
-    """Least eigenvalue of J(pi), shape (...): positive if, and only if, some mass density has these moments (Thm 3)."""
+def smallest_eigenvalue(pi: ArrayLike) -> Array:
+    """Smallest eigenvalue of J(pi), shape (...); positive if and only if a mass density has these moments (Thm 3)."""
     return np.asarray(np.linalg.eigvalsh(pseudo_inertia(pi))[..., 0])
 
 
 def is_realizable(pi: ArrayLike) -> bool:
-    """J(pi) ≻ 0: full physical consistency of one body, bounds on its extent aside (Thm 3)."""
-    return bool(least_eigenvalue(pi) > 0)
+    """True if J(pi) ≻ 0: full physical consistency of one body, bounds on its extent aside (Thm 3)."""
+    return bool(smallest_eigenvalue(pi) > 0)
 
 
 #: J(pi) = Σ_k pi_k BASIS[k], shape (10, 4, 4).
-BASIS = pseudo_inertia(np.eye(SIZE))
+J_BASIS = pseudo_inertia(np.eye(PI_SIZE))
 
 
 def spatial_inertia(pi: ArrayLike) -> Array:
     """The 6×6 spatial inertia [[I, S(h)], [S(h)ᵀ, m 1]] in the order (angular, linear), shape (..., 6, 6) (Thm 1)."""
     pi = np.asarray(pi, dtype=float)
     spatial = np.zeros((*pi.shape[:-1], 6, 6))
-    spatial[..., :3, :3] = symmetric(pi[..., 4:])
-    h = np.einsum("kij,...k->...ij", np.array([skew(e) for e in np.eye(3)]), pi[..., 1:4])
-    spatial[..., :3, 3:] = h
-    spatial[..., 3:, :3] = -h
+    spatial[..., :3, :3] = symmetric_matrix(pi[..., 4:])
+    generators = np.array([skew(axis) for axis in np.eye(3)])
+    skew_h = np.einsum("kij,...k->...ij", generators, pi[..., 1:4])
+    spatial[..., :3, 3:] = skew_h
+    spatial[..., 3:, :3] = -skew_h
     spatial[..., 3:, 3:] = pi[..., 0, None, None] * np.eye(3)
     return spatial
 
 
 def from_mass_com_inertia(mass: float, com: ArrayLike, inertia_com: ArrayLike) -> Array:
-    """The pi of mass [kg], centre of mass [m] (3,) and inertia about it [kg·m²] (3, 3), by parallel axes (12)."""
+    """Parameters pi of mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg·m²], parallel axes (12)."""
     com = np.asarray(com, dtype=float)
     S = skew(com)
-    return np.concatenate([[mass], mass * com, six(np.asarray(inertia_com) + mass * S @ S.T)])
+    inertia = np.asarray(inertia_com) + mass * S @ S.T
+    return np.concatenate([[mass], mass * com, symmetric_entries(inertia)])
 
 
 def mass_com_inertia(pi: ArrayLike) -> tuple[float, Array, Array]:
@@ -110,37 +115,38 @@ def mass_com_inertia(pi: ArrayLike) -> tuple[float, Array, Array]:
     mass = float(pi[0])
     com = pi[1:4] / mass if mass else np.zeros(3)
     S = skew(com)
-    return mass, com, symmetric(pi[4:]) - mass * S @ S.T
+    return mass, com, symmetric_matrix(pi[4:]) - mass * S @ S.T
 
 
-def rounded(values: ArrayLike, digits: int = DIGITS) -> Array:
-    """Numbers of one unit to so many digits of the largest of them, shape (...)."""
+def round_to_digits(values: ArrayLike, digits: int = WRITTEN_DIGITS) -> Array:
+    """Numbers of one unit, shape (...), rounded to so many significant digits of the largest of them."""
     values = np.asarray(values, dtype=float)
     largest = float(np.abs(values).max(initial=0.0))
     if not 0 < largest < np.inf:
         return values
-    return np.asarray(np.round(values, digits - 1 - int(np.floor(np.log10(largest)))) + 0.0)  # no −0
+    decimals = digits - 1 - int(np.floor(np.log10(largest)))
+    return np.asarray(np.round(values, decimals) + 0.0)  # no −0
 
 
 def rounded_inertial(pi: ArrayLike) -> tuple[float, Array, Array]:
     """`mass_com_inertia` to the digits that are written to files: a centre of mass next to the origin is the origin."""
     mass, com, inertia = mass_com_inertia(pi)
     gyration = np.sqrt(abs(np.trace(inertia) / (2 * mass))) if mass else 0.0
-    return float(rounded(mass)), rounded([*com, gyration])[:3], rounded(inertia)
+    return float(round_to_digits(mass)), round_to_digits([*com, gyration])[:3], round_to_digits(inertia)
 
 
-def transformation(R: ArrayLike, p: ArrayLike) -> Array:
-    """The 10×10 matrix that takes pi from a frame B to a frame A in which B sits at rotation R, position p [m].
+def parameter_transform(R: ArrayLike, p: ArrayLike) -> Array:
+    """The 10×10 matrix that takes pi from a frame B to a frame A, in which B has rotation R and position p [m].
 
     J_A = T J_B Tᵀ with T = [[R, p], [0, 1]].
     """
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = p
-    return from_pseudo_inertia(T @ BASIS @ T.T).T
+    return from_pseudo_inertia(T @ J_BASIS @ T.T).T
 
 
-def mirrored(signs: ArrayLike) -> Array:
-    """The 10×10 matrix that takes pi to that of the body's image, in which x, y and z have these signs, shape (3,)."""
+def parameter_reflection(signs: ArrayLike) -> Array:
+    """The 10×10 matrix that takes pi to that of the mirrored body, x, y and z times these signs, shape (3,)."""
     T = np.append(np.asarray(signs, dtype=float), 1.0)
-    return from_pseudo_inertia(T[:, None] * BASIS * T).T
+    return from_pseudo_inertia(T[:, None] * J_BASIS * T).T

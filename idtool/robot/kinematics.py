@@ -69,19 +69,21 @@ def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]
     q, v, a
         Positions, velocities, accelerations of the joints, shape (nv, N).
     """
-    still = np.zeros((3, 1))
-    none = np.zeros((3, 0, 1))
-    base = BodyMotion(still, still, -model.gravity[:, None], none, none, np.zeros(0, dtype=np.intp))
+    zero = np.zeros((3, 1))
+    no_columns = np.zeros((3, 0, 1))
+    base = BodyMotion(zero, zero, -model.gravity[:, None], no_columns, no_columns, np.zeros(0, dtype=np.intp))
     motions: list[BodyMotion] = []
-    for body, moved in zip(model.bodies, model.support(), strict=True):
+    for body, support in zip(model.bodies, model.support(), strict=True):
         parent = base if body.mount.body < 0 else motions[body.mount.body]
-        own = np.array([body.ratios @ x for x in (q, v, a)])
-        motions.append(_step(body, parent, own, np.flatnonzero(moved)))
+        phi = body.ratios @ q + body.offset
+        dphi = body.ratios @ v
+        ddphi = body.ratios @ a
+        motions.append(_propagate(body, parent, phi, dphi, ddphi, np.flatnonzero(support)))
     return motions
 
 
-def body_places(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
-    """Where every body's frame is in the root link, by index; −1 is the root link.
+def body_placements(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
+    """Placement of every body's frame in the root link, by index; −1 is the root link.
 
     Parameters
     ----------
@@ -94,55 +96,59 @@ def body_places(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
     -------
     Rotation R, shape (N, 3, 3) or (1, 3, 3), and position p [m], shape (N, 3) or (1, 3).
     """
-    places = {-1: (np.eye(3)[None], np.zeros((1, 3)))}
+    placements = {-1: (np.eye(3)[None], np.zeros((1, 3)))}
     for i, body in enumerate(model.bodies):
-        R, p = places[body.mount.body]
+        R_parent, p_parent = placements[body.mount.body]
+        R = R_parent @ body.mount.R
+        p = p_parent + R_parent @ body.mount.p
         phi = (body.ratios @ q + body.offset)[:, None]
-        R, p = R @ body.mount.R, p + R @ body.mount.p
         if body.prismatic:
-            places[i] = R, p + R @ body.axis * phi
+            placements[i] = R, p + R @ body.axis * phi
         else:
-            places[i] = R @ Rotation.from_rotvec(body.axis * phi).as_matrix(), p
-    return places
+            placements[i] = R @ Rotation.from_rotvec(body.axis * phi).as_matrix(), p
+    return placements
 
 
-def _step(body: Body, parent: BodyMotion, own: Array, coordinates: Indices) -> BodyMotion:
-    """A body's motion from its parent's and its own along its axis, ``own`` = phi less its offset, dphi, ddphi."""
-    phi, dphi, ddphi = own
-    phi = phi + body.offset
+def _propagate(
+    body: Body, parent: BodyMotion, phi: Array, dphi: Array, ddphi: Array, coordinates: Indices
+) -> BodyMotion:
+    """A body's motion from its parent's and its own along its axis: phi and its derivatives, shape (N,) each."""
     axis = body.axis[:, None]
     p = body.mount.p[:, None]
     if body.prismatic:
         p = p + (body.mount.R @ axis) * phi
     R = _rotation(body, phi)
-    w, alpha, acc = (_times(R, x) for x in (parent.w, parent.alpha, parent.acc + _times(parent.M, p)))
-    inherited = np.searchsorted(coordinates, parent.coordinates)
+    w = _rotate(R, parent.w)
+    alpha = _rotate(R, parent.alpha)
+    acc = _rotate(R, parent.acc + _rotate(parent.M, p))
+
     S_w, S_v = np.zeros((2, 3, len(coordinates), len(phi)))
-    S_w[:, inherited] = _times(R, parent.S_w)
-    S_v[:, inherited] = _times(R, parent.S_v + cross(parent.S_w, p[:, None]))
-    by_coordinate = axis[:, :, None] * body.ratios[coordinates, None]
+    parent_columns = np.searchsorted(coordinates, parent.coordinates)
+    S_w[:, parent_columns] = _rotate(R, parent.S_w)
+    S_v[:, parent_columns] = _rotate(R, parent.S_v + cross(parent.S_w, p[:, None]))
+    own_columns = axis[:, :, None] * body.ratios[coordinates, None]
     if body.prismatic:
         acc = acc + 2 * cross(w, axis * dphi) + axis * ddphi
-        S_v += by_coordinate
+        S_v += own_columns
     else:
         spin = axis * dphi
         alpha = alpha + axis * ddphi + cross(w, spin)
         w = w + spin
-        S_w += by_coordinate
+        S_w += own_columns
     return BodyMotion(w, alpha, acc, S_w, S_v, coordinates)
 
 
 def _rotation(body: Body, phi: Array) -> Array:
     """From the parent's frame into the body's (Rodrigues' formula, backwards), shape (3, 3, N) or (3, 3, 1)."""
-    mount = body.mount.R.T
+    R = body.mount.R.T
     if body.prismatic:
-        return mount[:, :, None]
+        return R[:, :, None]
     S = skew(body.axis)
     # exp(−S phi) = 1 + S² − S sin(phi) − S² cos(phi)
-    terms = np.stack([mount + S @ S @ mount, -S @ mount, -S @ S @ mount], axis=-1)
+    terms = np.stack([R + S @ S @ R, -S @ R, -S @ S @ R], axis=-1)
     return np.asarray(terms @ np.array([np.ones_like(phi), np.sin(phi), np.cos(phi)]))
 
 
-def _times(R: Array, x: Array) -> Array:
+def _rotate(R: Array, x: Array) -> Array:
     """Matrices (3, 3, N) times vectors (3, N) or (3, k, N)."""
     return np.asarray(np.einsum("ij...,j...->i...", R, x))

@@ -1,7 +1,7 @@
-"""Meshes that a URDF names: where they are, what they hold, and the same with fewer faces.
+"""Meshes that a URDF names: found, read, and simplified.
 
-They are a stranger's files: read from the disk alone, never from the network, in formats that hold nothing but
-geometry, and bounded in size.
+They are untrusted files: read from the disk alone, never from the network, in formats that hold nothing but geometry,
+and bounded in size.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.robot.urdf.reading import parse_xml
 
-_MOST = 1e6  # m; what is larger is no robot
-_MOST_BYTES = 100 << 20
-_LARGE = 1 << 20  # bytes
-_MOST_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
+_MAX_LENGTH = 1e6  # m; what is larger is no robot
+_MAX_BYTES = 100 << 20
+_LARGE_FILE = 1 << 20  # bytes
+_MAX_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
 _FORMATS = ("stl", "obj", "ply", "off", "dae")
-_FINEST = 128  # cells along the longest side in which corners are put together
+_MAX_CELLS = 128  # along the longest side, in the finest grid by which a mesh is simplified
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its remarks on materials are not for the user
 
 
-class UnreadableError(Exception):
-    """Why one piece of geometry cannot be used, in words."""
+class UnreadableGeometryError(Exception):
+    """Geometry that cannot be used; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -71,46 +71,56 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
         If it is not found or cannot be read.
     """
     if name.partition("://")[0] in ("http", "https", "ftp"):
-        raise UnreadableError(f"mesh {name} is not on this machine, and nothing is fetched")
-    path = next((path for path in _places(urdf, name) if _is_file(path)), None)
+        raise UnreadableGeometryError(f"mesh {name} is not on this machine, and nothing is fetched")
+    path = next((path for path in _candidate_paths(urdf, name) if _is_file(path)), None)
     if path is None:
-        raise UnreadableError(f"mesh {name} is not found")
+        raise UnreadableGeometryError(f"mesh {name} is not found")
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _FORMATS:
-        raise UnreadableError(f"mesh {path} is of a format that is not read here; save it as {' or '.join(_FORMATS)}")
+        raise UnreadableGeometryError(
+            f"mesh {path} is of a format that is not read here; save it as {' or '.join(_FORMATS)}"
+        )
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise UnreadableError(f"mesh {path} cannot be read ({error.strerror})") from None
-    if len(data) > _MOST_BYTES:
-        raise UnreadableError(f"mesh {path} is larger than {_MOST_BYTES >> 20} MiB")
-    mesh = _triangles(path, data, kind)
-    if len(data) > _LARGE:
-        gc.collect()  # trimesh's objects hold each other: several times what is kept
+        raise UnreadableGeometryError(f"mesh {path} cannot be read ({error.strerror})") from None
+    if len(data) > _MAX_BYTES:
+        raise UnreadableGeometryError(f"mesh {path} is larger than {_MAX_BYTES >> 20} MiB")
+    mesh = _parse_mesh(path, data, kind)
+    if len(data) > _LARGE_FILE:
+        gc.collect()  # trimesh's objects refer to each other and take several times the memory of the mesh
     corners = mesh.corners
-    if not len(corners) or not (corners.min() > -_MOST and corners.max() < _MOST):
-        what = f"a vertex that is not within {_MOST:g} m" if len(corners) else "no faces"
-        raise UnreadableError(f"mesh {path} holds {what}")
+    if not len(corners) or not (corners.min() > -_MAX_LENGTH and corners.max() < _MAX_LENGTH):
+        what = f"a vertex that is not within {_MAX_LENGTH:g} m" if len(corners) else "no faces"
+        raise UnreadableGeometryError(f"mesh {path} holds {what}")
     return mesh
 
 
-def numbers(element: etree._Element, name: str, count: int, default: str = "") -> Array:
-    """An attribute of so many numbers; UnreadableError if it is none."""
+def numeric_attribute(element: etree._Element, name: str, count: int, default: str = "") -> Array:
+    """The numbers in an attribute, shape (count,).
+
+    Raises
+    ------
+    UnreadableGeometryError
+        If they are not so many finite numbers.
+    """
     text = element.get(name, default)
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError:
         values = np.array([])
-    if len(values) != count or not (np.abs(values) < _MOST).all():
+    if len(values) != count or not (np.abs(values) < _MAX_LENGTH).all():
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise UnreadableError(f"{element.tag} {name} '{text[:40]}' should be {expected}")
+        raise UnreadableGeometryError(f"{element.tag} {name} '{text[:40]}' should be {expected}")
     return values
 
 
-def together(meshes: Iterable[Mesh]) -> Mesh:
+def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
     """Several meshes as one."""
-    points, faces, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.intp)], 0
+    points = [np.empty((0, 3))]
+    faces = [np.empty((0, 3), dtype=np.intp)]
+    count = 0
     for mesh in meshes:
         points.append(mesh.points)
         faces.append(mesh.faces + count)
@@ -118,43 +128,50 @@ def together(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(np.concatenate(points), np.concatenate(faces))
 
 
-def simplified(mesh: Mesh, most: int) -> Mesh:
-    """A mesh like it of so many faces at the most.
+def simplify_mesh(mesh: Mesh, max_faces: int) -> Mesh:
+    """A similar mesh of no more than so many faces.
 
-    The corners in each cell of a grid are put together at their mean, in the finest grid that leaves few enough.
+    The corners in each cell of a grid are merged at their mean, in the finest grid that leaves few enough faces.
     Source: Rossignac & Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993
     """
-    if len(mesh.faces) <= most:
+    if len(mesh.faces) <= max_faces:
         return mesh
-    mesh = _clustered(mesh, _FINEST)
-    low, high = 0, _FINEST + 1  # cells: few enough faces, too many
-    if len(mesh.faces) <= most:
+    mesh = _cluster_vertices(mesh, _MAX_CELLS)
+    if len(mesh.faces) <= max_faces:
         return mesh
-    while high - low > 1:
-        cells = (low + high) // 2
-        low, high = (cells, high) if len(_clustered(mesh, cells).faces) <= most else (low, cells)
-    return _clustered(mesh, low)
+    few_enough = 0
+    too_many = _MAX_CELLS + 1
+    while too_many - few_enough > 1:
+        cells = (few_enough + too_many) // 2
+        if len(_cluster_vertices(mesh, cells).faces) <= max_faces:
+            few_enough = cells
+        else:
+            too_many = cells
+    return _cluster_vertices(mesh, few_enough)
 
 
-def _clustered(mesh: Mesh, cells: int) -> Mesh:
-    """The mesh with the corners in each of so many cells along its longest side put together."""
+def _cluster_vertices(mesh: Mesh, cells: int) -> Mesh:
+    """The mesh with the vertices in each cell of a grid merged, so many cells along its longest side."""
     if not cells or not len(mesh.faces):
         return Mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.intp))
     used, faces = np.unique(mesh.faces, return_inverse=True)
     points = mesh.points[used]
-    cell = np.ptp(points, axis=0).max() / cells or 1.0
-    index = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
-    _, inverse, counts = np.unique(index @ (cells + 1) ** np.arange(3), return_inverse=True, return_counts=True)
-    means = np.stack([np.bincount(inverse, weights=x) for x in points.T], axis=1) / counts[:, None]
-    found = inverse[faces.reshape(-1, 3)]
-    corners = np.sort(found, axis=1)
-    whole = (corners[:, 0] < corners[:, 1]) & (corners[:, 1] < corners[:, 2])
-    _, first = np.unique(corners[whole], axis=0, return_index=True)
-    return Mesh(means, found[whole][np.sort(first)])
+    cell_size = np.ptp(points, axis=0).max() / cells or 1.0
+    cell = np.floor((points - points.min(axis=0)) / cell_size).astype(np.int64)
+    cell_number = cell @ (cells + 1) ** np.arange(3)
+    _, cluster, counts = np.unique(cell_number, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(cluster, weights=x) for x in points.T], axis=1)
+    means = sums / counts[:, None]
+
+    new_faces = cluster[faces.reshape(-1, 3)]
+    corners = np.sort(new_faces, axis=1)
+    has_area = (corners[:, 0] < corners[:, 1]) & (corners[:, 1] < corners[:, 2])
+    _, first = np.unique(corners[has_area], axis=0, return_index=True)
+    return Mesh(means, new_faces[has_area][np.sort(first)])
 
 
-def _triangles(path: Path, data: bytes, kind: str) -> Mesh:
-    """All faces in a mesh file's contents [m]."""
+def _parse_mesh(path: Path, data: bytes, kind: str) -> Mesh:
+    """All triangles in a mesh file's contents [m]."""
     options: dict[str, Any] = {"skip_materials": True} if kind in ("obj", "ply") else {}
     try:
         unit = _collada_unit(parse_xml(path, data)) if kind == "dae" else 1.0
@@ -168,11 +185,11 @@ def _triangles(path: Path, data: bytes, kind: str) -> Mesh:
                     points = part.vertices @ (unit * T[:3, :3].T)
                     points += unit * T[:3, 3]
                     parts.append(Mesh(points, np.asarray(part.faces)))
-            return parts[0] if len(parts) == 1 else together(parts)
-    except (UnreadableError, ModelError) as error:
-        raise UnreadableError(f"mesh {path} {getattr(error, 'what', error)}") from None
+            return parts[0] if len(parts) == 1 else merge_meshes(parts)
+    except (UnreadableGeometryError, ModelError) as error:
+        raise UnreadableGeometryError(f"mesh {path} {getattr(error, 'what', error)}") from None
     except Exception as error:  # the parsers have no error of their own for contents that are not the format's
-        raise UnreadableError(f"mesh {path} is not well-formed {kind} ({type(error).__name__})") from None
+        raise UnreadableGeometryError(f"mesh {path} is not well-formed {kind} ({type(error).__name__})") from None
 
 
 def _collada_unit(root: etree._Element) -> float:
@@ -191,15 +208,15 @@ def _collada_unit(root: etree._Element) -> float:
         for instance in node.iterfind("{*}instance_node"):
             url = instance.get("url", "")
             if url in nodes and url not in sizes:
-                sizes[url] = _MOST_NODES  # a node that holds itself
+                sizes[url] = _MAX_NODES  # a node that holds itself
                 sizes[url] = size(nodes[url])
             total += sizes.get(url, 1)
         return total
 
-    if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MOST_NODES:
-        raise UnreadableError("has a scene that repeats itself without end")
+    if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MAX_NODES:
+        raise UnreadableGeometryError("has a scene that repeats itself without end")
     unit = root.find("{*}asset/{*}unit")
-    return 1.0 if unit is None else float(numbers(unit, "meter", 1, default="1")[0])
+    return 1.0 if unit is None else float(numeric_attribute(unit, "meter", 1, default="1")[0])
 
 
 def _is_file(path: Path) -> bool:
@@ -209,18 +226,19 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _places(urdf: Path, name: str) -> Iterator[Path]:
-    """Where a mesh of a URDF may be, the likeliest first.
+def _candidate_paths(urdf: Path, name: str) -> Iterator[Path]:
+    """Paths at which a mesh of a URDF may be, the likeliest first.
 
     A package is looked for in ROS's search paths and in the folders above the URDF; then any end of the mesh's path
     in those folders.
     """
-    scheme, found, path = name.partition("://")
-    path = unquote(path) if found else name
+    scheme, separator, path = name.partition("://")
+    path = unquote(path) if separator else name
     folders = urdf.absolute().parents
     parts = [part for part in Path(path).parts if part not in ("/", "..")]
-    if scheme in ("package", "model") and found:
-        package, within = parts[:1], Path(*parts[1:])
+    if scheme in ("package", "model") and separator:
+        package = parts[:1]
+        within = Path(*parts[1:])
         for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
             yield Path(entry, *package, within)
             if [Path(entry).name] == package:

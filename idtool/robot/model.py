@@ -22,10 +22,9 @@ from idtool.common.names import nearest, some
 from idtool.common.notice import Notice
 from idtool.robot.body import Body, Frame, Member
 from idtool.robot.bounding import bounding_shape
-from idtool.robot.config import Bounding, Config
-from idtool.robot.config import Rotor as RotorConfig
+from idtool.robot.config import BoundingEllipsoid, Config, RotorConfig
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import SIZE, from_mass_com_inertia, symmetric
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, symmetric_matrix
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Joint, Robot
 
@@ -65,7 +64,7 @@ class Model:
         return {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in self.joints}
 
     def support(self) -> Mask:
-        """Which coordinates move which body, shape (bodies, nv)."""
+        """Mask of the coordinates that move each body, shape (bodies, nv)."""
         support = np.zeros((len(self.bodies), len(self.joints)), dtype=bool)
         for i, body in enumerate(self.bodies):
             support[i] = body.ratios != 0
@@ -118,7 +117,8 @@ class _Builder:
         links = len(self.bodies)
         for name, rotor in self.config.rotors.items():
             self._add_rotor(name, rotor)
-        bodies = self._with_centres(tuple(self._finished(i, body) for i, body in enumerate(self.bodies)))
+        lumped = tuple(self._with_lumped_links(i, body) for i, body in enumerate(self.bodies))
+        bodies = self._with_known_coms(lumped)
         for body in bodies[:links]:
             if not body.pi[0] > 0:
                 message = "no mass in the URDF; its prior is empty"
@@ -157,19 +157,26 @@ class _Builder:
 
     def _check_names(self) -> None:
         actuated = [j.name for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
-        friction = self.config.friction if isinstance(self.config.friction, dict) else {}
-        controller = self.config.controller
-        for key, names, known, kind in (
-            ("locked_joints", self.config.locked_joints, actuated, "actuated joint"),
-            ("bounding_ellipsoids", self.config.bounding_ellipsoids, self.robot.links, "link"),
-            ("bounding_shapes", self.config.bounding_shapes, self.robot.links, "link"),
-            ("friction", friction, actuated, "actuated joint"),
-            ("controller.kp", controller.kp if controller else {}, actuated, "actuated joint"),
-            ("controller.kd", controller.kd if controller else {}, actuated, "actuated joint"),
-        ):
+        of_joints: dict[str, Iterable[str]] = {"locked_joints": self.config.locked_joints}
+        if isinstance(self.config.friction, dict):
+            of_joints["friction"] = self.config.friction
+        if self.config.controller is not None:
+            of_joints["controller.kp"] = self.config.controller.kp
+            of_joints["controller.kd"] = self.config.controller.kd
+        of_links: dict[str, Iterable[str]] = {
+            "bounding_ellipsoids": self.config.bounding_ellipsoids,
+            "bounding_shapes": self.config.bounding_shapes,
+        }
+        for key, names in of_joints.items():
             for name in names:
-                if name not in known:
-                    raise ConfigError(f"{key}: {name}", f"is no {kind} of the URDF; {nearest(name, known)}")
+                if name not in actuated:
+                    hint = nearest(name, actuated)
+                    raise ConfigError(f"{key}: {name}", f"is no actuated joint of the URDF; {hint}")
+        for key, names in of_links.items():
+            for name in names:
+                if name not in self.robot.links:
+                    hint = nearest(name, self.robot.links)
+                    raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {hint}")
         for name in self.config.locked_joints:
             if name in self.index:
                 raise ConfigError(f"locked_joints: {name}", "is also a moving joint; take it out of one of the two")
@@ -177,35 +184,37 @@ class _Builder:
     def _motion(self, joint: Joint) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a joint's position; no ratios where it is locked."""
         ratios = np.zeros(len(self.joints))
-        scale, offset, seen = 1.0, 0.0, {joint.name}
+        scale = 1.0
+        offset = 0.0
+        visited = {joint.name}
         while joint.mimic is not None:
-            scale, offset = scale * joint.mimic.multiplier, offset + scale * joint.mimic.offset
-            source = self.robot.joints.get(joint.mimic.joint)
-            if source is None or source.name in seen:
-                raise ModelError(
-                    f"{self.robot.path}: joint {joint.name}", f"mimics {joint.mimic.joint}, which leads nowhere"
-                )
-            seen.add(source.name)
-            joint = source
+            offset += scale * joint.mimic.offset
+            scale *= joint.mimic.multiplier
+            leader = self.robot.joints.get(joint.mimic.joint)
+            if leader is None or leader.name in visited:
+                where = f"{self.robot.path}: joint {joint.name}"
+                raise ModelError(where, f"mimics {joint.mimic.joint}, which leads nowhere")
+            visited.add(leader.name)
+            joint = leader
         if joint.name in self.index:
             ratios[self.index[joint.name]] = scale
             return ratios, offset
         return ratios, offset + scale * self.config.locked_joints.get(joint.name, 0.0)
 
     def _attach(self, joint: Joint) -> None:
-        mount = self.frames[joint.parent].then(joint.R, joint.p)
+        mount = self.frames[joint.parent].compose(joint.R, joint.p)
         prismatic = joint.kind == "prismatic"
         if joint.kind != "fixed":
             ratios, offset = self._motion(joint)
             if ratios.any():
                 self.bodies.append(
-                    Body(joint.child, "link", np.zeros(SIZE), (), mount, joint.axis, prismatic, ratios, offset)
+                    Body(joint.child, "link", np.zeros(PI_SIZE), (), mount, joint.axis, prismatic, ratios, offset)
                 )
                 mount = Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3))
             elif prismatic:
-                mount = mount.then(np.eye(3), joint.axis * offset)
+                mount = mount.compose(np.eye(3), joint.axis * offset)
             else:
-                mount = mount.then(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
+                mount = mount.compose(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
         self._place(joint.child, mount)
 
     def _place(self, link: str, frame: Frame) -> None:
@@ -213,61 +222,64 @@ class _Builder:
         if link not in self.config.rotors:  # a rotor is no part of the body that carries it
             self._lump(link, self.robot.links[link], frame, self.config.bounding_ellipsoids.get(link, ()))
 
-    def _lump(self, link: str, pi: Array | None, frame: Frame, bounds: tuple[Bounding, ...]) -> None:
+    def _lump(self, link: str, pi: Array | None, frame: Frame, bounds: tuple[BoundingEllipsoid, ...]) -> None:
         if pi is not None:
             self.members.setdefault(frame.body, []).append(Member(link, pi, frame))
         for bounding in bounds:
-            self.ellipsoids.setdefault(frame.body, []).append(frame.of(bounding.ellipsoid()))
+            self.ellipsoids.setdefault(frame.body, []).append(frame.transform(bounding.to_ellipsoid()))
         for shape in self.config.bounding_shapes.get(link, ()):
-            solid = bounding_shape(shape, self.robot, link).moved(frame.R, frame.p)
+            solid = bounding_shape(shape, self.robot, link).transformed(frame.R, frame.p)
             self.shapes.setdefault(frame.body, []).append(solid)
 
-    def _drive(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
+    def _rotor_motion(self, name: str, rotor: RotorConfig) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a rotor's angle; no ratios where all that drives it is locked."""
-        ratios, offset = np.zeros(len(self.joints)), 0.0
-        turning = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed"}
+        ratios = np.zeros(len(self.joints))
+        offset = 0.0
+        not_fixed = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed"}
         for joint, gear_ratio in rotor.ratios.items():
-            if joint not in turning:
-                raise ConfigError(f"rotors.{name}", f"{joint} is no moving joint; {nearest(joint, turning)}")
-            share, rest = self._motion(turning[joint])
-            ratios += gear_ratio * share
-            offset += gear_ratio * rest
+            if joint not in not_fixed:
+                raise ConfigError(f"rotors.{name}", f"{joint} is no moving joint; {nearest(joint, not_fixed)}")
+            joint_ratios, joint_offset = self._motion(not_fixed[joint])
+            ratios += gear_ratio * joint_ratios
+            offset += gear_ratio * joint_offset
         return ratios, offset
 
     def _add_rotor(self, name: str, rotor: RotorConfig) -> None:
         if not name.isprintable():
             raise ConfigError(f"rotors.{name}", "is a name in characters that cannot be printed; give it another")
-        ratios, offset = self._drive(name, rotor)
-        mount, pi = self._rotor_mount(name, rotor), self._rotor_prior(name, rotor)
-        axis = np.asarray(rotor.axis) if rotor.axis is not None else self._axis_of(rotor, mount)
+        ratios, offset = self._rotor_motion(name, rotor)
+        mount = self._rotor_mount(name, rotor)
+        pi = self._rotor_prior(name, rotor)
+        axis = np.asarray(rotor.axis) if rotor.axis is not None else self._driven_axis(rotor, mount)
         axis = axis / np.linalg.norm(axis)
         bounds = self.config.bounding_ellipsoids.get(name, ())
         if rotor.bounding_ellipsoid is not None:
             bounds = (rotor.bounding_ellipsoid,)
         if not ratios.any():  # dead weight
-            turned = mount.then(Rotation.from_rotvec(axis * offset).as_matrix(), np.zeros(3))
-            self._lump(name, pi, turned, bounds)
+            locked = mount.compose(Rotation.from_rotvec(axis * offset).as_matrix(), np.zeros(3))
+            self._lump(name, pi, locked, bounds)
             return
+        shapes = self.config.bounding_shapes.get(name, ())
         own = Member(name, pi, Frame(len(self.bodies), np.eye(3), np.zeros(3)))
-        self.bodies.append(
-            Body(
-                name,
-                "rotor",
-                pi,
-                tuple(bounding.ellipsoid() for bounding in bounds),
-                mount,
-                axis,
-                False,
-                ratios,
-                offset,
-                members=(own,) if name in self.robot.links else (),
-                shapes=tuple(bounding_shape(s, self.robot, name) for s in self.config.bounding_shapes.get(name, ())),
-            )
+        rotor_body = Body(
+            name=name,
+            kind="rotor",
+            pi=pi,
+            ellipsoids=tuple(bound.to_ellipsoid() for bound in bounds),
+            mount=mount,
+            axis=axis,
+            prismatic=False,
+            ratios=ratios,
+            offset=offset,
+            members=(own,) if name in self.robot.links else (),
+            shapes=tuple(bounding_shape(shape, self.robot, name) for shape in shapes),
         )
+        self.bodies.append(rotor_body)
 
     def _rotor_mount(self, name: str, rotor: RotorConfig) -> Frame:
-        """Where the rotor's frame is: at its URDF link, as configured, or at the joint it drives."""
-        key, links = f"rotors.{name}", self.robot.links
+        """Frame of a rotor: that of its URDF link, the configured one, or that of the joint it drives."""
+        key = f"rotors.{name}"
+        links = self.robot.links
         if name in links:
             if name in {body.name for body in self.bodies}:
                 raise ConfigError(key, "bears the name of a moving link; give the rotor a name of its own")
@@ -280,36 +292,40 @@ class _Builder:
             return self.frames[name]
         if rotor.parent is not None and rotor.parent not in links:
             raise ConfigError(f"{key}.parent", f"{rotor.parent} is no link; {nearest(rotor.parent, links)}")
-        driven = self._driven(rotor)
+        driven = self._driven_joint(rotor)
         stator = self.frames[rotor.parent or driven.parent]
         if rotor.origin is not None:
-            return stator.then(Rotation.from_euler("xyz", rotor.origin.rpy).as_matrix(), np.asarray(rotor.origin.xyz))
+            return stator.compose(
+                Rotation.from_euler("xyz", rotor.origin.rpy).as_matrix(), np.asarray(rotor.origin.xyz)
+            )
         if rotor.parent in (None, driven.parent):
-            return stator.then(driven.R, driven.p)
+            return stator.compose(driven.R, driven.p)
         raise ConfigError(f"{key}.origin", "is missing; say where the rotor sits in its parent")
 
     def _rotor_prior(self, name: str, rotor: RotorConfig) -> Array:
         if rotor.inertial is not None:
-            return from_mass_com_inertia(rotor.inertial.mass, rotor.inertial.com, symmetric(rotor.inertial.inertia))
+            return from_mass_com_inertia(
+                rotor.inertial.mass, rotor.inertial.com, symmetric_matrix(rotor.inertial.inertia)
+            )
         pi = self.robot.links.get(name)
         if pi is None:
             hint = "is missing; give a rough mass and inertia, or name the rotor after its URDF link"
             raise ConfigError(f"rotors.{name}.inertial", hint)
         return pi
 
-    def _driven(self, rotor: RotorConfig) -> Joint:
+    def _driven_joint(self, rotor: RotorConfig) -> Joint:
         return self.robot.joints[next(iter(rotor.ratios))]
 
-    def _axis_of(self, rotor: RotorConfig, mount: Frame) -> Array:
+    def _driven_axis(self, rotor: RotorConfig, mount: Frame) -> Array:
         """The driven joint's axis in the rotor's frame, all joints at zero."""
-        joint = self._driven(rotor)
+        joint = self._driven_joint(rotor)
         return self._rotation(mount).T @ self._rotation(self.frames[joint.parent]) @ joint.R @ joint.axis
 
     def _rotation(self, frame: Frame) -> Array:
         """Orientation in the root link, moving joints at zero."""
         return frame.R if frame.body < 0 else self._rotation(self.bodies[frame.body].mount) @ frame.R
 
-    def _with_centres(self, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+    def _with_known_coms(self, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
         names = [body.name for body in bodies]
         for name in self.config.known_com:
             if name not in names:
@@ -317,13 +333,18 @@ class _Builder:
                 raise ConfigError(f"known_com: {name}", hint)
         return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
 
-    def _finished(self, index: int, body: Body) -> Body:
+    def _with_lumped_links(self, index: int, body: Body) -> Body:
         if body.kind == "rotor":
             return body
         members = tuple(self.members.get(index, ()))
         if not members or members[0].link != body.name:
-            own = Member(body.name, np.zeros(SIZE), Frame(index, np.eye(3), np.zeros(3)))
+            own = Member(body.name, np.zeros(PI_SIZE), Frame(index, np.eye(3), np.zeros(3)))
             members = (own, *members)
         pi = np.sum([member.pi_in_body for member in members], axis=0)
-        ellipsoids, shapes = tuple(self.ellipsoids.get(index, ())), tuple(self.shapes.get(index, ()))
-        return replace(body, pi=pi, members=members, ellipsoids=ellipsoids, shapes=shapes)
+        return replace(
+            body,
+            pi=pi,
+            members=members,
+            ellipsoids=tuple(self.ellipsoids.get(index, ())),
+            shapes=tuple(self.shapes.get(index, ())),
+        )

@@ -1,4 +1,4 @@
-"""What shows that a body can exist, four point masses in its ellipsoid, and what says why another can't.
+"""Proof that a body is realizable, four point masses in its ellipsoid, and the reasons why another is not.
 
 Letters: m, c, Sigma_C mass, centre of mass and second moment about it, mu (3,) eigenvalues of Sigma_C / m [m²];
 J, Q the pseudo-inertia and the homogeneous matrix of the ellipsoid S (paper, Thm 4).
@@ -14,31 +14,31 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, Inequality
-from idtool.robot.inertia import BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.inequality import REALIZABLE, Inequality
+from idtool.robot.inertia import J_BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
 
 _TOLERANCE = 1e-9  # of the body's own spread, and of its ellipsoid
 _ROUNDING = 16 * np.finfo(float).eps  # of moments about the origin, in those about the centre of mass
-_LIGHTEST = 1e-14  # of the body's mass: a point lighter than this has its place from rounding
-_FLATTEST = 1e-4  # of the longest semi-axis: what a flat body's ellipsoid is drawn with
-_THINNEST = 1e-6  # m, the same for a body that is a point
+_MIN_POINT_MASS = 1e-14  # of the body's mass: the position of a lighter point is rounding error
+_MIN_AXIS_RATIO = 1e-4  # of the longest semi-axis, for the ellipsoid of a flat body
+_MIN_SEMI_AXIS = 1e-6  # m, for the ellipsoid of a body that is a point
 
 _PAIR = np.array([[1.0, 1.0], [1.0, -1.0]])
 _HADAMARD = np.kron(_PAIR, _PAIR)
 # Tr(B_k D_l) = 1 for k = l, else 0, with B_k the basis of pseudo-inertias.
-_DUAL = np.tensordot(np.linalg.inv(np.einsum("kij,lji->kl", BASIS, BASIS)), BASIS, axes=1)
+_DUAL = np.tensordot(np.linalg.inv(np.einsum("kij,lji->kl", J_BASIS, J_BASIS)), J_BASIS, axes=1)
 
 
 @dataclass(frozen=True)
 class Witness:
-    """Four point masses.
+    """Four point masses with the parameters of a body.
 
     Attributes
     ----------
     masses
         Not negative [kg], shape (4,).
     points
-        Where they are, in the body's frame [m], shape (4, 3).
+        Positions in the body's frame [m], shape (4, 3).
     """
 
     masses: Array
@@ -58,9 +58,9 @@ class Violation:
     Attributes
     ----------
     label
-        What it demands.
+        The condition in words.
     amount
-        By how much it fails, without unit: in units of the body's mass and length.
+        By how much it fails, in units of the body's mass and length.
     text
         The same in words and SI units.
     """
@@ -71,8 +71,18 @@ class Violation:
 
 
 @dataclass(frozen=True)
-class _Spread:
-    """Mass, centre, mu (ascending) and its axes as columns, and how far below zero mu may be for a flat body [m²]."""
+class _MassDistribution:
+    """Mass, centre of mass and principal second moments of a body with a positive mass.
+
+    Attributes
+    ----------
+    mass, com
+        Mass [kg] and centre of mass [m].
+    mu, axes
+        Eigenvalues of Sigma_C / m, ascending [m²], and its eigenvectors as columns.
+    error
+        How far below zero mu may be for a flat body [m²].
+    """
 
     mass: float
     com: Array
@@ -81,16 +91,17 @@ class _Spread:
     error: float
 
     @classmethod
-    def of(cls, pi: Array) -> _Spread:
-        """Of a body with a positive mass."""
+    def from_parameters(cls, pi: Array) -> _MassDistribution:
         mass, com, inertia = mass_com_inertia(pi)
-        mu, axes = np.linalg.eigh((0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass)
+        Sigma_C = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        mu, axes = np.linalg.eigh(Sigma_C / mass)
         rounding = _ROUNDING * (com @ com + np.abs(pi[4:]).max() / mass)
         mu = np.where(np.abs(mu) <= rounding, 0.0, mu)
-        return cls(mass, com, mu, axes, float(_TOLERANCE * np.abs(mu).max() + rounding))
+        error = float(_TOLERANCE * np.abs(mu).max() + rounding)
+        return cls(mass, com, mu, axes, error)
 
 
-def witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
+def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     """Four point masses inside a body's ellipsoid that have its parameters (Thm 4).
 
     Let J = L Lᵀ and Lᵀ Q L = V diag(l) Vᵀ. With H the 4×4 Hadamard matrix, U = V H/2 is orthogonal, and every diagonal
@@ -115,10 +126,10 @@ def witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
         If no mass density in the ellipsoid has these parameters; the message says why.
     """
     pi = np.asarray(pi, dtype=float)
-    if reasons := explain(pi, ellipsoid):
+    if reasons := unrealizable_reasons(pi, ellipsoid):
         raise ValueError(f"no mass density has these parameters: {'; '.join(reasons)}")
-    body = _Spread.of(pi)
-    # A square root of J / m, block by block: no digits are lost on a body that is small or far from the origin.
+    body = _MassDistribution.from_parameters(pi)
+    # L is a square root of J / m, block by block: no digits are lost on a body that is small or far from the origin.
     L = np.eye(4)
     if ellipsoid is None:
         L[:3, :3] = body.axes * np.sqrt(np.maximum(body.mu, 0))
@@ -127,16 +138,18 @@ def witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     to_ball = ellipsoid.rotation.T / np.asarray(ellipsoid.semi_axes)[:, None]
     L[:3, :3] = to_ball @ body.axes * np.sqrt(np.maximum(body.mu, 0))
     L[:3, 3] = to_ball @ (body.com - ellipsoid.center)
-    V = np.linalg.eigh(L.T @ np.diag([-1.0, -1.0, -1.0, 1.0]) @ L)[1]
+    Q_ball = np.diag([-1.0, -1.0, -1.0, 1.0])
+    V = np.linalg.eigh(L.T @ Q_ball @ L)[1]
     Z = L @ V @ _HADAMARD / 2
-    light = Z[3] ** 2 <= _LIGHTEST
-    u = np.where(light, L[:3, 3:], Z[:3] / np.where(light, 1.0, Z[3]))
+    is_massless = Z[3] ** 2 <= _MIN_POINT_MASS
+    u = np.where(is_massless, L[:3, 3:], Z[:3] / np.where(is_massless, 1.0, Z[3]))  # points in the unit ball, (3, 4)
     u /= np.maximum(1.0, np.linalg.norm(u, axis=0))  # rounding may put a point of the surface beyond it
-    return Witness(body.mass * Z[3] ** 2, ellipsoid.center + (u.T * ellipsoid.semi_axes) @ ellipsoid.rotation.T)
+    points = ellipsoid.center + (u.T * ellipsoid.semi_axes) @ ellipsoid.rotation.T
+    return Witness(body.mass * Z[3] ** 2, points)
 
 
-def reach(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
-    """How many times as large, about its centre, the ellipsoid must be for the body to be realizable on it.
+def required_ellipsoid_scale(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
+    """Factor by which the ellipsoid must grow, about its centre, for the body to be realizable on it.
 
     √(1 − Tr(JQ)/m), the root of the mean over the body's mass of the squared distance from the ellipsoid's centre in
     semi-axes: some mass is at least as far as this. Beyond 1 the condition (25) is violated.
@@ -153,39 +166,39 @@ def reach(pi: ArrayLike, ellipsoid: Ellipsoid) -> float:
     The factor, 0 or more.
     """
     pi = np.asarray(pi, dtype=float)
-    body = _Spread.of(pi)
+    body = _MassDistribution.from_parameters(pi)
     to_ball = ellipsoid.rotation.T / np.asarray(ellipsoid.semi_axes)[:, None]
-    center = to_ball @ (body.com - ellipsoid.center)
-    spread = np.square(to_ball @ body.axes).sum(axis=0) @ body.mu
-    return float(np.sqrt(max(center @ center + spread, 0.0)))
+    com = to_ball @ (body.com - ellipsoid.center)
+    variance = np.square(to_ball @ body.axes).sum(axis=0) @ body.mu
+    return float(np.sqrt(max(com @ com + variance, 0.0)))
 
 
-def explain(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> list[str]:
-    """Why no mass density, or none within an ellipsoid, has these parameters.
+def unrealizable_reasons(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> list[str]:
+    """Reasons why no mass density, or none within an ellipsoid, has these parameters.
 
     Parameters
     ----------
     pi
         Parameters of the body, shape (10,).
     ellipsoid
-        What bounds its mass, in the body's frame; None: nothing does.
+        Bound of its mass, in the body's frame; None: unbounded.
 
     Returns
     -------
-    Each reason in words and SI units (Def. 4, (13), Thm 4); none for a body that can exist, its boundary cases (plate,
-    rod, point mass) included. Principal moments are about the centre of mass, I1 ≤ I2 ≤ I3.
+    Each reason in words and SI units (Def. 4, (13), Thm 4); none for a realizable body, the boundary cases (plate, rod,
+    point mass) included. Principal moments are about the centre of mass, I1 ≤ I2 ≤ I3.
     """
     pi = np.asarray(pi, dtype=float)
     if not np.isfinite(pi).all():
         return ["parameters are not finite"]
     if pi[0] <= 0:
         return [f"mass is not positive: {pi[0]:.4g} kg"]
-    reasons = _moments(_Spread.of(pi))
+    reasons = _principal_moment_reasons(_MassDistribution.from_parameters(pi))
     if ellipsoid is not None:
-        factor = reach(pi, ellipsoid)
+        factor = required_ellipsoid_scale(pi, ellipsoid)
         far = np.linalg.norm(ellipsoid.center) / min(ellipsoid.semi_axes)
         if factor**2 - 1 > _TOLERANCE + _ROUNDING * far**2:
-            reasons.append(f"{_outside(factor, 'ellipsoid')} (Tr(JQ)/m = {1 - factor**2:.3g})")
+            reasons.append(f"{_mass_outside(factor, 'ellipsoid')} (Tr(JQ)/m = {1 - factor**2:.3g})")
     return reasons
 
 
@@ -205,15 +218,15 @@ def violations(
     length
         A length typical of it [m].
     tolerance
-        What an inequality may fail by, in units of these: a plate is on the boundary, and rounding takes it beyond.
+        Violation that is ignored, in units of these: a plate is on the boundary, and rounding takes it beyond.
     """
     pi = np.asarray(pi, dtype=float)
-    found = []
+    violated = []
     for inequality in inequalities:
         margin = inequality.margin(pi, mass, length)
         if not margin >= -tolerance:
-            found.append(Violation(inequality.label, -margin, _words(pi, inequality, -margin)))
-    return found
+            violated.append(Violation(inequality.label, -margin, _violation_text(pi, inequality, -margin)))
+    return violated
 
 
 def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
@@ -234,15 +247,16 @@ def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
     """
     pi = np.asarray(pi, dtype=float)
     if not np.isfinite(pi).all() or pi[0] <= 0:
-        raise ValueError(f"no ellipsoid shows this body: {explain(pi)[0]}")
-    body = _Spread.of(pi)
+        raise ValueError(f"no ellipsoid shows this body: {unrealizable_reasons(pi)[0]}")
+    body = _MassDistribution.from_parameters(pi)
     semi_axes = np.sqrt(np.maximum(body.mu, 0))
-    least = max(_FLATTEST * semi_axes.max(), _THINNEST)
-    return Ellipsoid.along(body.com, np.maximum(semi_axes, least), body.axes * np.sign(np.linalg.det(body.axes)))
+    shortest = max(_MIN_AXIS_RATIO * semi_axes.max(), _MIN_SEMI_AXIS)
+    R = body.axes * np.sign(np.linalg.det(body.axes))
+    return Ellipsoid.from_axes(body.com, np.maximum(semi_axes, shortest), R)
 
 
-def _moments(body: _Spread) -> list[str]:
-    """Which principal moment is negative, or which triangle inequality fails: I1 + I2 < I3 alone can, once sorted."""
+def _principal_moment_reasons(body: _MassDistribution) -> list[str]:
+    """Principal moments that are negative, or the violated triangle inequality: of sorted ones, only I1 + I2 < I3."""
     if body.mu[0] >= -body.error:
         return []
     # I_i + I_j − I_k = 2 m mu_k (21), so that the least mu belongs to the greatest moment.
@@ -251,45 +265,48 @@ def _moments(body: _Spread) -> list[str]:
     if negative:
         return [f"principal moment I{i + 1} is negative: {moments[i]:.4g} kg·m²" for i in negative]
     short = 100 * (1 - (moments[0] + moments[1]) / moments[2])
-    digits = next(d for d in range(3, 18) if _holds(moments, d))
+    digits = next(d for d in range(3, 18) if _shows_violation(moments, d))
     first, second, third = (f"{moment:.{digits}g}" for moment in moments)
     return [f"I1 + I2 < I3: {first} + {second} < {third} kg·m² (by {short:.2g} %)"]
 
 
-def _holds(moments: Array, digits: int) -> bool:
-    """Whether the three moments, rounded to so many digits, still show I1 + I2 < I3."""
+def _shows_violation(moments: Array, digits: int) -> bool:
+    """True if the three moments, rounded to so many digits, still show I1 + I2 < I3."""
     first, second, third = (float(f"{moment:.{digits}g}") for moment in moments)
     return first + second < third or digits == 17
 
 
-def _outside(factor: float, shape: str) -> str:
-    """What a shape that must grow by a factor says of the mass."""
+def _mass_outside(factor: float, shape: str) -> str:
+    """Message on the mass outside a shape that would have to grow by a factor."""
     farther = f"{100 * (factor - 1):.3g} %"
     return f"some mass lies beyond its {shape}, at least {farther} farther from the centre than the surface"
 
 
-def _words(pi: Array, inequality: Inequality, amount: float) -> str:
+def _violation_text(pi: Array, inequality: Inequality, amount: float) -> str:
     """A violated inequality in words and SI units."""
-    if inequality is DENSITY and (reasons := explain(pi)):
+    if inequality is REALIZABLE and (reasons := unrealizable_reasons(pi)):
         return "; ".join(reasons)
     if inequality.G.ndim == 2 and pi[0] > 0:
         Q = np.tensordot(inequality.G.T, _DUAL, axes=1)
         mean = np.einsum("nij,ji->n", Q, pseudo_inertia(pi)) / pi[0]
         worst = int(np.argmin(mean))
-        if (factor := _growth(Q[worst], float(mean[worst]))) is not None:
-            return f"{_outside(factor, 'bounding shape')} (Tr(JQ)/m = {mean[worst]:.3g})"
+        factor = _required_scale(Q[worst], float(mean[worst]))
+        if factor is not None:
+            return f"{_mass_outside(factor, 'bounding shape')} (Tr(JQ)/m = {mean[worst]:.3g})"
     return f"{inequality.label}: short by {amount:.3g} in units of the body's mass and length"
 
 
-def _growth(Q: Array, mean: float) -> float | None:
-    """By which factor {x : [x; 1]ᵀ Q [x; 1] ≥ 0} must grow about its centre for the form's mean to be zero.
+def _required_scale(Q: Array, mean: float) -> float | None:
+    """Factor by which {x : [x; 1]ᵀ Q [x; 1] ≥ 0} must grow about its centre for the form's mean to be zero.
 
-    None for a shape without centre, as a half-space.
+    None for a shape without centre, such as a half-space.
     """
-    A, b = -Q[:3, :3], Q[:3, 3]
+    A = -Q[:3, :3]
+    b = Q[:3, 3]
     center = np.linalg.pinv(A, hermitian=True) @ b
-    middle = Q[3, 3] + b @ center
-    centred = np.linalg.eigvalsh(A)[0] >= -_TOLERANCE * np.abs(A).max() and np.allclose(A @ center, b)
-    if not A.any() or not centred or middle <= 0:
+    value_at_center = Q[3, 3] + b @ center
+    is_convex = np.linalg.eigvalsh(A)[0] >= -_TOLERANCE * np.abs(A).max()
+    has_center = A.any() and is_convex and np.allclose(A @ center, b)
+    if not has_center or value_at_center <= 0:
         return None
-    return float(np.sqrt(1 - mean / middle))
+    return float(np.sqrt(1 - mean / value_at_center))

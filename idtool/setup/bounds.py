@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from idtool.robot.body import Body
-from idtool.robot.bounding import as_config, bounding_ellipsoids
+from idtool.robot.bounding import bounding_ellipsoids, ellipsoids_config
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.model import Model
@@ -45,7 +45,7 @@ class Bounds:
 def find_bounds(robot: Robot, model: Model) -> Bounds:
     """The bounding ellipsoids of the links that move."""
     ellipsoids, reasons = bounding_ellipsoids(robot)
-    rounded = {link: _rounded(entries) for link, entries in as_config(ellipsoids).items()}
+    rounded = {link: _rounded(entries) for link, entries in ellipsoids_config(ellipsoids).items()}
     found: dict[str, Any] = {}
     unused: dict[str, Any] = {}
     missing = {}
@@ -62,7 +62,7 @@ def _unbounded(body: Body, ellipsoids: Mapping[str, Ellipsoid]) -> list[str]:
     """A body's links with mass that have no ellipsoid and whose centre of mass lies in no other's."""
     if body.kind != "link":
         return []
-    bounded = [member.frame.of(ellipsoids[member.link]) for member in body.members if member.link in ellipsoids]
+    bounded = [member.frame.transform(ellipsoids[member.link]) for member in body.members if member.link in ellipsoids]
     lacking = []
     for member in body.members:
         if member.link in ellipsoids or not member.pi[0] > 0:

@@ -104,7 +104,7 @@ class TrialEvaluator:
         try:
             theta = solve(regularization=held).theta
         except SolverError:  # data that no body explains, as of torque with the wrong sign
-            theta = solve(regularization=given.or_weak()).theta
+            theta = solve(regularization=given.fixed_or_weak()).theta
         held_out = self._part(self.held_out, equation)
         named = [(c.effect, c.owner) for c in equation.coefficients]
         values = dict(zip(named, theta.tolist(), strict=True))

@@ -175,7 +175,7 @@ def test_the_ellipsoids_hold_the_links_geometry(tmp_path: Path) -> None:
     assert set(config.bounding_ellipsoids) == set(LEG_LINKS)
     for link, (bound,) in config.bounding_ellipsoids.items():
         points = link_geometry(read_robot(LEG), link).points
-        assert bound.ellipsoid().contains(points).all()
+        assert bound.to_ellipsoid().contains(points).all()
         # The least one around a box has √3 times its half sides, here 5 % longer.
         expected = 1.05 * np.sqrt(3) * np.ptp(points, axis=0) / 2
         np.testing.assert_allclose(np.sort(bound.semi_axes), np.sort(expected), rtol=1e-3)

@@ -26,7 +26,7 @@ from commands import (
 
 from idtool import __version__
 from idtool.robot.config import read_config
-from idtool.robot.inertia import DIGITS
+from idtool.robot.inertia import WRITTEN_DIGITS
 from idtool.robot.urdf.reading import read_robot
 
 BODIES = {"abad_link", "thigh_link", "shank_link", "abad_rotor", "hip_rotor", "knee_rotor"}
@@ -51,7 +51,7 @@ BODY = {
     **{"ellipsoid_margin": None, "realizable": None, "identifiable": 10},
 }
 SOLVER = {"name": str, "status": str, "objective": float, "duality_gap": float, "iterations": int, "seconds": float}
-WRITTEN = 10.0 ** (1 - DIGITS)  # relative precision of what files hold
+WRITTEN = 10.0 ** (1 - WRITTEN_DIGITS)  # relative precision of what files hold
 VALIDATION = {"idtool", "schema", "band_hz", "rms", "rms_raw", "nrms", "simulation", "bound", "ok"}
 SIMULATION = {"kind", "position", "velocity", "baseline"}
 

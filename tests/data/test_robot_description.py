@@ -144,7 +144,7 @@ def test_two_bags_of_different_robots(tmp_path: Path) -> None:
 
 
 def test_a_description_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.robot.urdf.reading._MOST_BYTES", 1 << 10)
+    monkeypatch.setattr("idtool.robot.urdf.reading._MAX_BYTES", 1 << 10)
     with pytest.raises(ModelError, match="is larger than"):
         robot_and_logs(recorded(tmp_path, described(TEXT)), [])
 
@@ -178,7 +178,7 @@ def test_packages_are_looked_for_in_the_search_paths(tmp_path: Path, monkeypatch
     (tmp_path / "bags").mkdir()
     robot, _ = robot_and_logs(recorded(tmp_path / "bags", described(text)), [])
     found = link_geometry(robot, "l1")
-    assert (found.missing, len(found.read)) == ((), 2)
+    assert (found.unreadable, len(found.parts_read)) == ((), 2)
     np.testing.assert_allclose(np.abs(found.points).max(axis=0), [0.1, 0.2, 0.3])
     monkeypatch.delenv("AMENT_PREFIX_PATH")
-    assert "package://meshes2/box.stl is not found" in link_geometry(robot, "l1").missing[0]
+    assert "package://meshes2/box.stl is not found" in link_geometry(robot, "l1").unreadable[0]

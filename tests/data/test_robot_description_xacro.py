@@ -13,7 +13,7 @@ from descriptions import TEXT, same
 from idtool.common.exceptions import IdtoolError
 from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.urdf.reading import Robot, read_robot
-from idtool.robot.urdf.writing import JointDynamics, rewrite
+from idtool.robot.urdf.writing import JointDynamics, replace_parameters
 
 XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 BANNER = """\
@@ -62,7 +62,7 @@ def test_what_xacro_makes_is_read_and_kept(robot_of: Callable[[str | bytes], Rob
     robot = robot_of(text)
     assert same(robot, read_robot(LEG))
     pi = from_mass_com_inertia(2.5, np.array([0.01, 0.02, 0.03]), np.diag([0.1, 0.2, 0.25]))
-    new = rewrite(robot.text, {"thigh_link": pi}, {"knee": JointDynamics(damping=0.7)}).decode()
+    new = replace_parameters(robot.text, {"thigh_link": pi}, {"knee": JointDynamics(damping=0.7)}).decode()
     before, after = text.split(end), new.split(end)
     thigh, knee = '<link name="thigh_link">', '<joint name="knee"'
     assert (

@@ -22,7 +22,7 @@ from idtool.estimation.dataset.experiment import coefficients_of, prepare
 from idtool.estimation.fit import fit
 from idtool.reporting.fit_report import model_config
 from idtool.robot.config import EffectEntry, parse_config
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.urdf.reading import read_robot
 
 # The contract's parameters of the effects that are functions of the joints' state, section 6.
@@ -211,7 +211,7 @@ def test_the_written_model_reads_back_to_the_same_coefficients(tmp_path: Path) -
     done = fit(experiment, lambda stage, share: None)
     config = parse_config(yaml.safe_load(yaml.safe_dump(model_config(done))), "")
     again = coefficients_of(read_robot(urdf), config, experiment)
-    own = slice(SIZE * len(experiment.model.bodies), None)
+    own = slice(PI_SIZE * len(experiment.model.bodies), None)
     assert len(again[own]) == 4 + len(EVERY) + 3  # friction; ripples and drift have two each
     assert np.count_nonzero(done.estimate.theta[own]) > 12
     np.testing.assert_allclose(again[own], done.estimate.theta[own], rtol=1e-9, atol=1e-14)

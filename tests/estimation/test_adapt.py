@@ -17,7 +17,7 @@ from idtool.estimation.online import adapt as module
 from idtool.estimation.online.adapt import Adaptation, adapt, convergence, time_to
 from idtool.estimation.problem.estimate import estimate
 from idtool.reporting.adaptation_report import adaptation_report
-from idtool.robot.config import WEAK, read_config
+from idtool.robot.config import WEAK_PRIOR, read_config
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
 
@@ -52,10 +52,10 @@ def test_tighter_sets_converge_sooner_on_the_leg(leg: Experiment) -> None:
 
     With the plain distance: the other two keep to realizable bodies by themselves.
     """
-    leg = replace(leg, config=leg.config.model_copy(update={"regularization": WEAK}))
+    leg = replace(leg, config=leg.config.model_copy(update={"regularization": WEAK_PRIOR}))
     sets = [choose_set(body, "ellipsoid") for body in leg.model.bodies]
     reduction = leg.reduce(quiet)
-    target = estimate(leg.equation, leg.model.bodies, reduction, sets, WEAK, leg.equalities)
+    target = estimate(leg.equation, leg.model.bodies, reduction, sets, WEAK_PRIOR, leg.equalities)
     rows = weighted_rows(leg.equation, reduction, target.noise)[:, :-1]
     seconds: dict[str, float] = {}
     for name in ("none", "full", "ellipsoid"):

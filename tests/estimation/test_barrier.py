@@ -18,7 +18,7 @@ from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
-from idtool.robot.inequality import least
+from idtool.robot.inequality import smallest_value
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -63,7 +63,7 @@ def half_cost(problem: Problem, x: Array) -> float:
 
 def inside(problem: Problem, x: Array) -> None:
     for inequality in problem.inequalities:
-        assert least(inequality.value(x)) > inequality.interior, inequality.label
+        assert smallest_value(inequality.value(x)) > inequality.interior, inequality.label
     assert (x[problem.bounded] > problem.bounds).all()
 
 

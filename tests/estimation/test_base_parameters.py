@@ -18,7 +18,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, base_parameters, structural_base_parameters
 from idtool.robot.config import parse_config
-from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot, read_robot
 
@@ -117,7 +117,7 @@ def check(robot: Robot, rng: np.random.Generator, **config: Any) -> BaseParamete
 
 def combinations(model: Model, base: BaseParameters) -> dict[str, dict[str, float]]:
     """Each base parameter's name and the coefficients in it."""
-    names = [f"{body.name}.{name}" for body in model.bodies for name in NAMES]
+    names = [f"{body.name}.{name}" for body in model.bodies for name in PARAMETER_NAMES]
     rows = ({names[k]: row[k] for k in np.flatnonzero(row)} for row in base.B)
     return dict(zip((names[k] for k in base.own), rows, strict=True))
 
@@ -194,7 +194,7 @@ def test_friction_is_a_parameter_of_its_own(robot_of: ReadRobot, rng: np.random.
     model, equation = equation_of(robot_of(rooted(table_urdf(PUMA, rng))), friction=friction)
     base = structural_base_parameters(model, equation)
     assert len(base) == 36 + 3 * 6
-    others = base.B[:, SIZE * len(model.bodies) :]
+    others = base.B[:, PI_SIZE * len(model.bodies) :]
     assert np.abs(others).sum() == pytest.approx(3 * 6)
 
 
@@ -206,7 +206,7 @@ def test_copies_are_told_once(robot_of: ReadRobot, rng: np.random.Generator) -> 
     read = parse_config(RIGID | {"mirror": mirror}, "legs.yaml")
     model, equation = equation_of(robot)
     base = structural_base_parameters(model, equation, equality_constraints(read, model, equation))
-    assert not base.B[:, 3 * SIZE :].any()
+    assert not base.B[:, 3 * PI_SIZE :].any()
     assert len(base) < len(structural_base_parameters(model, equation)) == 2 * 17
 
 

@@ -24,7 +24,7 @@ from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.refinement import Refined
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot, read_robot
 
@@ -89,18 +89,18 @@ def test_another_statement_of_the_problem_has_the_same_optimum(tmp_path: Path, k
 def by_rows(s: Synthetic, tau: Array, kind: str, scale: Array) -> tuple[Array, float]:
     """The optimum of (27), theta and cost; deviations of bodies from the prior are measured by ``scale``."""
     bodies = s.model.bodies
-    others = cp.Variable(s.Y.shape[-1] - SIZE * len(bodies), nonneg=True)
+    others = cp.Variable(s.Y.shape[-1] - PI_SIZE * len(bodies), nonneg=True)
     constraints: list[cp.Constraint] = []
     whole = []
     for body in bodies:
         parts = list(body.ellipsoids) if kind in ("com_ellipsoid", "ellipsoid") else [None]
-        pis = [cp.Variable(SIZE) for _ in parts]
+        pis = [cp.Variable(PI_SIZE) for _ in parts]
         for pi, ellipsoid in zip(pis, parts, strict=True):
             constraints += members_of(kind, pi, ellipsoid)
         whole.append(sum(pis))
     theta = cp.hstack([*whole, others])
     rows = (s.Y / sigma(s)[:, None, None]).reshape(-1, s.Y.shape[-1])
-    held = SIZE * len(bodies)
+    held = PI_SIZE * len(bodies)
     deviation = (theta[:held] - s.linear.prior[:held]) / scale[:held]
     n = s.Y.shape[1]
     misfit = cp.sum_squares(rows @ theta - (tau / sigma(s)[:, None]).ravel()) / n
@@ -134,8 +134,8 @@ def test_the_gap_of_a_solution_is_how_much_its_cost_is_above_the_optimum(tmp_pat
     x, duals, multipliers = solved_with_duals(problem)
     best = problem.cost(problem.S @ x)
     assert abs(duality_gap(problem, x, duals, multipliers)) < GAP
-    bodies = [middle(body, problem.scale[SIZE * i :][:SIZE]) for i, body in enumerate(s.model.bodies)]
-    inside = np.concatenate([*bodies, x[SIZE * len(bodies) :]])
+    bodies = [middle(body, problem.scale[PI_SIZE * i :][:PI_SIZE]) for i, body in enumerate(s.model.bodies)]
+    inside = np.concatenate([*bodies, x[PI_SIZE * len(bodies) :]])
     gaps = []
     for share in (1e-3, 3e-3, 1e-2, 0.1, 1.0):
         other = x + share * (inside - x)
@@ -180,7 +180,7 @@ def test_dual_matrices_with_negative_eigenvalues_certify_nothing(tmp_path: Path)
     slope = problem.S.T @ (-2 * problem.A.T @ problem.b)  # of the cost where all coefficients are zero
     duals = []
     for matrix in problem.inequalities:
-        G, wanted = matrix.G.reshape(SIZE, -1), slope[matrix.first : matrix.first + SIZE]
+        G, wanted = matrix.G.reshape(PI_SIZE, -1), slope[matrix.first : matrix.first + PI_SIZE]
         duals.append(np.asarray(np.linalg.lstsq(G, wanted, rcond=None)[0], dtype=np.float64).reshape(4, 4))
     assert min(np.linalg.eigvalsh(Z)[0] for Z in duals) < 0
     nothing = problem.cost(np.zeros(len(problem.scale)))

@@ -27,11 +27,11 @@ from triangles import triangle_margin
 from idtool.estimation.problem.local import Chart, LogCholesky, Manifold, Residuals, spectral
 from idtool.estimation.problem.prior import LogDet
 from idtool.robot.inertia import (
-    SIZE,
+    PI_SIZE,
     from_mass_com_inertia,
     from_pseudo_inertia,
+    parameter_transform,
     pseudo_inertia,
-    transformation,
 )
 from idtool.robot.urdf.reading import Robot
 
@@ -44,7 +44,7 @@ def state(robot_of: Callable[[str], Robot]) -> State:
 
 def test_log_cholesky_is_that_of_pinocchio(rng: np.random.Generator) -> None:
     """Rucker & Wensing's closed form of pi and its Jacobian, as Pinocchio has them."""
-    y = rng.normal(size=(20, SIZE))
+    y = rng.normal(size=(20, PI_SIZE))
     chart = laid(LogCholesky, definite(rng, 20))
     theirs = [pin.LogCholeskyParameters(row) for row in y]
     pi = from_pseudo_inertia(chart.pseudo_inertias(y))
@@ -80,7 +80,7 @@ def test_every_body_is_described(kind: type[Chart], spread: float, rng: np.rando
 
 
 def test_only_bodies_are_described(rng: np.random.Generator) -> None:
-    y = 2 * rng.normal(size=(200, SIZE))
+    y = 2 * rng.normal(size=(200, PI_SIZE))
     for kind in CHARTS.values():
         chart = laid(kind, definite(rng, 200))
         J = chart.pseudo_inertias(np.maximum(y, chart.lower + 1e-6))
@@ -92,11 +92,11 @@ def test_frames(rng: np.random.Generator) -> None:
     """In another frame the manifold's m and mu stay and c and R go along; moved, log-Cholesky's t alone changes."""
     J = definite(rng, 5)
     R, p = rotation(rng), rng.normal(size=3)
-    seen = pseudo_inertia(from_pseudo_inertia(J) @ transformation(R, p).T)
+    seen = pseudo_inertia(from_pseudo_inertia(J) @ parameter_transform(R, p).T)
     here, there = laid(Manifold, J), laid(Manifold, seen)
     np.testing.assert_allclose(there.y[:, [0, 4, 5, 6]], here.y[:, [0, 4, 5, 6]], rtol=1e-10)
     np.testing.assert_allclose(there.y[:, 1:4], here.y[:, 1:4] @ R.T + p, atol=1e-10)
-    moved = pseudo_inertia(from_pseudo_inertia(J) @ transformation(np.eye(3), p).T)
+    moved = pseudo_inertia(from_pseudo_inertia(J) @ parameter_transform(np.eye(3), p).T)
     y, z = laid(LogCholesky, J).y, laid(LogCholesky, moved).y
     np.testing.assert_allclose(z, y + np.append(np.zeros(7), p), rtol=1e-8, atol=1e-10)
 
@@ -134,14 +134,14 @@ def test_residuals_are_the_cost_and_their_jacobian_its_derivative(state: State, 
             moved[body] = pi
             return np.array([problem.cost(moved)])
 
-        along = np.einsum("kij,ij->k", pseudo_inertia(np.eye(SIZE)), slope)
+        along = np.einsum("kij,ij->k", pseudo_inertia(np.eye(PI_SIZE)), slope)
         np.testing.assert_allclose(along, difference(cost, z[body])[0], rtol=1e-5, atol=1e-5 * np.abs(along).max())
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-7, 1e-3, 1e-2, 1.0, 5.0])
 def test_a_log_det_is_a_sum_of_squares(spread: float, rng: np.random.Generator) -> None:
     """At eigenvalues that are far apart, nearly one, nearly equal, and equal."""
-    G = pseudo_inertia(np.eye(SIZE))
+    G = pseudo_inertia(np.eye(PI_SIZE))
     term = LogDet(0, G, 0.7)
     for J in definite(rng, 10, spread):
         z = from_pseudo_inertia(J)

@@ -25,7 +25,7 @@ from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.inertia import PI_SIZE, pseudo_inertia
 from idtool.robot.sets import choose_set, constraint_sets
 from idtool.robot.urdf.reading import Robot
 
@@ -94,12 +94,12 @@ def state(robot_of: Callable[[str], Robot]) -> State:
 def cost_by_cvxpy(stated: Stated) -> float:
     """The least cost of (27), each body in units of its own mass and size."""
     s, scale = stated.s, stated.problem.scale
-    inertial = SIZE * len(s.model.bodies)
+    inertial = PI_SIZE * len(s.model.bodies)
     others = cp.Variable(len(scale) - inertial, nonneg=True)
     demands: list[Any] = []
     wholes = []
     for i, body in enumerate(s.model.bodies):
-        pi, own = whole_of(stated.set, body, float(scale[SIZE * i + 1] / scale[SIZE * i]))
+        pi, own = whole_of(stated.set, body, float(scale[PI_SIZE * i + 1] / scale[PI_SIZE * i]))
         demands += own
         wholes.append(pi)
     theta = cp.multiply(cp.hstack([*wholes, others]), scale)
@@ -110,7 +110,7 @@ def cost_by_cvxpy(stated: Stated) -> float:
     cost = cp.sum_squares(rows @ z - (stated.tau / stated.sigma[:, None]).ravel()) / n
     cost += HELD * cp.sum_squares(z - s.linear.prior / scale)
     for i, pi in enumerate(wholes):
-        cost += stated.prior.weight * distance(stated.prior.kind, pi, (s.linear.prior / scale)[SIZE * i :][:SIZE])
+        cost += stated.prior.weight * distance(stated.prior.kind, pi, (s.linear.prior / scale)[PI_SIZE * i :][:PI_SIZE])
     program = cp.Problem(cp.Minimize(cost), demands)
     return float(program.solve(solver=cp.CLARABEL, **ACCURATE))
 
@@ -118,11 +118,11 @@ def cost_by_cvxpy(stated: Stated) -> float:
 def facts(stated: Stated, theta: Any) -> list[Any]:
     """What the configuration knows exactly."""
     config, names = stated.s.config, [body.name for body in stated.s.model.bodies]
-    demands = [theta[SIZE * names.index(name)] == mass.value for name, mass in config.known.mass.items()]
+    demands = [theta[PI_SIZE * names.index(name)] == mass.value for name, mass in config.known.mass.items()]
     if config.known.total_mass is not None:
-        demands.append(cp.sum(theta[: SIZE * len(names) : SIZE]) == config.known.total_mass.value)
+        demands.append(cp.sum(theta[: PI_SIZE * len(names) : PI_SIZE]) == config.known.total_mass.value)
     for name, center in config.known_com.items():
-        first = SIZE * names.index(name)
+        first = PI_SIZE * names.index(name)
         demands += [theta[first + 1 + k] == theta[first] * c for k, c in enumerate(center)]
     return demands
 
@@ -141,7 +141,8 @@ def distance(kind: str, pi: Any, prior: Array) -> Any:
 def whole_of(name: str, body: Body, unit: float) -> tuple[Any, list[Any]]:
     """A body's parameters in its own units, and what its set demands of them there."""
     bounds = [
-        Ellipsoid.along(np.divide(e.center, unit), np.divide(e.semi_axes, unit), e.rotation) for e in body.ellipsoids
+        Ellipsoid.from_axes(np.divide(e.center, unit), np.divide(e.semi_axes, unit), e.rotation)
+        for e in body.ellipsoids
     ]
     if name == "points":
         places = np.concatenate([e.grid(120 // len(bounds)) for e in bounds])
@@ -150,7 +151,7 @@ def whole_of(name: str, body: Body, unit: float) -> tuple[Any, list[Any]]:
         moments = [y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
         pi = np.array([np.ones_like(x), x, y, z, *moments]) @ masses
         return pi, [inside(J_of(pi))]
-    parts: list[Any] = [cp.Variable(SIZE) for _ in (bounds if "ellipsoid" in name else [None])]
+    parts: list[Any] = [cp.Variable(PI_SIZE) for _ in (bounds if "ellipsoid" in name else [None])]
     demands = []
     for pi, ellipsoid in zip(parts, bounds, strict=False):
         center = None if body.com is None else np.divide(body.com, unit)

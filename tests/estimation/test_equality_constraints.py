@@ -15,7 +15,7 @@ from synthetic import Synthetic, synthetic
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.estimation.dataset.weights import free_noise
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def arm(robot_of: Robots) -> Callable[..., Synthetic]:
     return make
 
 
-MASSES = SIZE * np.arange(3)
+MASSES = PI_SIZE * np.arange(3)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
@@ -112,7 +112,7 @@ def test_a_known_centre_of_mass_is_met(arm: Callable[..., Synthetic], kind: str)
 
 
 def test_a_centre_that_is_known_rightly_is_no_hindrance(arm: Callable[..., Synthetic]) -> None:
-    pi = arm().theta[:SIZE]
+    pi = arm().theta[:PI_SIZE]
     s = arm(known_com={"link1": (pi[1:4] / pi[0]).tolist()})
     ours = fit(s, s.tau, kind="known_com")
     np.testing.assert_allclose(s.Y @ ours.theta, s.tau, rtol=0, atol=1e-6 * np.abs(s.tau).max())
@@ -165,7 +165,7 @@ def covariance(X: Array) -> Array:
 
 def seen_columns(s: Synthetic) -> tuple[Array, NDArray[np.intp]]:
     """The rows of all joints in the columns of masses and friction, and which these are."""
-    seen = np.concatenate([MASSES, np.arange(3 * SIZE, len(s.theta))])
+    seen = np.concatenate([MASSES, np.arange(3 * PI_SIZE, len(s.theta))])
     return s.Y[:, :, seen].reshape(-1, len(seen)), seen
 
 

@@ -14,7 +14,7 @@ from synthetic import Synthetic, bounds, synthetic
 
 from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE, pseudo_inertia
+from idtool.robot.inertia import PI_SIZE, pseudo_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
 
@@ -116,10 +116,10 @@ def test_friction_is_never_negative(data: Data, kind: str) -> None:
     for seed in range(4):
         s = data(seed)
         frictionless = s.theta.copy()
-        frictionless[SIZE * len(s.model.bodies) :] = 0
+        frictionless[PI_SIZE * len(s.model.bodies) :] = 0
         tau = s.Y @ frictionless
         tau += 0.3 * tau.std() * np.random.default_rng(seed).normal(size=tau.shape)
-        found.append(estimate_of(s, tau, kind).theta[SIZE * len(s.model.bodies) :])
+        found.append(estimate_of(s, tau, kind).theta[PI_SIZE * len(s.model.bodies) :])
     friction = np.concatenate(found)
     assert (friction >= 0).all()
     assert np.count_nonzero(friction < 1e-5) > 4
@@ -138,8 +138,8 @@ def test_every_body_is_the_sum_of_parts_within_their_ellipsoids(data: Data, each
         s = data(seed, count=60, each=each)
         ours = estimate_of(s, s.noisy(3.0), "ellipsoid")
         for i, (body, parts) in enumerate(zip(s.model.bodies, ours.pieces, strict=True)):
-            pi = ours.theta[SIZE * i : SIZE * (i + 1)]
-            assert parts.shape == (each, SIZE)
+            pi = ours.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
+            assert parts.shape == (each, PI_SIZE)
             np.testing.assert_allclose(parts.sum(axis=0), pi, rtol=1e-12, atol=1e-15)
             assert all(in_ellipsoid(p, S.Q) for p, S in zip(parts, body.ellipsoids, strict=True))
             assert np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0

@@ -22,7 +22,7 @@ from idtool.estimation.uncertainty.identifiability import Identifiability, Param
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.reporting.uncertainty_report import basis_text, combination_name
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import NAMES, SIZE
+from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -210,7 +210,7 @@ def ask_forked(robot_of: Robots, inflated: float = 1.0, kind: str = "none", **co
 
 def test_a_body_that_rests_is_the_priors(robot_of: Robots) -> None:
     asked = ask_forked(robot_of)
-    for name in NAMES:
+    for name in PARAMETER_NAMES:
         basis = asked.of("l2", name)
         assert (basis.information_source, basis.moves_with, basis.range) == ("prior", (), (None, None))
         assert (basis.data, basis.constraints, basis.prior) == pytest.approx((0, 0, 1), abs=1e-6)
@@ -348,7 +348,7 @@ def test_a_copy_rests_on_what_its_original_does(robot_of: Robots) -> None:
     names = ("FL", "FR")
     s = legs(robot_of, names, count=60, friction=NO_FRICTION, mirror=copies(names, joints=False))
     asked = ask(s, "ellipsoid", noise=0.3)
-    signs = image(np.ones(SIZE), (1, -1, 1))
+    signs = image(np.ones(PI_SIZE), (1, -1, 1))
     for i in range(1, LENGTH + 1):
         own, copy = of_body(s, f"FL_link{i}"), of_body(s, f"FR_link{i}")
         for k, sign in enumerate(signs):
@@ -366,7 +366,7 @@ def test_a_copy_rests_on_what_its_original_does(robot_of: Robots) -> None:
             assert low is None or low <= theta + 1e-6
             assert high is None or theta <= high + 1e-6
     assert any(basis.range[0] is not None for basis in asked.answer.sources)
-    assert any(basis.moves_with for basis in asked.answer.sources[SIZE * LENGTH :])
+    assert any(basis.moves_with for basis in asked.answer.sources[PI_SIZE * LENGTH :])
 
 
 def test_both_legs_data_count_for_a_copy(robot_of: Robots) -> None:
@@ -378,7 +378,7 @@ def test_both_legs_data_count_for_a_copy(robot_of: Robots) -> None:
     sigma = np.repeat([0.01, 1.0], LENGTH)
     moved = ask(replace(s, Y=Y), "full", sigma=sigma)
     assert moved.answer.determined.all()
-    copied = moved.answer.sources[SIZE * LENGTH :]
+    copied = moved.answer.sources[PI_SIZE * LENGTH :]
     assert any(basis.information_source == "data" for basis in copied)
 
 

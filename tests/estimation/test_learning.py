@@ -23,7 +23,7 @@ from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study import learning
 from idtool.estimation.study.learning import Pool, counts, gather, held_out, learn, rms, violation
 from idtool.robot.config import read_config
-from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import read_robot
 
@@ -210,7 +210,7 @@ def stating(leg: Experiment, total: Reduction, names: tuple[str, ...]) -> State:
 
     def of(name: str) -> Any:
         sets = [choose_set(body, name) for body in leg.model.bodies]
-        regularization = leg.config.regularization.or_weak()
+        regularization = leg.config.regularization.fixed_or_weak()
         return lambda data: build_problem(
             leg.equation, leg.model.bodies, data, sets, regularization, noise, leg.equalities
         )
@@ -233,7 +233,7 @@ def test_the_violation_is_the_worst_bodys_least_eigenvalue(leg: Experiment, gath
     for least, body in ((-0.2, 3), (-0.7, 1)):
         sigma = np.diag([0.5, 0.5, least])
         pi = from_mass_com_inertia(1.0, np.zeros(3), np.trace(sigma) * np.eye(3) - sigma)
-        z[SIZE * body : SIZE * (body + 1)] = pi
+        z[PI_SIZE * body : PI_SIZE * (body + 1)] = pi
         assert violation(problem, z) == pytest.approx(-least, rel=1e-12)
 
 

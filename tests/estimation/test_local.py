@@ -32,14 +32,14 @@ from idtool.estimation.problem.local import LOCAL, LogCholesky, Manifold, Residu
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import build_problem
 from idtool.estimation.problem.variables import INTERIOR
-from idtool.robot.config import WEAK, Regularization, read_config
+from idtool.robot.config import WEAK_PRIOR, Regularization, read_config
 from idtool.robot.inertia import (
-    POWERS,
-    SIZE,
+    LENGTH_POWERS,
+    PI_SIZE,
     from_mass_com_inertia,
     from_pseudo_inertia,
+    parameter_transform,
     pseudo_inertia,
-    transformation,
 )
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot, read_robot
@@ -127,7 +127,7 @@ def test_coinciding_moments_are_no_trap(rng: np.random.Generator) -> None:
     """From a ball, any turn changes nothing; the cost's slope shows which axes lead on."""
     target = from_pseudo_inertia(np.diag([1.0, 1, 1, 2]) + 0.3 * np.eye(4)[[1, 0, 2, 3]] * [1, 1, 0, 0])
     ball = from_pseudo_inertia(np.diag([1.0, 1, 1, 2]))
-    problem = one_body(np.eye(SIZE), target)
+    problem = one_body(np.eye(PI_SIZE), target)
     blind = laid(Manifold, pseudo_inertia(ball)[None])
     v = blind.y.ravel()
     residuals = Residuals(problem)
@@ -139,7 +139,7 @@ def test_coinciding_moments_are_no_trap(rng: np.random.Generator) -> None:
 def test_a_chart_laid_anew_leads_on(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """To an optimum on the boundary, that one run of scipy does not come near."""
     rng = np.random.default_rng(seed)
-    A = np.linalg.qr(rng.normal(size=(SIZE, SIZE)))[0] * np.exp(rng.uniform(-2, 2, SIZE))
+    A = np.linalg.qr(rng.normal(size=(PI_SIZE, PI_SIZE)))[0] * np.exp(rng.uniform(-2, 2, PI_SIZE))
     J = rng.normal(size=(4, 4))
     problem, ball = one_body(A, A @ from_pseudo_inertia(J + J.T)), from_pseudo_inertia(np.diag([1.0, 1, 1, 2]))
     often = solve_locally(problem, "manifold", ball)[1].duality_gap
@@ -164,8 +164,8 @@ def test_another_frame_leads_to_the_same_body(state: State, name: str, rng: np.r
     problem, start = state("pullback", 1.0)
     T = np.eye(problem.variables)
     for part in problem.pieces:
-        own = slice(part.first, part.first + SIZE)
-        T[own, own] = transformation(rotation(rng), 0.5 * rng.normal(size=3))
+        own = slice(part.first, part.first + PI_SIZE)
+        T[own, own] = parameter_transform(rotation(rng), 0.5 * rng.normal(size=3))
     elsewhere = replace(problem, A=problem.A @ np.linalg.inv(T))
     np.testing.assert_allclose(LOCAL[name](elsewhere, T @ start).x, T @ LOCAL[name](problem, start).x, atol=1e-5)
 
@@ -182,7 +182,7 @@ def test_a_start_that_no_body_can_have(state: State, name: str, start: str) -> N
     elif start == "negative mass":
         z[bodies] *= -1
     elif start == "point masses":
-        z[bodies] = POWERS == 0
+        z[bodies] = LENGTH_POWERS == 0
     else:
         z[problem.other_coefficients] = -1
     np.testing.assert_allclose(LOCAL[name](problem, z).x, x, atol=1e-5)
@@ -194,10 +194,10 @@ def test_a_step_beyond_all_numbers_is_taken_back(weight: float) -> None:
     far = np.array([500.0, 0, 0])
     A = np.diag([1.0] + [1e-4] * 9)
     target, start = (from_mass_com_inertia(m, far, m * np.eye(3)) for m in (1e4, 1.0))
-    term = LogDet(0, pseudo_inertia(np.eye(SIZE)), weight)
+    term = LogDet(0, pseudo_inertia(np.eye(PI_SIZE)), weight)
     problem = replace(one_body(A, A @ target), log_dets=(term,))
     chart = laid(LogCholesky, pseudo_inertia(start)[None])
-    beyond = chart.y.ravel() + 1e4 * (np.arange(SIZE) == 0)
+    beyond = chart.y.ravel() + 1e4 * (np.arange(PI_SIZE) == 0)
     with np.errstate(all="ignore"):
         assert not np.isfinite(Residuals(problem).value(beyond, chart)).any()
     x = LOCAL["log_cholesky"](problem, start).x
@@ -209,7 +209,7 @@ def test_a_step_beyond_all_numbers_is_taken_back(weight: float) -> None:
 def test_other_sets_are_refused(robot_of: Callable[[str], Robot], name: str, kind: str) -> None:
     rng = np.random.default_rng(0)
     robot = robot_of(random_urdf(rng, size=3, kinds=("revolute",), mimic=0, massless=0))
-    problem, start = stated(synthetic(rng, robot, 60, bounds(rng, robot)), kind, WEAK, 1.0)
+    problem, start = stated(synthetic(rng, robot, 60, bounds(rng, robot)), kind, WEAK_PRIOR, 1.0)
     with pytest.raises(SolverError, match=rf"^solver\.name: {name} knows only constraints: full, and link\d has"):
         LOCAL[name](problem, start)
 

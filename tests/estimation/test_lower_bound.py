@@ -18,7 +18,7 @@ from idtool.estimation.problem.certificate import GAP, lower_bound
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
-from idtool.robot.inequality import least
+from idtool.robot.inequality import smallest_value
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -83,7 +83,7 @@ def check_feasible(problem: Problem, x: Array) -> None:
     """In the sets, above the bounds, and what is exact met."""
     assert np.abs(problem.E @ (problem.S @ x) - problem.e).max(initial=0) < 1e-9
     assert (x[problem.bounded] >= problem.bounds).all()
-    assert min(least(i.value(x)) for i in problem.inequalities) >= 0
+    assert min(smallest_value(i.value(x)) for i in problem.inequalities) >= 0
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -14,7 +14,7 @@ from sentences import sentences
 from synthetic import points_in
 
 from idtool.estimation.dataset.equality_constraints import with_equal_bounds
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def test_a_copy_is_its_originals_image_whatever_the_data(robot_of: Robots) -> No
         for name, signs in LEGS.items():
             own = of_body(s, f"{name}_link{i}")
             np.testing.assert_allclose(ours.theta[own], image(original, signs), rtol=1e-12, atol=1e-15)
-            np.testing.assert_allclose(ours.pieces[own.start // SIZE].sum(axis=0), ours.theta[own], atol=1e-12)
+            np.testing.assert_allclose(ours.pieces[own.start // PI_SIZE].sum(axis=0), ours.theta[own], atol=1e-12)
 
 
 def test_in_pinocchio_a_mirrored_leg_takes_the_same_torque(robot_of: Robots) -> None:
@@ -50,7 +50,7 @@ def test_in_pinocchio_a_mirrored_leg_takes_the_same_torque(robot_of: Robots) -> 
     bodies = [b.name for b in s.model.bodies]
     q, v, a = np.random.default_rng(1).normal(size=(3, LENGTH))
     Y = reference.regressor(bodies, *(np.tile(x, len(names)) for x in (q, v, a)))
-    torque = (Y @ theta[: SIZE * len(bodies)]).reshape(len(names), LENGTH)
+    torque = (Y @ theta[: PI_SIZE * len(bodies)]).reshape(len(names), LENGTH)
     assert np.abs(torque[0]).min() > 1e-3
     np.testing.assert_allclose(torque, np.tile(torque[0], (len(names), 1)), rtol=1e-9)
 

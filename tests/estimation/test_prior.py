@@ -19,7 +19,7 @@ from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.problem.prior import LogDet, log_dets, moved_priors, prior_rows, realizable_prior
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import BASIS, SIZE, pseudo_inertia
+from idtool.robot.inertia import J_BASIS, PI_SIZE, pseudo_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
 
@@ -64,7 +64,7 @@ def scales(s: Synthetic) -> Array:
 def priors(s: Synthetic) -> list[Array]:
     """What the geometric distances are from, body by body."""
     return [
-        realizable_prior(body.pi, own) for body, own in zip(s.model.bodies, scales(s).reshape(-1, SIZE), strict=True)
+        realizable_prior(body.pi, own) for body, own in zip(s.model.bodies, scales(s).reshape(-1, PI_SIZE), strict=True)
     ]
 
 
@@ -75,7 +75,7 @@ def near(s: Synthetic, rng: np.random.Generator, spread: float) -> Array:
         root = np.linalg.cholesky(pseudo_inertia(prior))
         change = rng.normal(size=(4, 4))
         J = root @ (np.eye(4) + 0.5 * spread * (change + change.T)) @ root.T
-        found.append(np.linalg.lstsq(BASIS.reshape(SIZE, -1).T, J.ravel(), rcond=None)[0])
+        found.append(np.linalg.lstsq(J_BASIS.reshape(PI_SIZE, -1).T, J.ravel(), rcond=None)[0])
     return np.concatenate(found)
 
 
@@ -96,7 +96,7 @@ def test_each_distance_is_what_it_is_called(robot: Callable[..., Synthetic], rng
     s = robot()
     for spread in (1e-3, 0.05, 0.15):
         theta = near(s, rng, spread)
-        pairs = list(zip(theta.reshape(-1, SIZE), priors(s), strict=True))
+        pairs = list(zip(theta.reshape(-1, PI_SIZE), priors(s), strict=True))
         deviation = (theta - s.linear.prior) / scales(s)
         expected = {
             "none": 0.0,
@@ -112,7 +112,7 @@ def test_each_distance_is_what_it_is_called(robot: Callable[..., Synthetic], rng
 def test_copies_are_held_to_their_own_priors(robot: Callable[..., Synthetic], rng: np.random.Generator) -> None:
     s = robot(mirror=[{"body": "link3", "of": "link1", "plane": "yz"}])
     theta = s.equalities.K @ near(s, rng, 0.02)[s.equalities.free]
-    pairs = list(zip(theta.reshape(-1, SIZE), priors(s), strict=True))
+    pairs = list(zip(theta.reshape(-1, PI_SIZE), priors(s), strict=True))
     value = distance(s, "entropic", theta, known=s.equalities)
     assert value == pytest.approx(0.3 * sum(bregman(pi, prior) for pi, prior in pairs), rel=1e-9)
 
@@ -127,18 +127,18 @@ def test_at_the_prior_every_distance_is_zero(robot: Callable[..., Synthetic]) ->
 def test_beyond_what_bodies_can_be_the_divergence_is_infinite(robot: Callable[..., Synthetic]) -> None:
     s = robot()
     theta = np.concatenate(priors(s))
-    theta[SIZE] *= -1
+    theta[PI_SIZE] *= -1
     assert distance(s, "entropic", theta) == np.inf
 
 
 @given(seeds)
 def test_the_divergences_gradient_is_that_of_finite_differences(rng: np.random.Generator) -> None:
     spread = rng.normal(size=(4, 4))
-    term = LogDet(2, (np.eye(4) + 0.2 * spread) @ BASIS @ (np.eye(4) + 0.2 * spread).T, rng.uniform(0.1, 10))
+    term = LogDet(2, (np.eye(4) + 0.2 * spread) @ J_BASIS @ (np.eye(4) + 0.2 * spread).T, rng.uniform(0.1, 10))
     z = rng.normal(size=15)
     z[term.z_slice] = point_parameters(rng.uniform(0.5, 1, 6), rng.normal(size=(6, 3)))
     step = 1e-5
-    numeric = [(term.value(z + step * e) - term.value(z - step * e)) / (2 * step) for e in np.eye(15)[2 : 2 + SIZE]]
+    numeric = [(term.value(z + step * e) - term.value(z - step * e)) / (2 * step) for e in np.eye(15)[2 : 2 + PI_SIZE]]
     exact = term.gradient(z)
     np.testing.assert_allclose(exact, numeric, rtol=1e-4, atol=1e-5 * np.abs(exact).max())
 
@@ -173,21 +173,23 @@ def test_the_entropic_estimate_is_the_least_that_scipy_finds(robot: Callable[...
     J_hat = [np.linalg.inv(pseudo_inertia(prior)) for prior in priors(s)]
 
     def cost(z: Array) -> float:
-        if min(np.linalg.eigvalsh(pseudo_inertia(pi))[0] for pi in (unit * z).reshape(-1, SIZE)) <= 0:
+        if min(np.linalg.eigvalsh(pseudo_inertia(pi))[0] for pi in (unit * z).reshape(-1, PI_SIZE)) <= 0:
             return np.inf
-        pairs = zip((unit * z).reshape(-1, SIZE), priors(s), strict=True)
+        pairs = zip((unit * z).reshape(-1, PI_SIZE), priors(s), strict=True)
         return float(np.square(A @ (unit * z) - b).sum()) + weight * sum(bregman(pi, prior) for pi, prior in pairs)
 
     def slope(z: Array) -> Array:
-        bodies = zip((unit * z).reshape(-1, SIZE), J_hat, strict=True)
-        own = [np.einsum("kij,ji->k", BASIS, inverse - np.linalg.inv(pseudo_inertia(pi))) for pi, inverse in bodies]
+        bodies = zip((unit * z).reshape(-1, PI_SIZE), J_hat, strict=True)
+        own = [np.einsum("kij,ji->k", J_BASIS, inverse - np.linalg.inv(pseudo_inertia(pi))) for pi, inverse in bodies]
         return np.asarray(unit * (2 * A.T @ (A @ (unit * z) - b) + weight * np.concatenate(own)))
 
     def curvature(z: Array) -> Array:
         H = 2 * A.T @ A
-        for i, pi in enumerate((unit * z).reshape(-1, SIZE)):
-            Y = np.linalg.inv(pseudo_inertia(pi)) @ BASIS
-            H[SIZE * i : SIZE * (i + 1), SIZE * i : SIZE * (i + 1)] += weight * np.einsum("kij,lji->kl", Y, Y)
+        for i, pi in enumerate((unit * z).reshape(-1, PI_SIZE)):
+            Y = np.linalg.inv(pseudo_inertia(pi)) @ J_BASIS
+            H[PI_SIZE * i : PI_SIZE * (i + 1), PI_SIZE * i : PI_SIZE * (i + 1)] += weight * np.einsum(
+                "kij,lji->kl", Y, Y
+            )
         return np.asarray(unit[:, None] * H * unit)
 
     start = np.concatenate(priors(s)) / unit
@@ -211,9 +213,9 @@ def test_a_quadratic_prior_is_one_of_least_squares(robot: Callable[..., Syntheti
     if kind == "pullback":
         prior = np.concatenate(priors(s))
         for i, pi in enumerate(priors(s)):
-            X = np.linalg.solve(pseudo_inertia(pi), BASIS)
+            X = np.linalg.solve(pseudo_inertia(pi), J_BASIS)
             M = 0.5 * np.einsum("kij,lji->kl", X, X)
-            L[SIZE * i : SIZE * (i + 1), SIZE * i : SIZE * (i + 1)] = np.linalg.cholesky(M).T
+            L[PI_SIZE * i : PI_SIZE * (i + 1), PI_SIZE * i : PI_SIZE * (i + 1)] = np.linalg.cholesky(M).T
     pull = np.sqrt(1e-2)
     expected = np.linalg.lstsq(np.vstack([A, pull * L]), np.concatenate([b, pull * L @ prior]), rcond=None)[0]
     ours = fitted(s, tau, kind.replace("si", "euclidean"), 1e-2, "none", "si" if kind == "si" else "relative")
@@ -263,7 +265,7 @@ def test_a_prior_that_no_body_can_have_gives_way_to_one_well_inside(rng: np.rand
     rod = point_parameters(np.full(2, 0.5 * mass), 0.1 * rng.normal(size=(2, 3)))
     indefinite = rod + mass * length**2 * np.array([0, 0, 0, 0, *rng.normal(size=6)])
     rows = np.array([length, length, length, 1.0])
-    for pi in (point, rod, indefinite, np.zeros(SIZE)):
+    for pi in (point, rod, indefinite, np.zeros(PI_SIZE)):
         moved = realizable_prior(pi, unit)
         least = np.linalg.eigvalsh(pseudo_inertia(moved) / (mass * np.outer(rows, rows)))[0]
         assert least > 1e-4
@@ -280,7 +282,7 @@ def test_which_priors_were_moved_is_told(robot_of: Callable[[str], Robot], rng: 
     moved = moved_priors(s.linear, s.model.bodies, Regularization(kind="entropic"))
     assert moved_priors(s.linear, s.model.bodies, Regularization(kind="euclidean")) == ()
     assert "link2" in moved
-    for body, pi, own in zip(s.model.bodies, priors(s), scales(s).reshape(-1, SIZE), strict=True):
+    for body, pi, own in zip(s.model.bodies, priors(s), scales(s).reshape(-1, PI_SIZE), strict=True):
         assert (body.name in moved) == (not np.array_equal(pi, body.pi))
         assert np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0
         assert own[0] > 0

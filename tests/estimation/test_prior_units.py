@@ -15,7 +15,7 @@ from units import Frame, bounds_in_frames, bounds_in_units, in_frames, in_units
 from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import POWERS, SIZE, transformation
+from idtool.robot.inertia import LENGTH_POWERS, PI_SIZE, parameter_transform
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -93,8 +93,8 @@ def both_units(robot_of: Robots) -> Callable[..., float]:
         si = data(robot_of(text), config)
         tau = noisy(si)
         small = data(robot_of(in_units(text, mm, g)), bounds_in_units(config, mm))
-        np.testing.assert_allclose(small.linear.prior, si.linear.prior * np.tile(g * mm**POWERS, 3), rtol=1e-9)
-        there = estimate_of(small, tau * g * mm**2, *options) / np.tile(g * mm**POWERS, 3)
+        np.testing.assert_allclose(small.linear.prior, si.linear.prior * np.tile(g * mm**LENGTH_POWERS, 3), rtol=1e-9)
+        there = estimate_of(small, tau * g * mm**2, *options) / np.tile(g * mm**LENGTH_POWERS, 3)
         here = estimate_of(si, tau, *options)
         assert difference(here, si.linear.prior, si) > 0.1
         return difference(here, there, si)
@@ -131,10 +131,10 @@ def both_frames(robot_of: Robots) -> Callable[..., float]:
         }
         second = data(robot_of(in_frames(text, frames)), bounds_in_frames(config, frames))
         tau = noisy(first)
-        moved = [transformation(*frames[body.name]) for body in first.model.bodies]
+        moved = [parameter_transform(*frames[body.name]) for body in first.model.bodies]
         here, there = estimate_of(first, tau, *options), estimate_of(second, tau, *options)
-        back = np.concatenate([T @ pi for T, pi in zip(moved, there.reshape(-1, SIZE), strict=True)])
-        prior = np.concatenate([T @ pi for T, pi in zip(moved, second.linear.prior.reshape(-1, SIZE), strict=True)])
+        back = np.concatenate([T @ pi for T, pi in zip(moved, there.reshape(-1, PI_SIZE), strict=True)])
+        prior = np.concatenate([T @ pi for T, pi in zip(moved, second.linear.prior.reshape(-1, PI_SIZE), strict=True)])
         np.testing.assert_allclose(prior, first.linear.prior, atol=1e-12)
         np.testing.assert_allclose(second.Y @ there, first.Y @ back, rtol=1e-6, atol=1e-6)
         return difference(here, back, first)

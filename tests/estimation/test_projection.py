@@ -17,8 +17,8 @@ from idtool.estimation.problem.prior import realizable_prior
 from idtool.estimation.problem.projection import Metric, Projection, project
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import POWERS, from_mass_com_inertia, transformation
-from idtool.robot.metric import nearest_realizable, pullback
+from idtool.robot.inertia import LENGTH_POWERS, from_mass_com_inertia, parameter_transform
+from idtool.robot.metric import nearest_realizable, pullback_metric
 from idtool.robot.sets import constraint_sets
 from idtool.robot.shapes.box import Box
 
@@ -54,7 +54,7 @@ def set_of(kind: str) -> str:
 
 def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, reach: float = 0.8) -> Array:
     """Parameters of points of mass in each of the bounds, shrunk by ``reach``."""
-    inner = [Ellipsoid.along(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
+    inner = [Ellipsoid.from_axes(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
     places = np.concatenate([points_in(rng, e, count) for e in inner])
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 
@@ -73,7 +73,7 @@ def disturbed(rng: np.random.Generator, body: Body, share: float = 0.5) -> Array
 def metric_at(body: Body, pi: Array, metric: Metric) -> Array:
     """Shape (10, 10), in units of the body."""
     unit = parameter_scales(body, float(pi[0]))
-    return np.eye(10) if metric == "euclidean" else unit[:, None] * pullback(realizable_prior(pi, unit)) * unit
+    return np.eye(10) if metric == "euclidean" else unit[:, None] * pullback_metric(realizable_prior(pi, unit)) * unit
 
 
 def members(rng: np.random.Generator, body: Body, kind: str) -> Array:
@@ -103,7 +103,7 @@ def is_member(body: Body, kind: str, found: Projection, tolerance: float) -> boo
     if kind == "known_com":
         assert np.abs(found.pi[1:4] / found.pi[0] - body.com).max() < 1e-7 * typical_length(body)
     if kind == "points":
-        basis, weight = pieces[0].basis, typical_length(body) ** -POWERS / found.pi[0]
+        basis, weight = pieces[0].basis, typical_length(body) ** -LENGTH_POWERS / found.pi[0]
         return float(nnls(basis * weight[:, None], found.pi * weight)[1]) < 1e-6
     mass = float(unit[0])
     pairs = zip(found.pieces, pieces, strict=True)
@@ -197,10 +197,10 @@ def test_the_solver_and_the_closed_form_agree(rng: np.random.Generator, kind: st
 
 def moved(body: Body, pi: Array, R: Array, p: Array, size: float, mass: float) -> tuple[Body, Array]:
     """The same body in a frame in which its own sits at R, p, in units of which ``size`` are a metre."""
-    to = size**POWERS * mass
-    T = transformation(R, p)
+    to = size**LENGTH_POWERS * mass
+    T = parameter_transform(R, p)
     bounds = tuple(
-        Ellipsoid.along(size * (R @ e.center + p), size * np.array(e.semi_axes), R @ e.rotation)
+        Ellipsoid.from_axes(size * (R @ e.center + p), size * np.array(e.semi_axes), R @ e.rotation)
         for e in body.ellipsoids
     )
     return replace(body, ellipsoids=bounds, pi=to * (T @ body.pi)), to * (T @ pi)

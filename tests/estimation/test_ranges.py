@@ -21,7 +21,7 @@ from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.uncertainty.ranges import free_spread, ranges
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -125,7 +125,7 @@ def assert_as_by_cvxpy(problem: Problem, x: Array, wanted: list[int]) -> Array:
 def test_ranges_are_what_cvxpy_finds(robot_of: Robots, case: str) -> None:
     """Of some parameters of each body and of every friction coefficient."""
     s, problem, x = stated(robot_of, CASES[case])
-    wanted = [0, 3, 6, SIZE, SIZE + 5, *problem.other_coefficients.tolist()]
+    wanted = [0, 3, 6, PI_SIZE, PI_SIZE + 5, *problem.other_coefficients.tolist()]
     found = assert_as_by_cvxpy(problem, x, wanted)
     inner = free_spread(problem, x)[wanted] / problem.scale[wanted]
     widths = np.diff(found, axis=1)[:, 0] / 2 / problem.scale[wanted]
@@ -142,7 +142,7 @@ def test_friction_that_is_held_at_zero_goes_up_alone(robot_of: Robots) -> None:
     robot = robot_of(random_urdf(rng, size=2, kinds=("revolute",), mimic=0, massless=0))
     s = synthetic(rng, robot, 60, bounds(rng, robot))
     theta = s.theta.copy()
-    theta[2 * SIZE :] = 0.0
+    theta[2 * PI_SIZE :] = 0.0
     s = replace(s, theta=theta)
     sets = [choose_set(body, "ellipsoid") for body in s.model.bodies]
     tau, sigma = s.noisy(1.0, 1), s.tau.std(axis=1)
@@ -178,7 +178,7 @@ def test_without_constraints_it_is_the_ellipsoids_half_width(robot_of: Robots) -
     scale, prior = problem.scale, s.linear.prior
     rows = (s.Y / sigma[:, None, None] / np.sqrt(60)).reshape(-1, len(scale)) * scale
     right = (s.noisy(1.0, 1) / sigma[:, None] / np.sqrt(60)).ravel()
-    pull = np.sqrt(np.where(np.arange(len(scale)) < 2 * SIZE, 1e-3 + 1e-8, 1e-8))
+    pull = np.sqrt(np.where(np.arange(len(scale)) < 2 * PI_SIZE, 1e-3 + 1e-8, 1e-8))
     W, b = np.concatenate([rows, np.diag(pull)]), np.concatenate([right, pull * prior / scale])
     z, (least,), _, _ = np.linalg.lstsq(W, b, rcond=None)
     half = scale * np.sqrt(ABOVE * least * np.diag(np.linalg.inv(W.T @ W)))
@@ -203,7 +203,7 @@ def test_a_robots_legs_are_ranged_as_if_together(robot_of: Robots, monkeypatch: 
     s = legs(robot_of, ("FL", "FR"), count=40, friction={"offset": False})
     sizes = spied_sizes(monkeypatch)
     problem, x = of_legs(s, s.equalities)
-    wanted = [0, 7, SIZE + 1, 2 * SIZE, 3 * SIZE + 4, problem.other_coefficients[0]]
+    wanted = [0, 7, PI_SIZE + 1, 2 * PI_SIZE, 3 * PI_SIZE + 4, problem.other_coefficients[0]]
     assert_as_by_cvxpy(problem, x, wanted)
     assert set(sizes) == {problem.variables // 2}
 
@@ -238,7 +238,7 @@ def test_what_ties_legs_together_is_minded(robot_of: Robots, monkeypatch: pytest
     s = legs(robot_of, names, count=40, friction={"offset": False}, **config)
     sizes = spied_sizes(monkeypatch)
     problem, x = of_legs(s, s.equalities)
-    wanted = [0, 7, SIZE, SIZE + 2, len(problem.scale) - 1]
+    wanted = [0, 7, PI_SIZE, PI_SIZE + 2, len(problem.scale) - 1]
     assert_as_by_cvxpy(problem, x, wanted)
     assert set(sizes) == {problem.variables}
 
@@ -248,16 +248,16 @@ def test_an_unseen_coefficient_has_no_end(robot_of: Robots) -> None:
     weak = Regularization(kind="none")
     s, problem, x = stated(robot_of, Case("none", weak))
     Y = s.Y.reshape(-1, s.Y.shape[-1])
-    felt = np.linalg.norm(Y[:, : 2 * SIZE], axis=0) > 1e-9
+    felt = np.linalg.norm(Y[:, : 2 * PI_SIZE], axis=0) > 1e-9
     assert not felt[0]  # the first body's mass, on a joint that turns about its origin
     found = asked(problem, x)
-    assert np.isinf(found[:SIZE][~felt[:SIZE]]).all()
+    assert np.isinf(found[:PI_SIZE][~felt[:PI_SIZE]]).all()
     W = Y / np.where(np.append(felt, [True] * 4), np.linalg.norm(Y, axis=0), np.inf)
     rank = np.linalg.matrix_rank(W)
     adds = [np.linalg.matrix_rank(np.delete(W, k, axis=1)) < rank for k in range(W.shape[1])]
     assert sum(adds) >= 4
     assert np.isfinite(found[adds]).all()
-    assert np.isinf(found[~np.array(adds)]).all(axis=1).sum() > SIZE
+    assert np.isinf(found[~np.array(adds)]).all(axis=1).sum() > PI_SIZE
     _, problem, x = stated(robot_of, Case("full", weak))
     found = asked(problem, x, [0])
     assert 0 <= found[0, 0] < np.inf
@@ -266,7 +266,7 @@ def test_an_unseen_coefficient_has_no_end(robot_of: Robots) -> None:
 
 def test_the_higher_the_level_the_wider(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
     _, problem, x = stated(robot_of, CASES["ellipsoid"])
-    wanted = [0, 4, SIZE, SIZE + 3, SIZE + 9]
+    wanted = [0, 4, PI_SIZE, PI_SIZE + 3, PI_SIZE + 9]
     widths = []
     for above in (1e-3, 1e-2, 1e-1):
         monkeypatch.setattr("idtool.estimation.uncertainty.ranges.ABOVE", above)
@@ -279,7 +279,7 @@ def test_the_higher_the_level_the_wider(robot_of: Robots, monkeypatch: pytest.Mo
 
 def test_the_tighter_the_set_the_narrower(robot_of: Robots) -> None:
     """At one level, which is the cost of a point in the tightest set."""
-    wanted = [0, 1, 4, SIZE, SIZE + 3, SIZE + 9]
+    wanted = [0, 1, 4, PI_SIZE, PI_SIZE + 3, PI_SIZE + 9]
     x = stated(robot_of, Case("ellipsoid"))[2]
     found = {}
     for name in ("none", "semi", "full", "com_ellipsoid", "ellipsoid"):
@@ -297,7 +297,7 @@ def test_a_static_moment_ends_where_the_ellipsoid_does(robot_of: Robots) -> None
     case = Case("ellipsoid", Regularization(kind="none"), config={"known": {"mass": {"link1": 1.3}}})
     s = stated(robot_of, case)[0]
     Y = s.Y.copy()
-    Y[:, :, :SIZE] = 0.0
+    Y[:, :, :PI_SIZE] = 0.0
     nothing = replace(s, Y=Y)
     sets = [choose_set(body, "ellipsoid") for body in s.model.bodies]
     tau = nothing.noisy(1.0)
@@ -317,7 +317,7 @@ def test_a_copys_range_is_its_originals(robot_of: Robots) -> None:
     s = legs(robot_of, names, count=40, friction={"offset": False}, mirror=copies(names))
     problem, x = of_legs(s, s.equalities)
     theta = problem.theta(problem.S @ x)
-    found = asked(problem, x, np.arange(LENGTH * SIZE))
+    found = asked(problem, x, np.arange(LENGTH * PI_SIZE))
     for i in range(1, LENGTH + 1):
         own, copy = of_body(s, f"FL_link{i}"), of_body(s, f"FR_link{i}")
         ends = image(found[own].T, (1, -1, 1))
@@ -338,7 +338,7 @@ def test_where_the_solver_gives_up_there_is_no_number(robot_of: Robots, monkeypa
 def test_ranges_come_in_the_order_asked_and_tell_how_far_they_are(robot_of: Robots) -> None:
     _, problem, x = stated(robot_of, CASES["full"])
     told: list[float] = []
-    wanted = [SIZE + 2, 3, 0]
+    wanted = [PI_SIZE + 2, 3, 0]
     found = ranges(problem, x, np.array(wanted), told.append)
     np.testing.assert_allclose(found, asked(problem, x, sorted(wanted))[::-1], rtol=1e-6)
     np.testing.assert_allclose(told, [1 / 3, 2 / 3, 1.0])

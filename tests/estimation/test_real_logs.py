@@ -18,7 +18,7 @@ from idtool.estimation.evaluation.validation import evaluate
 from idtool.estimation.problem.problem import weighted_rows
 from idtool.robot.config import read_config
 from idtool.robot.geometry import link_geometry
-from idtool.robot.inertia import symmetric
+from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.urdf.reading import read_robot
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"the real logs are not in {REAL}")
@@ -57,11 +57,13 @@ def test_go2s_ellipsoids_hold_the_meshes() -> None:
     """To a hundredth, the configuration's rounding aside."""
     robot, config = read_robot(GO2), read_config(GO2_YAML)
     read = {link: link_geometry(robot, link) for link in config.bounding_ellipsoids}
-    whole = {link: geometry.points for link, geometry in read.items() if geometry.read and not geometry.missing}
+    whole = {
+        link: geometry.points for link, geometry in read.items() if geometry.parts_read and not geometry.unreadable
+    }
     assert {"FL_thigh", "FR_thigh", "RL_thigh", "RR_thigh", "FL_calf", "RR_calf"} < set(whole)
     for link, points in whole.items():
         (bounding,) = config.bounding_ellipsoids[link]
-        assert bounding.ellipsoid().contains(points, tolerance=0.02).all(), link
+        assert bounding.to_ellipsoid().contains(points, tolerance=0.02).all(), link
 
 
 @pytest.mark.parametrize("cutoff", FREE)
@@ -108,7 +110,7 @@ def armature(config: Path, report: dict[str, Any], name: str) -> float:
     rotor = read_config(config).rotors[name]
     (ratio,) = rotor.ratios.values()
     axis = np.array(rotor.axis)
-    return float(ratio**2 * axis @ symmetric(report["bodies"][name]["inertia_com"]) @ axis)
+    return float(ratio**2 * axis @ symmetric_matrix(report["bodies"][name]["inertia_com"]) @ axis)
 
 
 def test_go2s_delay(go2: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from idtool.estimation.problem.projection import Metric, project
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import POWERS, from_mass_com_inertia, pseudo_inertia
+from idtool.robot.inertia import LENGTH_POWERS, from_mass_com_inertia, pseudo_inertia
 from idtool.robot.sets import choose_set
 from idtool.robot.shapes import Hull
 from idtool.robot.shapes.box import Box
@@ -33,7 +33,7 @@ seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 def mass_within(rng: np.random.Generator, *bounds: Ellipsoid, count: int = 8, reach: float = 0.8) -> Array:
     """Parameters of points of mass in each of the bounds, shrunk by ``reach``."""
-    inner = [Ellipsoid.along(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
+    inner = [Ellipsoid.from_axes(e.center, reach * np.array(e.semi_axes), e.rotation) for e in bounds]
     places = np.concatenate([points_in(rng, e, count) for e in inner])
     return point_parameters(rng.uniform(0.1, 1, len(places)), places)
 
@@ -42,7 +42,7 @@ def shown(verdict: RealizabilityCheck, pi: Array, size: float) -> None:
     """The witness has the body's parameters, and no negative mass."""
     assert verdict.violations == ()
     assert (verdict.masses > 0).all()
-    unit = pi[0] * size**POWERS
+    unit = pi[0] * size**LENGTH_POWERS
     np.testing.assert_allclose(point_parameters(verdict.masses, verdict.points) / unit, pi / unit, rtol=0, atol=1e-9)
 
 
@@ -99,7 +99,7 @@ def test_mass_in_an_ellipsoid_and_a_hull_is_split_between_them(rng: np.random.Ge
     verdict = check_realizability(bounded_body(S, hull), pi)
     assert verdict.violations == ()
     assert verdict.pieces is not None
-    unit = pi[0] * max(extent(S), float(np.abs(corners).max())) ** POWERS
+    unit = pi[0] * max(extent(S), float(np.abs(corners).max())) ** LENGTH_POWERS
     np.testing.assert_allclose(verdict.pieces.sum(axis=0) / unit, pi / unit, rtol=0, atol=1e-12)
     assert len(verdict.masses) == len(verdict.points) == 0  # the hull has only conditions
 

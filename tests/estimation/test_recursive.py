@@ -15,7 +15,7 @@ from synthetic import Synthetic, bounds, point_parameters, synthetic
 from idtool.estimation.online.recursive import RecursiveFit, units
 from idtool.estimation.problem.estimate import estimate, solve
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import POWERS
+from idtool.robot.inertia import LENGTH_POWERS
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -155,7 +155,12 @@ def test_it_comes_to_the_fit_of_the_whole_log(made: Made) -> None:
     theta = run(fit, data, tau)
     sets = [choose_set(body, "ellipsoid") for body in data.model.bodies]
     whole = estimate(
-        data.linear, data.model.bodies, data.reduction(tau), sets, data.config.regularization.or_weak(), data.equalities
+        data.linear,
+        data.model.bodies,
+        data.reduction(tau),
+        sets,
+        data.config.regularization.fixed_or_weak(),
+        data.equalities,
     )
     B = determined(data, fit.units)
     start, offline, online = (np.linalg.norm(B @ (t - data.theta)) for t in (theta[0], whole.theta, theta[-1]))
@@ -207,6 +212,6 @@ def test_typical_sizes_of_friction_are_what_the_joint_carries(made: Made) -> Non
     support = data.model.support()
     for c, size in zip(data.linear.coefficients[inertial:], found[inertial:], strict=True):
         j = data.linear.joints.index(c.owner)
-        power = POWERS[0] if data.model.joints[j].kind == "prismatic" else POWERS[1]
+        power = LENGTH_POWERS[0] if data.model.joints[j].kind == "prismatic" else LENGTH_POWERS[1]
         carried = sum(scale[10 * i + int(power)] for i in np.flatnonzero(support[:, j]))
         assert size == pytest.approx(9.81 * carried)

@@ -22,7 +22,7 @@ from idtool.estimation.problem.estimate import PARAMETER_TOLERANCE, solve, solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.refinement import refine
 from idtool.robot.config import Regularization, read_config
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot, read_robot
 
@@ -200,6 +200,6 @@ def test_no_constraint_and_no_bound_leave_least_squares(leg: Leg) -> None:
     problem = replace(problem, lower=np.full_like(problem.lower, -np.inf))
     x, certificate = solve(problem)
     z = np.linalg.lstsq(problem.A, problem.b, rcond=None)[0]
-    assert len(z) > SIZE
+    assert len(z) > PI_SIZE
     np.testing.assert_allclose(problem.S @ x, z, atol=1e-9 * np.abs(z).max())
     assert certificate.certified

@@ -29,8 +29,8 @@ from idtool.estimation.problem.regularization_path import (
     _largest_accepted,
     regularization_path,
 )
-from idtool.robot.config import WEAK, Config, Regularization, parse_config
-from idtool.robot.inertia import SIZE
+from idtool.robot.config import WEAK_PRIOR, Config, Regularization, parse_config
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import build_model
 from idtool.robot.shapes.box import Box
 from idtool.robot.shapes.cylinder import Cylinder
@@ -143,7 +143,7 @@ def test_with_more_noise_bodies_stay_nearer_to_the_prior(arm: Synthetic) -> None
 
 def test_a_prior_that_is_the_truth_is_kept(arm: Synthetic) -> None:
     """Next to nothing contradicts it, whatever the weight."""
-    own = arm.theta[: SIZE * len(arm.model.bodies)].reshape(-1, SIZE)
+    own = arm.theta[: PI_SIZE * len(arm.model.bodies)].reshape(-1, PI_SIZE)
     bodies = tuple(replace(body, pi=pi) for body, pi in zip(arm.model.bodies, own, strict=True))
     model = replace(arm.model, bodies=bodies)
     right = replace(arm, model=model, linear=LinearModel(model.names, build_effects(model, arm.config)))
@@ -194,8 +194,8 @@ def test_a_weight_is_auto_or_a_number() -> None:
         parse_config({"regularization": {"weight": "firm"}}, "x")
     none = Regularization(kind="none")
     assert not none.is_automatic
-    assert (none.number, none.or_weak().weight) == (0.0, 0.0)
-    assert Regularization().or_weak() == WEAK
+    assert (none.numeric_weight, none.fixed_or_weak().weight) == (0.0, 0.0)
+    assert Regularization().fixed_or_weak() == WEAK_PRIOR
     with pytest.raises(idtool.IdtoolError, match="units: si needs a number"):
         parse_config({"regularization": {"kind": "euclidean", "units": "si"}}, "x")
 

@@ -16,7 +16,7 @@ from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
 from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -151,7 +151,7 @@ def test_a_small_difference_is_seen_more_often_than_not(arm: Arm) -> None:
 def test_a_log_with_a_payload_is_the_odd_one(arm: Arm) -> None:
     """What differs is what B says of the payload's ten parameters; what B says nothing of agrees."""
     payload = np.zeros(len(arm.s.theta))
-    payload[SIZE : 2 * SIZE] = point_parameters(np.array([0.8]), np.array([[0.3, 0.2, -0.25]]))
+    payload[PI_SIZE : 2 * PI_SIZE] = point_parameters(np.array([0.8]), np.array([[0.3, 0.2, -0.25]]))
     found = arm.compared(arm.logs(4, 6, log2=arm.s.theta + payload))
     assert found.outlier == 2
     change = np.abs(arm.base.B @ payload)

@@ -19,7 +19,7 @@ from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.uncertainty.standard_errors import least_squares_uncertainty
 from idtool.robot.config import Regularization, parse_config
-from idtool.robot.inertia import NAMES
+from idtool.robot.inertia import PARAMETER_NAMES
 from idtool.robot.model import Model
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
@@ -134,7 +134,7 @@ def test_a_column_alone_has_the_textbooks_standard_error(build: Build) -> None:
     for redundancy in (1.0, 6.5):
         found = least_squares_uncertainty(linear, reduced(linear.columns(motion), redundancy), np.array([0.3]))
         expected = 0.3 * np.sqrt(redundancy) / np.linalg.norm(motion.a[0])
-        assert found.standard_error[NAMES.index("m")] == pytest.approx(expected)
+        assert found.standard_error[PARAMETER_NAMES.index("m")] == pytest.approx(expected)
 
 
 def filtered_swing(linear: LinearModel, low_pass: LowPass) -> list[Array]:

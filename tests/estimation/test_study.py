@@ -22,8 +22,8 @@ from idtool.estimation.problem.certificate import GAP
 from idtool.estimation.study import study as module
 from idtool.estimation.study.study import Study, study
 from idtool.reporting.study_report import study_report
-from idtool.robot.config import WEAK, parse_config, read_config
-from idtool.robot.inertia import NAMES, SIZE, from_mass_com_inertia, pseudo_inertia, symmetric
+from idtool.robot.config import WEAK_PRIOR, parse_config, read_config
+from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE, from_mass_com_inertia, pseudo_inertia, symmetric_matrix
 from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ def test_quartiles_lie_about_the_median(report: dict[str, Any]) -> None:
 @pytest.fixture(scope="module")
 def fitted(leg: Experiment) -> Any:
     """What `idtool fit` makes of the same data with the prior that a study takes."""
-    return fit(replace(leg, config=leg.config.model_copy(update={"regularization": WEAK})), silent)
+    return fit(replace(leg, config=leg.config.model_copy(update={"regularization": WEAK_PRIOR})), silent)
 
 
 def test_every_set_predicts_as_well_as_the_fit(report: dict[str, Any], fitted: Any) -> None:
@@ -151,16 +151,16 @@ def test_every_set_is_certified(report: dict[str, Any]) -> None:
 
 def test_bodies_that_cannot_be_are_counted(report: dict[str, Any], result: Study) -> None:
     """By the eigenvalues of what was found, each in units of a body's own mass and size."""
-    units = np.array([c.scale for c in result.experiment.equation.coefficients[: SIZE * 6]], dtype=float)
+    units = np.array([c.scale for c in result.experiment.equation.coefficients[: PI_SIZE * 6]], dtype=float)
     for name, row in report["sets"].items():
-        bodies = (result.sets[name].theta[: SIZE * 6] / units).reshape(6, SIZE)
+        bodies = (result.sets[name].theta[: PI_SIZE * 6] / units).reshape(6, PI_SIZE)
         least = np.linalg.eigvalsh(pseudo_inertia(bodies))[:, 0]
         assert row["violations"] == np.count_nonzero(least < 0)
         assert row["worst_margin"] == pytest.approx(least.min(), rel=1e-9, abs=1e-15)
         assert (row["violations"] > 0) is (name in ("none", "semi"))
         assert set(row["masses"]) == {body.name for body in result.experiment.model.bodies}
         for i, mass in enumerate(row["masses"].values()):
-            assert mass == result.sets[name].theta[SIZE * i]
+            assert mass == result.sets[name].theta[PI_SIZE * i]
 
 
 def test_inequalities_are_of_the_sizes_that_the_paper_says(report: dict[str, Any]) -> None:
@@ -295,12 +295,12 @@ def test_the_estimates_come_near_the_truth_in_what_is_determined(result: Study) 
     """Every set's torque against that of the bodies and friction with which the log was made, by the R-factors."""
     truth = yaml.safe_load((SAMPLES / "truth.yaml").read_text())["leg"]
     bodies = {
-        name: from_mass_com_inertia(body["mass"], body["com"], symmetric(body["inertia"]))
+        name: from_mass_com_inertia(body["mass"], body["com"], symmetric_matrix(body["inertia"]))
         for name, body in truth["bodies"].items()
     }
     theta = np.array(
         [
-            bodies[c.owner][NAMES.index(c.name)] if c.owner in bodies else truth["friction"][c.owner][c.name]
+            bodies[c.owner][PARAMETER_NAMES.index(c.name)] if c.owner in bodies else truth["friction"][c.owner][c.name]
             for c in result.experiment.equation.coefficients
         ]
     )

@@ -26,7 +26,7 @@ from idtool.estimation.identification import estimate_from_logs
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
-from idtool.robot.config import WEAK, read_config
+from idtool.robot.config import WEAK_PRIOR, read_config
 from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def test_the_sample_log_says_how_far_to_trust_it() -> None:
 def test_every_parameter_rests_on_something_and_its_range_holds_it() -> None:
     """Where the prior is weak: a firm one keeps bodies off the limits of their sets."""
     e = experiment(TRAIN)
-    e = replace(e, config=e.config.model_copy(update={"regularization": WEAK}))
+    e = replace(e, config=e.config.model_copy(update={"regularization": WEAK_PRIOR}))
     found = fit(e, silent, analyze_uncertainty=True)
     asked = found.uncertainty_analysis.identifiability
     assert asked

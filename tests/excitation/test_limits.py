@@ -7,7 +7,7 @@ import pytest
 from exciting import arm, body, joint, robot
 
 from idtool.common.exceptions import ConfigError
-from idtool.excitation.limits import Limits, limits_of
+from idtool.excitation.limits import Limits, joint_limits
 from idtool.robot.config import parse_config
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import read_robot
@@ -20,7 +20,7 @@ def model_of(text: str, tmp_path, *joints: str) -> Model:  # type: ignore[no-unt
 
 
 def limits(text: str, tmp_path, *joints: str, **given: dict[str, object]) -> Limits:  # type: ignore[no-untyped-def]
-    return limits_of(model_of(text, tmp_path, *joints), parse_config({"limits": given}, "c"))
+    return joint_limits(model_of(text, tmp_path, *joints), parse_config({"limits": given}, "c"))
 
 
 def test_the_urdfs_limits(tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -92,10 +92,10 @@ def test_a_slide_needs_its_limits(tmp_path) -> None:  # type: ignore[no-untyped-
 
 def test_a_margin_of_every_limit_is_left(tmp_path) -> None:  # type: ignore[no-untyped-def]
     full = limits(arm(), tmp_path, "a", "b")
-    inner = full.within(0.1)
+    inner = full.with_margin(0.1)
     assert inner.middle == pytest.approx(full.middle)
-    assert inner.half == pytest.approx(0.9 * full.half)
+    assert inner.half_range == pytest.approx(0.9 * full.half_range)
     assert inner.velocity == pytest.approx(0.9 * full.velocity)
     assert inner.effort == pytest.approx(0.8 * full.effort)
     q, v, a, tau = np.array([[2.0, -1.5], [0.25, 0.25]]), np.full((2, 2), -2.0), np.zeros((2, 2)), np.full((2, 2), 15.0)
-    assert full.use(q, v, a, tau) == pytest.approx(np.array([[1, 0], [0.5, 0.5], [0, 0], [0.5, 0.5]]))
+    assert full.utilization(q, v, a, tau) == pytest.approx(np.array([[1, 0], [0.5, 0.5], [0, 0], [0.5, 0.5]]))

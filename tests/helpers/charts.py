@@ -15,9 +15,9 @@ from idtool.estimation.problem.local import Chart, LogCholesky, Manifold
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.problem.variables import PieceVariables
 from idtool.robot.config import Regularization
-from idtool.robot.inequality import DENSITY, Piece
+from idtool.robot.inequality import REALIZABLE, Piece
 from idtool.robot.inertia import (
-    SIZE,
+    PI_SIZE,
 )
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
@@ -66,7 +66,9 @@ def stated(s: Synthetic, name: str, regularization: Regularization, share: float
 
 def one_body(A: Array, b: Array) -> Problem:
     """‖A z − b‖² over one body."""
-    part = PieceVariables(0, 0, 0, Piece((DENSITY,)), 1.0)
+    part = PieceVariables(0, 0, 0, Piece((REALIZABLE,)), 1.0)
     none = np.zeros(0)
-    nothing = np.zeros((0, SIZE)), none
-    return Problem(A, b, 0.0, np.ones(SIZE), np.eye(SIZE), (part,), ("body",), none.astype(np.intp), none, *nothing)
+    nothing = np.zeros((0, PI_SIZE)), none
+    return Problem(
+        A, b, 0.0, np.ones(PI_SIZE), np.eye(PI_SIZE), (part,), ("body",), none.astype(np.intp), none, *nothing
+    )

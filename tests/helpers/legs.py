@@ -15,7 +15,7 @@ from idtool.estimation.dataset.equality_constraints import EqualityConstraints, 
 from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
 
@@ -101,8 +101,8 @@ def legs(robot_of: Robots, names: Sequence[str], count: int = 200, alike: bool =
 
 def of_body(s: Synthetic, name: str) -> slice:
     """A body's coefficients."""
-    first = SIZE * [b.name for b in s.model.bodies].index(name)
-    return slice(first, first + SIZE)
+    first = PI_SIZE * [b.name for b in s.model.bodies].index(name)
+    return slice(first, first + PI_SIZE)
 
 
 def of_joint(s: Synthetic, name: str, term: str) -> int:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from idtool.robot.ellipsoid import smallest_around
+from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.inequality import Piece
-from idtool.robot.inertia import BASIS, from_pseudo_inertia
+from idtool.robot.inertia import J_BASIS, from_pseudo_inertia
 from idtool.robot.shapes import Hull, Shape
 from idtool.robot.shapes.box import Box
 from idtool.robot.shapes.capsule import Capsule
@@ -104,7 +104,7 @@ class Problem:
 
     def least(self, W: Array) -> float:
         """Of Tr(J W)."""
-        self.cost.value = np.einsum("kij,ij->k", BASIS, W)
+        self.cost.value = np.einsum("kij,ij->k", J_BASIS, W)
         tolerances = {"tol_gap_abs": 1e-7, "tol_gap_rel": 1e-7, "tol_feas": 1e-7}
         return float(self.problem.solve(solver="CLARABEL", **tolerances))
 
@@ -125,7 +125,7 @@ class Largest:
         self.com = cp.Parameter(3)
         self.about_com, self.spread = (cp.Parameter((3, 3), symmetric=True) for _ in range(2))
         share, pi = cp.Variable(), cp.Variable(10)
-        J = sum(pi[k] * BASIS[k] for k in range(10))
+        J = sum(pi[k] * J_BASIS[k] for k in range(10))
         second = self.about_com + share * self.spread
         demands = [pi[0] == 1, pi[1:4] == self.com, J[:3, :3] == second, 0.5 * (J + J.T) >> 0]
         corners = np.array(hull.vertices)
@@ -133,7 +133,7 @@ class Largest:
             (piece,) = hull.pieces()
             demands.append(piece.inequalities[1].G.T @ pi >= 0)
         elif form == "ellipsoid":
-            demands.append(cp.trace(J @ smallest_around(corners).Q) >= 0)
+            demands.append(cp.trace(J @ minimum_volume_ellipsoid(corners).Q) >= 0)
         else:
             masses = cp.Variable(len(corners), nonneg=True)
             most = corners.T @ cp.diag(masses) @ corners

@@ -21,7 +21,7 @@ from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.robot.body import Body, Frame
 from idtool.robot.config import Config, parse_config
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import Model, build_model
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Robot
@@ -117,7 +117,7 @@ def points_in(rng: np.random.Generator, ellipsoid: Ellipsoid, count: int) -> Arr
 def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
     """At any place and angle, of 0.2 to 2 m half length."""
     center, semi_axes = rng.normal(size=3), rng.uniform(0.2, 2, 3)
-    return Ellipsoid.along(center, semi_axes, rotation(rng))
+    return Ellipsoid.from_axes(center, semi_axes, rotation(rng))
 
 
 def bounded_body(*bounds: Ellipsoid | Shape, com: Array | None = None) -> Body:
@@ -127,7 +127,7 @@ def bounded_body(*bounds: Ellipsoid | Shape, com: Array | None = None) -> Body:
     mount = Frame(-1, np.eye(3), np.zeros(3))
     center = None if com is None else (float(com[0]), float(com[1]), float(com[2]))
     turn = np.array([0.0, 0.0, 1.0]), False, np.ones(1)
-    return Body("body", "link", np.zeros(SIZE), ellipsoids, mount, *turn, shapes=shapes, com=center)
+    return Body("body", "link", np.zeros(PI_SIZE), ellipsoids, mount, *turn, shapes=shapes, com=center)
 
 
 def random_bound(rng: np.random.Generator) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def arm(base: str, upper: str, tip: str, kind: str = "revolute", extra: str = ""
 
 
 def checked(model: Model, locked_joints: dict[str, float] | None = None) -> SelfCollision:
-    found = SelfCollision.of(model, locked_joints)
+    found = SelfCollision.from_model(model, locked_joints)
     assert found is not None
     return found
 

@@ -71,7 +71,7 @@ def bounds_in_frames(config: Mapping[str, Any], frames: Mapping[str, Frame]) -> 
     for link, bounds in config["bounding_ellipsoids"].items():
         R, p = _inverse(frames[link]) if link in frames else (np.eye(3), np.zeros(3))
         olds = [Ellipsoid(*(tuple(bound[key]) for key in ("center", "semi_axes", "rpy"))) for bound in bounds]
-        news = [Ellipsoid.along(R @ old.center + p, old.semi_axes, R @ old.rotation) for old in olds]
+        news = [Ellipsoid.from_axes(R @ old.center + p, old.semi_axes, R @ old.rotation) for old in olds]
         limits[link] = [{key: list(getattr(e, key)) for key in ("center", "semi_axes", "rpy")} for e in news]
     return {**config, "bounding_ellipsoids": limits}
 

@@ -15,7 +15,7 @@ from synthetic import point_parameters
 
 from idtool.robot.config import read_config
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import POWERS, from_mass_com_inertia, mass_com_inertia, symmetric
+from idtool.robot.inertia import LENGTH_POWERS, from_mass_com_inertia, mass_com_inertia, symmetric_matrix
 from idtool.robot.shapes import known_shapes
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def shows(body: dict[str, Any]) -> None:
     assert points.shape == (len(masses), 3)
     assert (masses > 0).all()
     pi = np.array(body["pi"])
-    unit = pi[0] * 0.2**POWERS
+    unit = pi[0] * 0.2**LENGTH_POWERS
     np.testing.assert_allclose(point_parameters(masses, points) / unit, pi / unit, rtol=0, atol=1e-9)
     inside = [solid.contains(points, tolerance=1e-6) for solid in solids(body)]
     assert np.any(inside, axis=0).all()
@@ -109,7 +109,9 @@ def test_the_deviation_ellipsoid_is_that_of_the_parameters(plain: dict[str, Any]
         np.testing.assert_allclose(R @ np.diag(squares) @ R.T * mass, sigma, atol=1e-6 * np.abs(sigma).max())
         np.testing.assert_allclose(body["deviation_ellipsoid"]["center"], com, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(
-            from_mass_com_inertia(body["mass"], body["com"], symmetric(body["inertia_com"])), body["pi"], atol=1e-12
+            from_mass_com_inertia(body["mass"], body["com"], symmetric_matrix(body["inertia_com"])),
+            body["pi"],
+            atol=1e-12,
         )
 
 
@@ -190,7 +192,7 @@ def test_without_constraints_the_violations_say_why(tmp_path: Path) -> None:
         assert (body["witness"] is None) is (name in wrong)
         if name not in wrong:
             shows(body)
-        moments = np.linalg.eigvalsh(symmetric(body["inertia_com"]))
+        moments = np.linalg.eigvalsh(symmetric_matrix(body["inertia_com"]))
         for said in body["violations"]:
             assert "\n" not in said
             if said.startswith("I1 + I2 < I3"):

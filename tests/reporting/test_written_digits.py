@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.robot.config import read_config
 from idtool.robot.inertia import (
-    DIGITS,
-    POWERS,
+    LENGTH_POWERS,
+    WRITTEN_DIGITS,
     from_mass_com_inertia,
     mass_com_inertia,
     pseudo_inertia,
-    rounded,
+    round_to_digits,
     rounded_inertial,
 )
 from idtool.robot.model import build_model
@@ -54,7 +54,7 @@ def test_a_urdf_holds_no_digits_that_are_not_known(report: dict[str, Any], folde
     dynamics = "".join(re.findall(r"<dynamics[^>]*>", text))
     numbers = re.findall(r"-?\d+\.\d+(?:e-?\d+)?", inertials + dynamics)
     assert len(numbers) > 30
-    assert max(map(significant, numbers)) <= DIGITS
+    assert max(map(significant, numbers)) <= WRITTEN_DIGITS
     assert '-0.0"' not in inertials
 
 
@@ -67,7 +67,7 @@ def test_a_model_file_holds_no_digits_that_are_not_known(report: dict[str, Any],
             errors.append(term["standard_error"])
     for rotor in model["rotors"].values():
         values += [rotor["inertial"]["mass"], *rotor["inertial"]["com"], *rotor["inertial"]["inertia"]]
-    assert max(significant(repr(value)) for value in values) <= DIGITS
+    assert max(significant(repr(value)) for value in values) <= WRITTEN_DIGITS
     assert max(significant(repr(error)) for error in errors) <= 4
 
 
@@ -93,24 +93,26 @@ def test_the_files_are_the_identified_model(report: dict[str, Any], folder: Path
     least = np.inf
     for body in model.bodies:
         pi = np.array(report["bodies"][body.name]["pi"])
-        unit = pi[0] * typical_length(body) ** POWERS
+        unit = pi[0] * typical_length(body) ** LENGTH_POWERS
         np.testing.assert_allclose(body.pi / unit, pi / unit, rtol=0, atol=1e-9)
         for piece in choose_set(body).pieces(body):
             least = min([least, *(i.margin(body.pi, float(pi[0]), typical_length(body)) for i in piece.inequalities)])
     assert 0 < least < 1e-7
 
 
-@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=6), st.integers(2, DIGITS))
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=6), st.integers(2, WRITTEN_DIGITS))
 def test_rounding_is_to_a_share_of_the_largest(values: list[float], digits: int) -> None:
     largest = np.abs(values).max()
-    off = np.abs(rounded(values, digits) - values).max()
+    off = np.abs(round_to_digits(values, digits) - values).max()
     assert off <= 0.5000001 * 10.0 ** (1 - digits) * largest
-    np.testing.assert_array_equal(rounded(rounded(values, digits), digits), rounded(values, digits))
+    np.testing.assert_array_equal(
+        round_to_digits(round_to_digits(values, digits), digits), round_to_digits(values, digits)
+    )
 
 
 def test_rounding_leaves_what_has_no_size() -> None:
-    np.testing.assert_array_equal(rounded([0.0, 0.0]), [0, 0])
-    np.testing.assert_array_equal(rounded([np.inf, 1.2345678901234]), [np.inf, 1.2345678901234])
+    np.testing.assert_array_equal(round_to_digits([0.0, 0.0]), [0, 0])
+    np.testing.assert_array_equal(round_to_digits([np.inf, 1.2345678901234]), [np.inf, 1.2345678901234])
 
 
 def test_a_centre_next_to_the_origin_is_the_origin() -> None:

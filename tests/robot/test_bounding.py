@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from robots import random_urdf
 
-from idtool.robot.bounding import as_config, bounding_ellipsoids
+from idtool.robot.bounding import bounding_ellipsoids, ellipsoids_config
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
 
@@ -82,8 +82,8 @@ def test_a_link_of_which_a_part_is_lost_gets_no_ellipsoid_that_is_too_small(robo
 
 def test_the_configuration_takes_them_as_they_are(robot_of: Read) -> None:
     ellipsoids, _ = bounding_ellipsoids(robot_of(urdf(("a", MASS, '<cylinder radius="0.1" length="0.4"/>'))))
-    config = parse_config({"bounding_ellipsoids": as_config(ellipsoids)}, "robot.yaml")
-    assert [bound.ellipsoid() for bound in config.bounding_ellipsoids["a"]] == [ellipsoids["a"]]
+    config = parse_config({"bounding_ellipsoids": ellipsoids_config(ellipsoids)}, "robot.yaml")
+    assert [bound.to_ellipsoid() for bound in config.bounding_ellipsoids["a"]] == [ellipsoids["a"]]
 
 
 def test_a_robot_without_any_geometry_is_said_why(robot_of: Read, rng: np.random.Generator) -> None:

@@ -26,7 +26,7 @@ from synthetic import bounded_body, point_parameters, random_ellipsoid
 from idtool.estimation.dataset.equality_constraints import with_equal_bounds
 from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.config import parse_config
-from idtool.robot.inertia import mirrored
+from idtool.robot.inertia import parameter_reflection
 from idtool.robot.model import Model
 from idtool.robot.shapes import known_shapes
 
@@ -251,7 +251,7 @@ PLANES = {"xy": (1, 1, -1), "xz": (1, -1, 1), "yz": (-1, 1, 1), "": (1, 1, 1), "
 def test_a_bodys_bounds_as_anothers_are_their_image(rng: np.random.Generator, kind: str, plane: str) -> None:
     signs = np.array(PLANES[plane], dtype=float)
     shape, ellipsoid = random_shape(rng, kind), random_ellipsoid(rng)
-    ours = bounded_body(random_ellipsoid(rng)).bounded_as(bounded_body(shape, ellipsoid), signs)
+    ours = bounded_body(random_ellipsoid(rng)).with_mirrored_bounds(bounded_body(shape, ellipsoid), signs)
     assert (len(ours.shapes), len(ours.ellipsoids)) == (1, 1)
     near = np.concatenate([inside(rng, shape, 200, reach) for reach in (1.3, 0.9)])
     points = near[shape.contains(near, 1e-7) == shape.contains(near, -1e-7)]  # none whose place rounding decides
@@ -268,13 +268,13 @@ def test_what_a_body_may_be_its_image_may(rng: np.random.Generator, kind: str) -
     signs = np.array([1.0, -1.0, 1.0])
     shape = random_shape(rng, kind)
     first = bounded_body(shape)
-    second = first.bounded_as(first, signs)
+    second = first.with_mirrored_bounds(first, signs)
     for reach in (0.7, 2.5):
         places = inside(rng, shape, 30, reach)
         if kind == "hull" and reach > 1:
             places = places + 3 * np.ptp(places, axis=0)
         pi = point_parameters(rng.uniform(0.1, 1, 30), places)
-        verdicts = check_realizability(first, pi), check_realizability(second, mirrored(signs) @ pi)
+        verdicts = check_realizability(first, pi), check_realizability(second, parameter_reflection(signs) @ pi)
         assert [bool(v.violations) for v in verdicts] == [reach > 1] * 2
 
 
@@ -312,4 +312,4 @@ def test_a_shape_in_a_turned_frame_is_the_same_solid(rng: np.random.Generator) -
         (bound,) = config.bounding_shapes["a"]
         shape = known_shapes()[kind].from_dict(bound.model_dump())
         points = around(rng)
-        np.testing.assert_array_equal(shape.moved(R, p).contains(points @ R.T + p), is_inside(kind, points))
+        np.testing.assert_array_equal(shape.transformed(R, p).contains(points @ R.T + p), is_inside(kind, points))

@@ -165,7 +165,7 @@ def test_what_is_not_checked(build: Build) -> None:
 def test_links_that_touch_almost_anywhere_are_made_to(build: Build) -> None:
     """The tip, 0.8 m from the base's origin at j2 = 0, leaves a ball around x = -0.8 only where the arm is straight."""
     text = arm(solid(SPHERE.format(1.4), "-0.8 0 0"), "", solid(SPHERE.format(0.05)))
-    assert SelfCollision.of(build(text, ["j1", "j2"])) is None
+    assert SelfCollision.from_model(build(text, ["j1", "j2"])) is None
     seldom = text.replace('radius="1.4"', 'radius="0.4"')
     assert checked(build(seldom, ["j1", "j2"])).clearance(np.zeros((2, 1))) == pytest.approx([1.15], abs=1e-5)
 
@@ -177,14 +177,14 @@ def test_links_that_touch_at_zero_alone_are_made_to(build: Build) -> None:
     assert checked(build(bent, ["j1", "j2"])).pairs == (("base", "tip"),)
     bent = bent.replace('lower="-3" upper="3"', 'lower="1" upper="3"')
     bent = bent.replace('lower="1" upper="3"', 'lower="-3" upper="3"', 1)  # of j1
-    assert SelfCollision.of(build(bent, ["j1", "j2"])) is None
+    assert SelfCollision.from_model(build(bent, ["j1", "j2"])) is None
 
 
 def test_nothing_to_check(build: Build) -> None:
     """Neighbours, links of one body, one link, none."""
     small = solid(SPHERE.format(0.05))
     for text in (arm(small, small, ""), arm("", small, ""), arm("", "", "")):
-        assert SelfCollision.of(build(text, ["j1", "j2"])) is None
+        assert SelfCollision.from_model(build(text, ["j1", "j2"])) is None
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -216,11 +216,11 @@ def test_a_held_joint_holds_those_that_follow_it(build: Build) -> None:
 def test_a_robot_of_too_many_parts_is_refused(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     small = solid(SPHERE.format(0.05))
     model = build(arm(small, "", small), ["j1", "j2"])
-    for name in ("_MOST_PAIRS", "_MOST_LINKS"):
+    for name in ("_MAX_PAIRS", "_MAX_LINKS"):
         with monkeypatch.context() as few:
             few.setattr(collision, name, 0)
             with pytest.raises(ModelError, match=r"robot\.urdf: has "):
-                SelfCollision.of(model)
+                SelfCollision.from_model(model)
 
 
 @pytest.mark.skipif(not GO2.is_file(), reason=f"the real robot is not in {GO2.parent}")

@@ -47,7 +47,7 @@ def test_a_mesh_of_many_vertices_is_not_taken_for_smaller(build: Build, written:
     lost = away - found.clearance(np.stack([0 * angle, angle]))
     assert lost.min() > -2e-4  # the mesh itself is inside the sphere by so much
     assert lost.max() < 0.005
-    assert all(piece.shape.num_points <= 400 for piece in found._pieces if hasattr(piece.shape, "num_points"))
+    assert all(part.shape.num_points <= 400 for part in found._parts if hasattr(part.shape, "num_points"))
 
 
 def test_a_flat_mesh_has_a_thickness(build: Build, written: Written) -> None:
@@ -61,7 +61,7 @@ def test_a_flat_mesh_has_a_thickness(build: Build, written: Written) -> None:
 def test_many_pieces_are_one_hull(build: Build) -> None:
     tip = "".join(solid(SPHERE.format(0.01), f"{0.1 * np.cos(x)} {0.1 * np.sin(x)} 0") for x in np.arange(17))
     found = checked(build(arm(solid(SPHERE.format(0.1)), "", tip), ["j1", "j2"]))
-    assert len(found._pieces) == 2
+    assert len(found._parts) == 2
     assert found.clearance(np.zeros((2, 1))) == pytest.approx([0.8 - 0.1 - 0.11], abs=0.005)
 
 
@@ -79,7 +79,7 @@ def test_a_mesh_that_is_missing_is_said(build: Build) -> None:
     assert "package://robot/lost.stl is not found" in warning
     assert found.clearance(np.zeros((2, 1))) == pytest.approx([0.6], abs=1e-5)
     model = build(arm(missing, missing, missing), ["j1", "j2"])
-    assert SelfCollision.of(model) is None
+    assert SelfCollision.from_model(model) is None
 
 
 @pytest.mark.parametrize(

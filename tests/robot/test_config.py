@@ -69,8 +69,8 @@ def test_the_contracts_example(read: Read) -> None:
     assert config.log.columns == {"t": "time"}
     assert config.log.scale.tau == {"hip": 0.118}
     (bound,) = config.bounding_ellipsoids["thigh"]
-    assert bound.ellipsoid().center == (0.0, 0.0, -0.17)
-    assert bound.ellipsoid().semi_axes == (0.08, 0.08, 0.25)
+    assert bound.to_ellipsoid().center == (0.0, 0.0, -0.17)
+    assert bound.to_ellipsoid().semi_axes == (0.08, 0.08, 0.25)
     rotor = config.rotors["hip_rotor"]
     assert rotor.ratios == {"hip": 10.604}
     assert rotor.parent == "abad_link"
@@ -243,4 +243,4 @@ def test_bounds_turn_as_urdf_says(read: Read) -> None:
     (bound,) = read(
         "bounding_ellipsoids: {a: [{semi_axes: [1, 2, 3], rpy: [0, 0, 1.5707963267948966]}]}"
     ).bounding_ellipsoids["a"]
-    np.testing.assert_allclose(bound.ellipsoid().Q_s, np.diag([4, 1, 9]), atol=1e-12)
+    np.testing.assert_allclose(bound.to_ellipsoid().Q_s, np.diag([4, 1, 9]), atol=1e-12)

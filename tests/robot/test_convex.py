@@ -17,8 +17,8 @@ from scipy.spatial import ConvexHull
 from solids import on_ball
 
 from idtool.robot.bounding import bounding_ellipsoids
-from idtool.robot.convex import corners_of, enclosing, enclosing_planes
-from idtool.robot.ellipsoid import smallest_around
+from idtool.robot.convex import enclosing_planes, enclosing_points, polyhedron_corners
+from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def beyond(points: Array, corners: Array) -> float:
 def test_of_few_points_it_is_the_corners_of_their_hull(rng: np.random.Generator, count: int) -> None:
     points = rng.normal(size=(count, 3)) * rng.uniform(0.1, 1, 3) @ rotation(rng) + 10 * rng.normal(size=3)
     expected = points[ConvexHull(points).vertices]
-    assert {tuple(x) for x in enclosing(points)} == {tuple(x) for x in expected}
+    assert {tuple(x) for x in enclosing_points(points)} == {tuple(x) for x in expected}
 
 
 @pytest.mark.parametrize("kind", ["round", "slender", "sheared", "with flat faces", "full of points inside"])
@@ -52,7 +52,7 @@ def test_many_points_are_enclosed_by_few(kind: str, rng: np.random.Generator) ->
         "full of points inside": rng.normal(size=(MANY, 3)),
     }
     points = solids[kind] @ rotation(rng) + 3 * rng.normal(size=3)
-    corners = enclosing(points)
+    corners = enclosing_points(points)
     assert len(corners) < 5000
     assert beyond(points, corners) < 1e-12
     assert ConvexHull(corners).volume < 1.02 * ConvexHull(points).volume
@@ -60,8 +60,8 @@ def test_many_points_are_enclosed_by_few(kind: str, rng: np.random.Generator) ->
 
 def test_repeated_points_are_taken_once(rng: np.random.Generator) -> None:
     points = rng.normal(size=(500, 3))
-    expected = {tuple(x) for x in enclosing(points)}
-    assert {tuple(x) for x in enclosing(np.tile(points, (MANY // 500 + 1, 1)))} == expected
+    expected = {tuple(x) for x in enclosing_points(points)}
+    assert {tuple(x) for x in enclosing_points(np.tile(points, (MANY // 500 + 1, 1)))} == expected
 
 
 @pytest.mark.parametrize("count", [300, MANY])
@@ -69,13 +69,13 @@ def test_points_without_volume_keep_their_rim(count: int, rng: np.random.Generat
     R, p = rotation(rng), rng.normal(size=3)
     angle = rng.uniform(0, 2 * np.pi, count)
     disc = np.column_stack([np.cos(angle), 0.5 * np.sin(angle), np.zeros(count)])
-    rim = (enclosing(disc @ R.T + p) - p) @ R
+    rim = (enclosing_points(disc @ R.T + p) - p) @ R
     assert np.abs(rim[:, 2]).max() < 1e-12
     assert (ConvexHull(rim[:, :2]).equations @ np.column_stack([disc[:, :2], np.ones(count)]).T).max() < 1e-12
     assert np.hypot(rim[:, 0], 2 * rim[:, 1]).max() < 1.005
     line = np.outer(np.linspace(-1, 1, count), [1, 2, 3]) + p
-    np.testing.assert_allclose(np.sort(enclosing(line), axis=0), line[[0, -1]])
-    np.testing.assert_array_equal(enclosing(np.tile(p, (count, 1))), p[None])
+    np.testing.assert_allclose(np.sort(enclosing_points(line), axis=0), line[[0, -1]])
+    np.testing.assert_array_equal(enclosing_points(np.tile(p, (count, 1))), p[None])
 
 
 @given(seeds, st.integers(4, 60), st.integers(6, 40))
@@ -86,7 +86,7 @@ def test_planes_enclose_points(rng: np.random.Generator, count: int, most: int) 
     np.testing.assert_allclose(np.linalg.norm(planes[:, :3], axis=1), 1)
     assert len(planes) <= most
     np.testing.assert_allclose((points @ planes[:, :3].T + planes[:, 3]).max(axis=0), 0, atol=1e-12)
-    corners = corners_of(planes, points.mean(axis=0))
+    corners = polyhedron_corners(planes, points.mean(axis=0))
     assert beyond(points, corners) < 1e-9
     if len(faces) <= most:
         assert same_rows(planes, faces)
@@ -103,7 +103,7 @@ def test_the_more_planes_the_less_is_enclosed_beside(rng: np.random.Generator) -
     points = on_ball(rng, 3000, 3) * [1, 0.5, 0.2]
     volumes = []
     for most in (6, 12, 24, 52):
-        corners = corners_of(enclosing_planes(points, most), points.mean(axis=0))
+        corners = polyhedron_corners(enclosing_planes(points, most), points.mean(axis=0))
         assert len(corners) <= 2 * most - 4
         volumes.append(ConvexHull(corners).volume / ConvexHull(points).volume)
     assert np.all(np.diff(volumes) < 0)
@@ -137,8 +137,8 @@ def test_the_memory_grows_with_the_points_alone(
     rng: np.random.Generator, peak: Callable[[Callable[[], object]], int]
 ) -> None:
     points = on_ball(rng, 200_000, 3)  # the square of their number is beyond any memory
-    assert peak(lambda: smallest_around(points)) < 12 * points.nbytes
-    assert peak(lambda: enclosing(points)) < 12 * points.nbytes
+    assert peak(lambda: minimum_volume_ellipsoid(points)) < 12 * points.nbytes
+    assert peak(lambda: enclosing_points(points)) < 12 * points.nbytes
 
 
 def test_a_fine_mesh_s_ellipsoid_takes_memory_like_its_file(

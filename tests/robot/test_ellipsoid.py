@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from robots import rotation
 from scipy.spatial.transform import Rotation
 
-from idtool.robot.ellipsoid import Ellipsoid, smallest_around
+from idtool.robot.ellipsoid import Ellipsoid, minimum_volume_ellipsoid
 from idtool.robot.inertia import from_mass_com_inertia, pseudo_inertia
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def test_roll_pitch_yaw_are_urdfs() -> None:
 @given(seeds)
 def test_an_ellipsoid_from_its_axes_has_these_axes(rng: np.random.Generator) -> None:
     R = rotation(rng)
-    S = Ellipsoid.along([1, 2, 3], [0.1, 0.2, 0.3], R)
+    S = Ellipsoid.from_axes([1, 2, 3], [0.1, 0.2, 0.3], R)
     np.testing.assert_allclose(S.rotation, R, atol=1e-9)
 
 
@@ -89,7 +89,7 @@ def test_an_ellipsoid_from_its_axes_has_these_axes(rng: np.random.Generator) -> 
 def test_an_ellipsoid_that_looks_straight_up_has_its_axes_too(pitch: float) -> None:
     """Roll and yaw are not unique there; any that make the rotation will do, without a warning."""
     R = Rotation.from_euler("xyz", [0.4, pitch, -0.9]).as_matrix()
-    np.testing.assert_allclose(Ellipsoid.along([0, 0, 0], [1, 2, 3], R).rotation, R, atol=1e-6)
+    np.testing.assert_allclose(Ellipsoid.from_axes([0, 0, 0], [1, 2, 3], R).rotation, R, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -171,28 +171,28 @@ def corners(half: Array) -> Array:
 @given(seeds)
 def test_the_least_ellipsoid_around_a_box_is_root_three_times_its_half_sides(rng: np.random.Generator) -> None:
     half, R, p = np.sort(rng.uniform(0.05, 1, 3)), rotation(rng), rng.normal(size=3) * 10
-    S = smallest_around(corners(half) @ R.T + p)
+    S = minimum_volume_ellipsoid(corners(half) @ R.T + p)
     np.testing.assert_allclose(np.sort(S.semi_axes), np.sqrt(3) * half, rtol=1e-3)
     np.testing.assert_allclose(S.center, p, atol=1e-3 * half[0])
     np.testing.assert_allclose(S.Q_s, 3 * R @ np.diag(half**2) @ R.T, atol=1e-3)
 
 
 def test_the_least_ellipsoid_around_a_regular_tetrahedron_is_its_sphere() -> None:
-    S = smallest_around([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    S = minimum_volume_ellipsoid([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     np.testing.assert_allclose(S.semi_axes, np.full(3, np.sqrt(3)), rtol=1e-4)
 
 
 @given(seeds, st.integers(1, 60))
 def test_every_point_is_inside(rng: np.random.Generator, count: int) -> None:
     points = rng.normal(size=(count, 3)) @ rng.normal(size=(3, 3)) + rng.normal(size=3) * 100
-    assert smallest_around(points).contains(points).all()
+    assert minimum_volume_ellipsoid(points).contains(points).all()
 
 
 @given(seeds)
 def test_no_ellipsoid_around_the_points_is_smaller(rng: np.random.Generator) -> None:
     """Ellipsoids nearby, grown until they hold every point, against the least one's volume."""
     points = rng.normal(size=(12, 3)) * [1.0, 0.6, 0.3]
-    S = smallest_around(points, tolerance=1e-6)
+    S = minimum_volume_ellipsoid(points, tolerance=1e-6)
     for size in (1e-3, 1e-2, 1e-1):
         L = np.linalg.cholesky(S.Q_s) @ (np.eye(3) + size * rng.normal(size=(3, 3)))
         local = (points - S.center - size * rng.normal(size=3)) @ np.linalg.inv(L).T
@@ -205,7 +205,7 @@ def test_the_least_ellipsoid_moves_with_the_points(rng: np.random.Generator) -> 
     """Under x → A x + b the least ellipsoid becomes A Q_s Aᵀ about A x_s + b."""
     points = rng.normal(size=(15, 3))
     A, b = rotation(rng) @ np.diag(rng.uniform(0.5, 2, 3)) @ rotation(rng), rng.normal(size=3)
-    S, T = smallest_around(points, tolerance=1e-6), smallest_around(points @ A.T + b, tolerance=1e-6)
+    S, T = minimum_volume_ellipsoid(points, tolerance=1e-6), minimum_volume_ellipsoid(points @ A.T + b, tolerance=1e-6)
     np.testing.assert_allclose(T.center, A @ S.center + b, atol=1e-3)
     np.testing.assert_allclose(T.Q_s, A @ S.Q_s @ A.T, atol=1e-3 * float(np.linalg.norm(S.Q_s)))
 
@@ -213,7 +213,7 @@ def test_the_least_ellipsoid_moves_with_the_points(rng: np.random.Generator) -> 
 def test_repeated_and_inner_points_change_nothing(rng: np.random.Generator) -> None:
     box = corners(np.array([0.1, 0.2, 0.3]))
     more = np.concatenate([box, box, rng.uniform(-1, 1, (50, 3)) * [0.1, 0.2, 0.3], np.zeros((1, 3))])
-    np.testing.assert_allclose(smallest_around(more).Q_s, smallest_around(box).Q_s, atol=1e-4)
+    np.testing.assert_allclose(minimum_volume_ellipsoid(more).Q_s, minimum_volume_ellipsoid(box).Q_s, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_repeated_and_inner_points_change_nothing(rng: np.random.Generator) -> N
     ids=["a point", "the same point", "two points", "a line", "a triangle", "a square"],
 )
 def test_points_that_span_no_volume_get_a_thin_ellipsoid(points: list[list[float]]) -> None:
-    S = smallest_around(points, flattest=0.05)
+    S = minimum_volume_ellipsoid(points, min_thickness=0.05)
     assert S.contains(points).all()
     longest = max(float(np.linalg.norm(np.ptp(points, axis=0))) / 2, 0.5e-3)
     assert min(S.semi_axes) >= 0.9 * 0.05 * 0.7 * longest  # a diagonal is longer than the extent along an axis by √2
@@ -237,7 +237,7 @@ def test_points_that_span_no_volume_get_a_thin_ellipsoid(points: list[list[float
 
 
 def test_a_thin_ellipsoid_lies_in_the_points_plane() -> None:
-    S = smallest_around([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
+    S = minimum_volume_ellipsoid([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
     np.testing.assert_allclose(S.center, [0.5, 0.5, 1], atol=1e-4)
     np.testing.assert_allclose(np.diag(S.Q_s)[:2], [0.5, 0.5], rtol=1e-3)  # the circle through a unit square's corners
     assert S.Q_s[2, 2] == pytest.approx(0.05**2 / 2, rel=1e-2)  # of the distance to the corners
@@ -246,11 +246,11 @@ def test_a_thin_ellipsoid_lies_in_the_points_plane() -> None:
 @pytest.mark.parametrize("points", [[], [[0, 0, np.nan]], [[0, 0, 0], [np.inf, 0, 0]]])
 def test_no_points_and_points_nowhere_are_refused(points: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="at least one point, all of them finite"):
-        smallest_around(points)
+        minimum_volume_ellipsoid(points)
 
 
 def test_the_box_of_a_cad_prior_lies_in_its_least_ellipsoid() -> None:
     """A solid box's own inertia is realizable on the least ellipsoid around its corners."""
     half = np.array([0.03, 0.03, 0.171])
     pi = from_mass_com_inertia(1.0, np.zeros(3), (half @ half * np.eye(3) - np.diag(half**2)) / 3)
-    assert np.trace(pseudo_inertia(pi) @ smallest_around(corners(half)).Q) == pytest.approx(2 / 3, rel=1e-3)
+    assert np.trace(pseudo_inertia(pi) @ minimum_volume_ellipsoid(corners(half)).Q) == pytest.approx(2 / 3, rel=1e-3)

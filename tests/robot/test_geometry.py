@@ -81,13 +81,13 @@ def test_a_primitive_is_enclosed_within_one_percent(
     middle = directions @ P
     assert (reach >= true - 1e-12).all()
     assert (reach - middle <= 1.01 * (true - middle)).all()
-    assert found.missing == ()
-    assert len(found.read) == 1
+    assert found.unreadable == ()
+    assert len(found.parts_read) == 1
 
 
 def test_all_parts_of_a_link_are_read(robot_of: Read) -> None:
     found = link_geometry(robot_of(urdf('<box size="1 1 1"/>', '<sphere radius="3"/>', origin="")), "base")
-    assert found.read == ("box", "sphere")
+    assert found.parts_read == ("box", "sphere")
     assert np.linalg.norm(found.points, axis=1).max() == pytest.approx(3, rel=0.01)
 
 
@@ -104,13 +104,13 @@ def test_visual_takes_the_place_of_a_collision_that_is_not_found(robot_of: Read)
     )
     found = link_geometry(robot_of(text), "base")
     assert found.points.max() == 4.5
-    assert found.missing == ()
+    assert found.unreadable == ()
 
 
 def test_a_link_without_geometry_has_no_points(robot_of: Read) -> None:
     found = link_geometry(robot_of(urdf()), "base")
     assert found.points.shape == (0, 3)
-    assert found.read == found.missing == ()
+    assert found.parts_read == found.unreadable == ()
     with pytest.raises(ModelError, match=r"link base: .* gives it no collision or visual"):
         link_vertices(robot_of(urdf()), "base")
 
@@ -136,16 +136,16 @@ def test_what_cannot_be_used_is_said(geometry: str, note: str, robot_of: Read) -
     robot = robot_of(urdf('<box size="1 1 1"/>', geometry))
     found = link_geometry(robot, "base")
     assert len(found.points) == 8
-    assert len(found.missing) == 1
-    assert note in found.missing[0]
+    assert len(found.unreadable) == 1
+    assert note in found.unreadable[0]
     with pytest.raises(ModelError, match="its geometry cannot be read"):
         link_vertices(robot, "base")
 
 
 def test_an_origin_that_is_no_numbers_is_said(robot_of: Read) -> None:
     found = link_geometry(robot_of(urdf('<box size="1 1 1"/>', origin='<origin xyz="0 0"/>')), "base")
-    assert found.read == ()
-    assert "origin xyz '0 0' should be 3 finite numbers" in found.missing[0]
+    assert found.parts_read == ()
+    assert "origin xyz '0 0' should be 3 finite numbers" in found.unreadable[0]
 
 
 # --- meshes ---
@@ -158,8 +158,8 @@ def test_every_format_holds_the_same_box(kind: str, box: trimesh.Trimesh, tmp_pa
     data = box.export(file_type=kind)
     (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data.encode())
     found = link_geometry(robot_of(urdf(mesh(name))), "base")
-    assert found.missing == ()
-    assert found.read == (f"mesh {name}",)
+    assert found.unreadable == ()
+    assert found.parts_read == (f"mesh {name}",)
     assert same(found.points, HALF @ R.T + P)
 
 
@@ -219,10 +219,10 @@ def test_where_a_mesh_may_be(
         folder.mkdir(parents=True, exist_ok=True)
     text = urdf(mesh(name.replace("{root}", str(tmp_path))), origin="")
     file.write_text(text)
-    assert "is not found" in link_geometry(read_robot(file), "base").missing[0]
+    assert "is not found" in link_geometry(read_robot(file), "base").unreadable[0]
     path.write_bytes(box.export(file_type="stl"))
     found = link_geometry(read_robot(file), "base")
-    assert found.missing == ()
+    assert found.unreadable == ()
     assert same(found.points, HALF)
 
 
@@ -279,7 +279,7 @@ def nested(depth: int, times: int) -> str:
 def test_a_hostile_mesh_is_one_plain_line(name: str, data: bytes, note: str, tmp_path: Path, robot_of: Read) -> None:
     (tmp_path / name).write_bytes(data)
     robot = robot_of(urdf(mesh(name)))
-    (missing,) = link_geometry(robot, "base").missing
+    (missing,) = link_geometry(robot, "base").unreadable
     assert note in missing
     assert "\n" not in missing
     with pytest.raises(ModelError) as caught:
@@ -291,12 +291,12 @@ def test_a_folder_or_a_device_is_no_mesh(tmp_path: Path, robot_of: Read) -> None
     (tmp_path / "folder.stl").mkdir()
     (tmp_path / "zero.stl").symlink_to("/dev/zero")
     found = link_geometry(robot_of(urdf(mesh("folder.stl"), mesh("zero.stl"))), "base")
-    assert all("is not found" in note for note in found.missing)
-    assert len(found.missing) == 2
+    assert all("is not found" in note for note in found.unreadable)
+    assert len(found.unreadable) == 2
 
 
 def test_a_mesh_without_end_is_not_read(tmp_path: Path, robot_of: Read) -> None:
     with (tmp_path / "m.stl").open("wb") as file:
         file.truncate(5 << 30)  # sparse
-    (missing,) = link_geometry(robot_of(urdf(mesh("m.stl"))), "base").missing
+    (missing,) = link_geometry(robot_of(urdf(mesh("m.stl"))), "base").unreadable
     assert "is larger than" in missing

@@ -11,7 +11,7 @@ from solids import Array, Largest, Problem, body, inside, largest_on_grid, margi
 from synthetic import bounded_body
 
 from idtool.estimation.problem.realizability import check_realizability
-from idtool.robot.ellipsoid import smallest_around
+from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.shapes import Hull
@@ -109,7 +109,7 @@ def test_a_body_too_large_for_a_hull_is_refused(rng: np.random.Generator) -> Non
 
 def test_a_body_in_the_least_ellipsoid_but_not_in_the_hull_is_refused() -> None:
     corners = np.array(TETRAHEDRON.vertices)
-    S = smallest_around(corners)
+    S = minimum_volume_ellipsoid(corners)
     pi = body(np.ones(2), S.center + 0.8 * np.array([[1, 0, 0], [-1, 0, 0]]))
     assert np.trace(pseudo_inertia(pi) @ S.Q) > 0
     assert margin(TETRAHEDRON, pi) < -0.01
@@ -165,7 +165,10 @@ def test_a_hull_s_conditions_move_with_the_body(rng: np.random.Generator) -> Non
     moved = from_pseudo_inertia(T @ pseudo_inertia(pi) @ T.T)
     values = [
         within.G.T @ x
-        for (_, within), x in ((hull.pieces()[0].inequalities, pi), (hull.moved(R, p).pieces()[0].inequalities, moved))
+        for (_, within), x in (
+            (hull.pieces()[0].inequalities, pi),
+            (hull.transformed(R, p).pieces()[0].inequalities, moved),
+        )
     ]
     np.testing.assert_allclose(values[1], values[0], atol=1e-7)
 
@@ -216,7 +219,7 @@ def test_a_hull_of_many_vertices_grows_a_little(rng: np.random.Generator) -> Non
 def test_a_box_with_round_edges_keeps_its_flat_sides(rng: np.random.Generator) -> None:
     ball = on_ball(rng, 3000, 3)
     points = 0.1 * ball + np.sign(ball) * [1.0, 0.6, 0.3]
-    shape = Hull.around(points, most=40)
+    shape = Hull.around(points, max_vertices=40)
     assert shape.contains(points).all()
     np.testing.assert_allclose(np.max(shape.vertices, axis=0), points.max(axis=0), rtol=0.05)
     np.testing.assert_allclose(np.min(shape.vertices, axis=0), points.min(axis=0), rtol=0.05)

@@ -37,8 +37,8 @@ def pinocchio_inertia(pi: Array) -> pin.Inertia:
 
 
 def test_the_order_of_the_parameters_is_the_contracts() -> None:
-    assert inertia.NAMES == NAMES
-    assert len(inertia.UNITS) == inertia.SIZE == 10
+    assert inertia.PARAMETER_NAMES == NAMES
+    assert len(inertia.PARAMETER_UNITS) == inertia.PI_SIZE == 10
 
 
 @given(seeds)
@@ -62,7 +62,7 @@ def test_the_pseudo_inertia_is_the_second_moment_of_the_points(rng: np.random.Ge
 @given(seeds)
 def test_the_pseudo_inertia_is_linear_and_its_basis_spans_it(rng: np.random.Generator) -> None:
     pi = rng.normal(size=(4, 5, 10))
-    np.testing.assert_allclose(inertia.pseudo_inertia(pi), np.tensordot(pi, inertia.BASIS, axes=1), atol=1e-12)
+    np.testing.assert_allclose(inertia.pseudo_inertia(pi), np.tensordot(pi, inertia.J_BASIS, axes=1), atol=1e-12)
     np.testing.assert_allclose(inertia.from_pseudo_inertia(inertia.pseudo_inertia(pi)), pi, atol=1e-12)
 
 
@@ -97,9 +97,9 @@ def test_the_cross_product_matrix(rng: np.random.Generator) -> None:
 def test_six_numbers_and_a_symmetric_matrix_are_the_same(rng: np.random.Generator) -> None:
     A = rng.normal(size=(5, 3, 3))
     A += A.transpose(0, 2, 1)
-    xx, xy, yy, xz, yz, zz = inertia.six(A).T
+    xx, xy, yy, xz, yz, zz = inertia.symmetric_entries(A).T
     np.testing.assert_array_equal(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1), A)
-    np.testing.assert_array_equal(inertia.symmetric(inertia.six(A)), A)
+    np.testing.assert_array_equal(inertia.symmetric_matrix(inertia.symmetric_entries(A)), A)
 
 
 @pytest.mark.parametrize(("sigma", "moments"), [((2, 3, 1), (4, 3, 5)), ((2, 3, 0), (3, 2, 5)), ((2, 0, 0), (0, 2, 2))])
@@ -145,7 +145,7 @@ def test_parallel_axes(rng: np.random.Generator) -> None:
     mass, com, I_c = inertia.mass_com_inertia(parameters(masses, places))
     assert mass == pytest.approx(masses.sum())
     np.testing.assert_allclose(com, masses @ places / masses.sum())
-    np.testing.assert_allclose(inertia.six(I_c), parameters(masses, places - com)[4:], atol=1e-12)
+    np.testing.assert_allclose(inertia.symmetric_entries(I_c), parameters(masses, places - com)[4:], atol=1e-12)
 
 
 def test_a_body_without_mass_has_its_centre_at_the_origin() -> None:
@@ -159,7 +159,7 @@ def test_a_body_without_mass_has_its_centre_at_the_origin() -> None:
 def test_another_frame_is_pinocchios_se3_action_and_the_points_moved(rng: np.random.Generator) -> None:
     masses, places = points(rng)
     R, p = rotation(rng), rng.normal(size=3)
-    moved = inertia.transformation(R, p) @ parameters(masses, places)
+    moved = inertia.parameter_transform(R, p) @ parameters(masses, places)
     np.testing.assert_allclose(moved, parameters(masses, places @ R.T + p), atol=1e-10)
     action = pinocchio_inertia(parameters(masses, places)).se3Action(pin.SE3(R, p))
     np.testing.assert_allclose(moved, action.toDynamicParameters(), atol=1e-10)
@@ -168,7 +168,7 @@ def test_another_frame_is_pinocchios_se3_action_and_the_points_moved(rng: np.ran
 @given(seeds)
 def test_frames_compose_and_undo(rng: np.random.Generator) -> None:
     (R, S), (p, s) = (rotation(rng), rotation(rng)), rng.normal(size=(2, 3))
-    once = inertia.transformation(R @ S, p + R @ s)
-    np.testing.assert_allclose(inertia.transformation(R, p) @ inertia.transformation(S, s), once, atol=1e-10)
-    back = inertia.transformation(R.T, -R.T @ p)
-    np.testing.assert_allclose(back @ inertia.transformation(R, p), np.eye(10), atol=1e-10)
+    once = inertia.parameter_transform(R @ S, p + R @ s)
+    np.testing.assert_allclose(inertia.parameter_transform(R, p) @ inertia.parameter_transform(S, s), once, atol=1e-10)
+    back = inertia.parameter_transform(R.T, -R.T @ p)
+    np.testing.assert_allclose(back @ inertia.parameter_transform(R, p), np.eye(10), atol=1e-10)

@@ -13,7 +13,7 @@ from commands import LEG, TRAIN
 
 import idtool
 from idtool.robot.geometry import link_surface
-from idtool.robot.meshes import Mesh, simplified, together
+from idtool.robot.meshes import Mesh, merge_meshes, simplify_mesh
 from idtool.robot.urdf.reading import Robot
 
 
@@ -29,7 +29,7 @@ def distance(a: Mesh, b: Mesh) -> float:
 @pytest.mark.parametrize("most", [200, 2000, 20_000])
 def test_a_mesh_with_fewer_faces_is_like_it(most: int) -> None:
     ring = of(trimesh.creation.torus(0.3, 0.1, major_sections=96, minor_sections=48))
-    few = simplified(ring, most)
+    few = simplify_mesh(ring, most)
     assert 0 < len(few.faces) <= most
     assert few.faces.max() < len(few.points)
     assert (few is ring) == (most >= len(ring.faces))
@@ -42,13 +42,13 @@ def test_a_mesh_with_fewer_faces_is_like_it(most: int) -> None:
 
 def test_what_has_no_extent_has_no_faces() -> None:
     point = Mesh(np.zeros((3, 3)), np.tile(np.arange(3), (50, 1)))
-    assert len(simplified(point, 10).faces) == 0
-    assert len(simplified(together([]), 10).faces) == 0
+    assert len(simplify_mesh(point, 10).faces) == 0
+    assert len(simplify_mesh(merge_meshes([]), 10).faces) == 0
 
 
 def test_meshes_together_keep_their_triangles() -> None:
     parts = [of(trimesh.creation.box((1, 2, 3))), of(trimesh.creation.icosphere(1))]
-    whole = together(parts)
+    whole = merge_meshes(parts)
     triangles = np.concatenate([part.points[part.faces] for part in parts])
     np.testing.assert_array_equal(whole.points[whole.faces], triangles)
 

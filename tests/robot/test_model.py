@@ -66,7 +66,7 @@ def test_the_root_link_and_what_is_fixed_to_it_are_not_identified(build: Build, 
     model = build(leg, ["hip", "knee"])
     assert [b.name for b in model.bodies] == ["thigh", "shank"]
     assert model.bodies[0].mount.body == -1
-    assert model.bodies[1].lumped == ("foot",)
+    assert model.bodies[1].lumped_links == ("foot",)
     assert any("abad at 0, tail at 0" in warning for warning in sentences(model.notices))
 
 
@@ -139,7 +139,7 @@ def test_bounding_ellipsoids_move_with_their_link(build: Build, leg: str, rng: n
     shank = body(build(leg, LEG_JOINTS, bounding_ellipsoids=bounds), "shank")
     points = rng.uniform(-0.5, 0.5, (500, 3))
     for member, ours in zip(shank.members, shank.ellipsoids, strict=True):
-        bound = parse_config({"bounding_ellipsoids": bounds}, "").bounding_ellipsoids[member.link][0].ellipsoid()
+        bound = parse_config({"bounding_ellipsoids": bounds}, "").bounding_ellipsoids[member.link][0].to_ellipsoid()
         in_body = points @ member.frame.R.T + member.frame.p
         np.testing.assert_array_equal(ours.contains(in_body), bound.contains(points))
         assert bound.contains(points).any()

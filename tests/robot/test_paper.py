@@ -19,9 +19,9 @@ from robots import rotation
 from synthetic import point_parameters, points_in
 
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, within
+from idtool.robot.inequality import REALIZABLE, density_within
 from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia, spatial_inertia
-from idtool.robot.witness import deviation_ellipsoid, explain, reach, witness
+from idtool.robot.witness import deviation_ellipsoid, find_witness, required_ellipsoid_scale, unrealizable_reasons
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,13 @@ PLACEMENTS = {
 
 
 def random_ellipsoid(rng: np.random.Generator) -> Ellipsoid:
-    return Ellipsoid.along(rng.normal(size=3), rng.uniform(0.2, 2, 3), rotation(rng))
+    return Ellipsoid.from_axes(rng.normal(size=3), rng.uniform(0.2, 2, 3), rotation(rng))
 
 
 def margins(pi: Array, S: Ellipsoid) -> tuple[float, float]:
     """Of J(pi) ⪰ 0, in units of its mass and the ellipsoid's size, and of Tr(JQ) ≥ 0, in units of its mass."""
     mass = abs(pi[0])
-    return DENSITY.margin(pi, mass, S.size), within(S.Q, "").margin(pi, mass, S.size)
+    return REALIZABLE.margin(pi, mass, S.size), density_within(S.Q, "").margin(pi, mass, S.size)
 
 
 def spread(mass: float, com: Array, covariance: Array) -> Array:
@@ -81,13 +81,13 @@ def test_figure_3s_bodies_have_four_points_in_the_ellipsoid_or_none(
     assert inside == pytest.approx(trace)
     np.testing.assert_allclose(sorted(deviation_ellipsoid(pi).semi_axes), np.sqrt([0.2, 0.2, 0.9]))
     if trace > 0:
-        found = witness(pi, FIGURE_3)
+        found = find_witness(pi, FIGURE_3)
         assert FIGURE_3.contains(found.points).all()
         np.testing.assert_allclose(point_parameters(found.masses, found.points), pi, atol=1e-12)
     else:
-        assert reach(pi, FIGURE_3) == pytest.approx(np.sqrt(1 - trace))
+        assert required_ellipsoid_scale(pi, FIGURE_3) == pytest.approx(np.sqrt(1 - trace))
         with pytest.raises(ValueError, match="beyond its ellipsoid"):
-            witness(pi, FIGURE_3)
+            find_witness(pi, FIGURE_3)
 
 
 @given(seeds)
@@ -134,9 +134,9 @@ def test_the_nearer_the_centre_to_the_surface_the_smaller_the_body(rng: np.rando
         com = S.center + r * to_surface
         largest, larger = (spread(2.0, com, g * room * axes @ np.diag(shape) @ axes.T) for g in (1 - 1e-6, 1 + 1e-6))
         assert margins(largest, S)[1] == pytest.approx(1e-6 * room, rel=1e-3, abs=1e-12)
-        assert S.contains(witness(largest, S).points).all()
+        assert S.contains(find_witness(largest, S).points).all()
         assert margins(larger, S)[1] < 0
-        assert explain(larger, S)
+        assert unrealizable_reasons(larger, S)
 
 
 @given(seeds)
@@ -145,13 +145,13 @@ def test_on_the_surface_the_point_mass_alone_is_left(rng: np.random.Generator) -
     direction = rng.normal(size=3)
     edge = S.center + S.rotation @ (direction / np.linalg.norm(direction) * S.semi_axes)
     point = spread(1.37, edge, np.zeros((3, 3)))
-    assert explain(point, S) == []
-    np.testing.assert_allclose(witness(point, S).points, np.tile(edge, (4, 1)), atol=1e-6)
+    assert unrealizable_reasons(point, S) == []
+    np.testing.assert_allclose(find_witness(point, S).points, np.tile(edge, (4, 1)), atol=1e-6)
     along = rotation(rng)[0]
     for size in (1e-3, 1e-2, 1.0):
         rod = spread(2.0, edge, (size * S.size) ** 2 * np.outer(along, along))
         assert margins(rod, S)[0] > -1e-9
-        assert explain(rod, S)
+        assert unrealizable_reasons(rod, S)
 
 
 @given(seeds, st.integers(1, 40))
@@ -160,8 +160,8 @@ def test_point_masses_in_the_ellipsoid_are_accepted(rng: np.random.Generator, co
     S = random_ellipsoid(rng)
     pi = point_parameters(rng.exponential(size=count) ** 4 + 1e-9, points_in(rng, S, count))
     assert min(margins(pi, S)) > -1e-9
-    assert explain(pi, S) == []
-    found = witness(pi, S)
+    assert unrealizable_reasons(pi, S) == []
+    found = find_witness(pi, S)
     sizes = pi[0] * (S.size + np.linalg.norm(S.center)) ** np.repeat([0, 1, 2], [1, 3, 6])
     np.testing.assert_allclose(point_parameters(found.masses, found.points) / sizes, pi / sizes, atol=1e-9)
 
@@ -176,7 +176,7 @@ def test_a_uniform_density_on_a_smaller_ellipsoid_inside_is_accepted(rng: np.ran
     density, inside = margins(pi, S)
     assert density > 0
     assert inside >= 1 - (1 - share) ** 2 - 0.6 * share**2 - 1e-9
-    assert S.contains(witness(pi, S).points).all()
+    assert S.contains(find_witness(pi, S).points).all()
 
 
 @given(seeds)
@@ -189,11 +189,11 @@ def test_a_body_with_a_negative_trace_is_refused_and_has_mass_outside(rng: np.ra
     assert inside == pytest.approx(np.trace(pseudo_inertia(pi) @ S.Q) / masses.sum(), abs=1e-9)
     if inside < -1e-6:
         assert not S.contains(places).all()
-        assert explain(pi, S)
+        assert unrealizable_reasons(pi, S)
         with pytest.raises(ValueError, match="no mass density"):
-            witness(pi, S)
+            find_witness(pi, S)
     else:
-        assert S.contains(witness(pi, S).points).all()
+        assert S.contains(find_witness(pi, S).points).all()
 
 
 def test_a_centre_of_mass_inside_does_not_suffice() -> None:
@@ -201,9 +201,9 @@ def test_a_centre_of_mass_inside_does_not_suffice() -> None:
     pi = point_parameters(np.ones(2), np.array([[500.0, 0, 0], [-500.0, 0, 0]]))
     com = mass_com_inertia(pi)[1]
     assert BALL.contains(com)
-    assert explain(pi) == []
-    assert reach(pi, BALL) == pytest.approx(500)
-    assert explain(pi, BALL)
+    assert unrealizable_reasons(pi) == []
+    assert required_ellipsoid_scale(pi, BALL) == pytest.approx(500)
+    assert unrealizable_reasons(pi, BALL)
 
 
 @given(seeds)
@@ -214,4 +214,4 @@ def test_points_outside_can_have_the_parameters_of_points_inside(rng: np.random.
     turned = np.concatenate([far, near]) @ rotation(rng).T
     pi = point_parameters(np.array([0.05, 0.05, 1, 1, 1, 1]), turned)
     assert not BALL.contains(turned).all()
-    assert BALL.contains(witness(pi, BALL).points).all()
+    assert BALL.contains(find_witness(pi, BALL).points).all()

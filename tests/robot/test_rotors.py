@@ -11,7 +11,7 @@ from robots import body, chain, link, link_pi
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError
-from idtool.robot.inertia import from_mass_com_inertia, transformation
+from idtool.robot.inertia import from_mass_com_inertia, parameter_transform
 from idtool.robot.model import Frame, Model
 
 Build = Callable[..., Model]
@@ -27,7 +27,7 @@ def in_root(model: Model, frame: Frame) -> Frame:
     moved = np.zeros(3), Rotation.from_rotvec(carrier.axis * carrier.offset).as_matrix()
     if carrier.prismatic:
         moved = carrier.axis * carrier.offset, np.eye(3)
-    return in_root(model, carrier.mount.then(moved[1], moved[0])).then(frame.R, frame.p)
+    return in_root(model, carrier.mount.compose(moved[1], moved[0])).compose(frame.R, frame.p)
 
 
 def test_a_rotor_stands_at_its_joint_unless_it_is_placed(build: Build, leg: str) -> None:
@@ -84,13 +84,13 @@ def test_a_urdf_link_named_as_rotor_is_taken_out_of_the_lump(build: Build, leg: 
     plain = body(build(leg, LEG_JOINTS), "abad_link")
     model = build(leg, LEG_JOINTS, rotors={"hip_motor": {"joint": "hip", "gear_ratio": 8}})
     rotor, carrier = body(model, "hip_motor"), body(model, "abad_link")
-    assert plain.lumped == ("hip_motor",)
-    assert carrier.lumped == ()
+    assert plain.lumped_links == ("hip_motor",)
+    assert carrier.lumped_links == ()
     frame = plain.members[1].frame
     np.testing.assert_allclose(rotor.pi, link_pi(leg, "hip_motor"), atol=1e-12)
     np.testing.assert_allclose(rotor.mount.R, frame.R)
     np.testing.assert_allclose(rotor.mount.p, frame.p)
-    np.testing.assert_allclose(carrier.pi + transformation(frame.R, frame.p) @ rotor.pi, plain.pi, atol=1e-12)
+    np.testing.assert_allclose(carrier.pi + parameter_transform(frame.R, frame.p) @ rotor.pi, plain.pi, atol=1e-12)
     assert [member.link for member in rotor.members] == ["hip_motor"]
 
 
@@ -102,7 +102,7 @@ def test_a_rotor_whose_joint_is_locked_is_dead_weight(build: Build, leg: str) ->
     thigh = body(build(leg, LEG_JOINTS), "thigh")
     R = thigh.mount.R @ Rotation.from_rotvec(thigh.axis * 10.604 * 0.3).as_matrix()
     own = from_mass_com_inertia(0.5, np.zeros(3), np.diag([0.002, 0.001, 0.002]))
-    np.testing.assert_allclose(carrier.pi, plain.bodies[0].pi + transformation(R, thigh.mount.p) @ own, atol=1e-12)
+    np.testing.assert_allclose(carrier.pi, plain.bodies[0].pi + parameter_transform(R, thigh.mount.p) @ own, atol=1e-12)
     np.testing.assert_allclose(carrier.ellipsoids[0].center, thigh.mount.p)
 
 

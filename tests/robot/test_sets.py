@@ -12,7 +12,7 @@ from synthetic import bounded_body, point_parameters, points_in, random_ellipsoi
 
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import POWERS, from_mass_com_inertia, mass_com_inertia
+from idtool.robot.inertia import LENGTH_POWERS, from_mass_com_inertia, mass_com_inertia
 from idtool.robot.sets import choose_set, constraint_sets
 from idtool.robot.shapes.box import Box
 
@@ -147,8 +147,8 @@ def test_whether_a_body_is_a_member_does_not_depend_on_units(rng: np.random.Gene
 def test_a_body_in_other_units_measured_in_them_has_the_same_margin(rng: np.random.Generator, kind: str) -> None:
     S = random_ellipsoid(rng)
     pi = random_body(rng, S, spread=rng.uniform(0.5, 2.5))
-    millimetres = Ellipsoid.along(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
-    grams = pi * 1e3 * 1e3**POWERS
+    millimetres = Ellipsoid.from_axes(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
+    grams = pi * 1e3 * 1e3**LENGTH_POWERS
     there = margin(kind, grams, millimetres, mass=700.0, length=300.0)
     assert there == pytest.approx(margin(kind, pi, S, mass=0.7, length=0.3), rel=1e-9, abs=1e-9)
 
@@ -227,4 +227,4 @@ SQUARE, UNION = bounded_body(BOX), bounded_body(BALL, BOX)
 )
 def test_which_set_a_body_gets(asked: str | None, body: Body, chosen: str) -> None:
     assert choose_set(body, asked) is SETS[chosen]
-    assert choose_set(body, asked).applies(body)
+    assert choose_set(body, asked).applies_to(body)

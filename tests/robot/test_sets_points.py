@@ -18,7 +18,7 @@ from idtool.robot.body import Body
 from idtool.robot.config import Regularization
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import Piece
-from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 from idtool.robot.sets import constraint_sets
 from idtool.robot.shapes import Shape
 from idtool.robot.shapes.box import Box
@@ -102,7 +102,7 @@ def test_it_leaves_out_bodies_that_could_exist(rng: np.random.Generator) -> None
     (outer,) = SETS["ellipsoid"].pieces(bounded_body(S))
     assert min(i.margin(pi, 1.0, S.size) for i in outer.inequalities) > -1e-9
     assert distance(piece, pi, S) > 1e-3 * gap**2
-    assert not SETS["points"].chosen
+    assert not SETS["points"].automatic
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_bodies_made_of_masses_at_the_places_are_recovered(data: Synthetic) -> N
     theta = data.theta.copy()
     for i, body in enumerate(data.model.bodies):
         at = places(piece_of(body))
-        theta[SIZE * i : SIZE * (i + 1)] = point_parameters(rng.uniform(0.0, 0.02, len(at)), at)
+        theta[PI_SIZE * i : PI_SIZE * (i + 1)] = point_parameters(rng.uniform(0.0, 0.02, len(at)), at)
     tau = data.Y @ theta
     ours = estimate(data.linear, data.model.bodies, data.reduction(tau), [SETS["points"]] * 3, PRIOR)
     np.testing.assert_allclose(data.Y @ ours.theta, tau, rtol=0, atol=1e-6 * np.abs(tau).max())
@@ -149,6 +149,6 @@ def test_an_estimate_is_a_sum_of_masses_and_costs_more_than_one_on_the_ellipsoid
     )
     assert points.certificate.objective > ellipsoid.certificate.objective * (1 + 1e-6)
     for i, body in enumerate(data.model.bodies):
-        pi = points.theta[SIZE * i : SIZE * (i + 1)]
+        pi = points.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
         assert distance(piece_of(body), pi, body.ellipsoids[0]) < 1e-9
         np.testing.assert_allclose(points.pieces[i], pi[None], rtol=1e-9, atol=1e-15)

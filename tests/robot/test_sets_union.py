@@ -23,7 +23,7 @@ SETS = constraint_sets()
 def two_ellipsoids(rng: np.random.Generator) -> tuple[Ellipsoid, Ellipsoid]:
     """Side by side, at any angle, without a point in common."""
     centers = [[-1.5, 0, 0], [1.5, 0, 0]] @ rotation(rng).T
-    first, second = (Ellipsoid.along(center, rng.uniform(0.4, 1, 3), rotation(rng)) for center in centers)
+    first, second = (Ellipsoid.from_axes(center, rng.uniform(0.4, 1, 3), rotation(rng)) for center in centers)
     return first, second
 
 

@@ -27,8 +27,8 @@ from solids import (
     seeds,
 )
 
-from idtool.robot.ellipsoid import Ellipsoid, smallest_around
-from idtool.robot.inertia import BASIS, POWERS, from_mass_com_inertia, from_pseudo_inertia, transformation
+from idtool.robot.ellipsoid import Ellipsoid, minimum_volume_ellipsoid
+from idtool.robot.inertia import J_BASIS, LENGTH_POWERS, from_mass_com_inertia, from_pseudo_inertia, parameter_transform
 from idtool.robot.shapes import Hull, Shape, known_shapes
 from idtool.robot.shapes.box import Box
 from idtool.robot.shapes.capsule import Capsule
@@ -118,9 +118,9 @@ def test_a_body_too_large_for_the_shape_is_refused(kind: str, rng: np.random.Gen
 def test_a_body_that_fits_the_box_s_ellipsoid_but_not_the_box_is_refused() -> None:
     half = np.array([0.1, 0.05, 0.02])
     corners = np.array(list(product((-1, 1), repeat=3))) * half
-    S = smallest_around(corners)
+    S = minimum_volume_ellipsoid(corners)
     pi = body(np.array([1.0, 1.0]), np.array([[0.16, 0, 0], [-0.16, 0, 0]]))
-    trace = float(np.einsum("kij,ji,k->", BASIS, S.Q, pi))
+    trace = float(np.einsum("kij,ji,k->", J_BASIS, S.Q, pi))
     assert trace > 0
     x, y, z = (2 * half).tolist()
     assert margin(Box((0, 0, 0), (x, y, z)), pi) < -0.1
@@ -158,7 +158,7 @@ def test_the_conditions_move_with_the_body(rng: np.random.Generator, kind: str) 
     shape, R, p = random_shape(rng, kind), rotation(rng), rng.normal(size=3)
     pi = body(rng.uniform(0.1, 1, 6), inside(rng, shape, 6, reach=1.2))
     _, *own = margins(shape.pieces()[0], pi, shape.size)
-    _, *moved = margins(shape.moved(R, p).pieces()[0], transformation(R, p) @ pi, shape.size)
+    _, *moved = margins(shape.transformed(R, p).pieces()[0], parameter_transform(R, p) @ pi, shape.size)
     np.testing.assert_allclose(moved, own, atol=1e-8)
 
 
@@ -166,7 +166,7 @@ def test_the_conditions_move_with_the_body(rng: np.random.Generator, kind: str) 
 def test_a_moved_shape_holds_the_moved_points(rng: np.random.Generator, kind: str) -> None:
     shape, R, p = random_shape(rng, kind), rotation(rng), rng.normal(size=3)
     x = np.concatenate([inside(rng, shape, 10), inside(rng, shape, 10) + 3 * shape.size * on_ball(rng, 10, 3)])
-    moved = shape.moved(R, p)
+    moved = shape.transformed(R, p)
     np.testing.assert_array_equal(moved.contains(x @ R.T + p, tolerance=1e-6), shape.contains(x, tolerance=1e-6))
     assert moved.size == pytest.approx(shape.size)
     assert moved.contains(x[:10] @ R.T + p, tolerance=1e-6).all()
@@ -174,7 +174,7 @@ def test_a_moved_shape_holds_the_moved_points(rng: np.random.Generator, kind: st
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2])
 def test_a_shape_turned_to_where_its_angles_are_not_unique(angle: float) -> None:
-    box = Box((1, 0, 0), (0.1, 0.2, 0.3)).moved(Rotation.from_euler("y", angle).as_matrix(), np.zeros(3))
+    box = Box((1, 0, 0), (0.1, 0.2, 0.3)).transformed(Rotation.from_euler("y", angle).as_matrix(), np.zeros(3))
     np.testing.assert_allclose(np.abs(box.rotation), [[0, 0, 1], [0, 1, 0], [1, 0, 0]], atol=1e-7)
 
 
@@ -186,7 +186,7 @@ def test_millimetres_and_grams_change_nothing(rng: np.random.Generator, kind: st
     scaled = {name: np.multiply(data[name], 1e3).tolist() for name in data if name not in ("kind", "rpy")}
     large = type(shape).from_dict({**data, **scaled})
     assert large.size == pytest.approx(1e3 * shape.size)
-    assert margin(large, 1e3 * pi * 1e3**POWERS) == pytest.approx(margin(shape, pi), abs=1e-8)
+    assert margin(large, 1e3 * pi * 1e3**LENGTH_POWERS) == pytest.approx(margin(shape, pi), abs=1e-8)
 
 
 @given(seeds, kinds)

@@ -55,7 +55,7 @@ def test_the_centre_of_mass_reaches_the_surface_and_no_farther(kind: str, rng: n
             "hull": (Hull.around([[1, 0, 0], [0, 1, 0], [0, 0, 2], [-1, -1, -1]]), 0.0),
         }
         shape, extent = solids[kind]
-        shape = shape.moved(R, np.array([0.1, 0.2, -0.3]))
+        shape = shape.transformed(R, np.array([0.1, 0.2, -0.3]))
         if isinstance(shape, Hull):
             extent = (np.array(shape.vertices) @ n).max()
         else:

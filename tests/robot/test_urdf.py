@@ -12,10 +12,10 @@ from synthetic import true_body
 
 from idtool.robot.body import Body
 from idtool.robot.config import Config
-from idtool.robot.inertia import DIGITS, from_mass_com_inertia, pseudo_inertia
+from idtool.robot.inertia import WRITTEN_DIGITS, from_mass_com_inertia, pseudo_inertia
 from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.robot.urdf.writing import JointDynamics, identified_urdf, link_parameters, rewrite
+from idtool.robot.urdf.writing import JointDynamics, identified_urdf, link_parameters, replace_parameters
 
 Build = Callable[..., Model]
 
@@ -37,12 +37,12 @@ ODD = b"""<?xml version='1.0' encoding="utf-8"?>\r
   <transmission name="t"><joint name="j"><dynamics damping="9"/></joint></transmission>
 </robot>"""
 
-WRITTEN = 10.0 ** (1 - DIGITS)  # relative precision of what files hold
+WRITTEN = 10.0 ** (1 - WRITTEN_DIGITS)  # relative precision of what files hold
 PI = from_mass_com_inertia(2.0, [0.1, -0.2, 0.3], np.diag([0.03, 0.02, 0.04]))
 
 
 def test_what_is_not_replaced_stays_byte_for_byte() -> None:
-    written = rewrite(ODD, {"a": PI}, {"j": JointDynamics(0.1, None)})
+    written = replace_parameters(ODD, {"a": PI}, {"j": JointDynamics(0.1, None)})
     start = ODD.index(b"<inertial><!-- goes")
     stop = ODD.index(b"</inertial>\r\n\t</link>") + len(b"</inertial>")
     assert written.startswith(ODD[:start] + b"<inertial>")
@@ -51,12 +51,12 @@ def test_what_is_not_replaced_stays_byte_for_byte() -> None:
 
 
 def test_nothing_to_replace_changes_nothing() -> None:
-    assert rewrite(ODD, {}, {}) == ODD
-    assert rewrite(ODD, {"stranger": PI}, {"stranger": JointDynamics(1.0, 1.0)}) == ODD
+    assert replace_parameters(ODD, {}, {}) == ODD
+    assert replace_parameters(ODD, {"stranger": PI}, {"stranger": JointDynamics(1.0, 1.0)}) == ODD
 
 
 def test_what_was_not_there_is_put_in() -> None:
-    written = rewrite(ODD, {"b": PI, "c": PI}, {"k": JointDynamics(0.1, 0.2)})
+    written = replace_parameters(ODD, {"b": PI, "c": PI}, {"k": JointDynamics(0.1, 0.2)})
     assert written.count(b"<inertial>") == ODD.count(b"<inertial>") + 2
     assert b'<dynamics damping="0.1" friction="0.2"/>' in written
     model = pin.buildModelFromXML(written.decode())
@@ -65,7 +65,7 @@ def test_what_was_not_there_is_put_in() -> None:
 
 
 def test_a_link_can_lose_its_mass() -> None:
-    written = rewrite(ODD, {"a": None}, {})
+    written = replace_parameters(ODD, {"a": None}, {})
     assert b"<!-- goes -->" not in written
     assert b"<!-- kept -->" in written
     pin.buildModelFromXML(written.decode())
@@ -73,8 +73,8 @@ def test_a_link_can_lose_its_mass() -> None:
 
 def test_written_twice_is_written_once() -> None:
     links, joints = {"a": PI, "b": PI}, {"j": JointDynamics(0.1, 0.2)}
-    once = rewrite(ODD, links, joints)
-    assert rewrite(once, links, joints) == once
+    once = replace_parameters(ODD, links, joints)
+    assert replace_parameters(once, links, joints) == once
 
 
 LUMPED = """<robot name="r"><link name="base"/>
@@ -132,10 +132,10 @@ def test_a_rotor_that_is_a_link_is_written_there(build: Build, leg: str, rng: np
 def test_the_links_of_a_body_sum_to_it(build: Build, mass: float, keeps_the_tool: bool) -> None:
     model = build(LUMPED, ["j"])
     arm: Body = model.bodies[0]
-    assert arm.lumped == ("tool",)
+    assert arm.lumped_links == ("tool",)
     identified = from_mass_com_inertia(mass, [0.0, 0.05, 0.1], mass * np.diag([0.2, 0.25, 0.1]))
     links = link_parameters(arm, identified, model.robot.links)
-    written = pin.buildModelFromXML(rewrite(model.robot.text, links, {}).decode())
+    written = pin.buildModelFromXML(replace_parameters(model.robot.text, links, {}).decode())
     np.testing.assert_allclose(written.inertias[1].toDynamicParameters(), identified, rtol=0, atol=WRITTEN * mass)
     assert ("tool" not in links) == keeps_the_tool
     for pi in links.values():
@@ -155,6 +155,6 @@ def test_a_locked_rotor_that_is_no_link_stays_in_the_configuration(build: Build)
         identified = from_mass_com_inertia(mass, [0, 0, 0.1], mass * np.diag([0.2, 0.25, 0.1]))
         links = link_parameters(arm, identified, model.robot.links)
         assert "spin" not in links
-        again = build(rewrite(model.robot.text, links, {}).decode(), ["j"], rotors={"spin": rotor})
+        again = build(replace_parameters(model.robot.text, links, {}).decode(), ["j"], rotors={"spin": rotor})
         np.testing.assert_allclose(again.bodies[0].pi, identified, rtol=0, atol=WRITTEN * mass)
     assert own.any()

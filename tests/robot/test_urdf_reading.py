@@ -50,8 +50,8 @@ def test_joints_on_one_branch_carry_each_other(robot_of: Read) -> None:
     coupled = np.triu(pin.crba(model, model.createData(), np.zeros(3)))
     for i, one in enumerate(model.names[1:]):
         for j, another in enumerate(model.names[1:]):
-            assert robot.on_one_branch(one, another) == (coupled[i, j] + coupled[j, i] != 0)
-    assert robot.path_to("knee") == ["knee", "hip"]
+            assert robot.on_same_branch(one, another) == (coupled[i, j] + coupled[j, i] != 0)
+    assert robot.path_to_root("knee") == ["knee", "hip"]
 
 
 def test_an_inertial_frame_is_turned_into_the_links(robot_of: Read, rng: np.random.Generator) -> None:

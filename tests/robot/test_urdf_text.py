@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.urdf.reading import Robot
-from idtool.robot.urdf.writing import JointDynamics, moved, rewrite
+from idtool.robot.urdf.writing import JointDynamics, relocate_meshes, replace_parameters
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def unmarked(marked: str) -> bytes:
 
 
 def written(text: bytes) -> bytes:
-    return rewrite(text, {"arm": PI}, {"j": DYNAMICS})
+    return replace_parameters(text, {"arm": PI}, {"j": DYNAMICS})
 
 
 def same(pi: Array | None) -> bool:
@@ -146,7 +146,7 @@ def test_dynamics_that_are_not_given_stay(
     marked: str, values: JointDynamics, robot_of: Callable[[bytes], Robot]
 ) -> None:
     old = unmarked(marked)
-    new = rewrite(old, {}, {"j": values})
+    new = replace_parameters(old, {}, {"j": values})
     joint, before = robot_of(new).joints["j"], robot_of(old).joints["j"]
     assert joint.damping == (before.damping if values.damping is None else 0.5)
     assert joint.friction == (before.friction if values.friction is None else 0.5)
@@ -155,11 +155,11 @@ def test_dynamics_that_are_not_given_stay(
 
 def test_a_link_that_loses_its_mass_loses_nothing_else(marked: str, robot_of: Callable[[bytes], Robot]) -> None:
     old = unmarked(marked)
-    new = rewrite(old, {"arm": None}, {})
+    new = replace_parameters(old, {"arm": None}, {})
     assert robot_of(new).links["arm"] is None
     left = re.sub(r"\s*⟦I.*?⟧", "", marked, flags=re.DOTALL)
     assert re.sub(rb"\s", b"", new) == re.sub(rb"\s", b"", unmarked(left))
-    assert rewrite(new, {"arm": None}, {}) == new
+    assert replace_parameters(new, {"arm": None}, {}) == new
 
 
 def test_latin_1(robot_of: Callable[[bytes], Robot]) -> None:
@@ -190,7 +190,7 @@ def test_relative_names_of_meshes_hold_in_another_folder(tmp_path: Path, encodin
     (tmp_path / "robot" / "meshes" / "a & é.stl").touch()
     (tmp_path / "robot" / "meshes" / "b.png").touch()
     urdf = tmp_path / "robot" / "r.urdf"
-    new = moved(text, urdf, tmp_path / "elsewhere" / "out")
+    new = relocate_meshes(text, urdf, tmp_path / "elsewhere" / "out")
     names = [element.get("filename") for element in etree.fromstring(new).iter("mesh", "texture")]
     up = "../../robot/meshes"
     assert names == [
@@ -201,6 +201,6 @@ def test_relative_names_of_meshes_hold_in_another_folder(tmp_path: Path, encodin
         f"{up}/b.png",
     ]
     (tmp_path / "elsewhere" / "out").mkdir(parents=True)
-    back = moved(new, tmp_path / "elsewhere" / "out" / "r.urdf", urdf.parent)
+    back = relocate_meshes(new, tmp_path / "elsewhere" / "out" / "r.urdf", urdf.parent)
     assert back.replace(b"&#233;", "é".encode(encoding)) == text.replace(b"'", b'"')
-    assert moved(text, urdf, urdf.parent) == text
+    assert relocate_meshes(text, urdf, urdf.parent) == text

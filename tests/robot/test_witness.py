@@ -11,9 +11,21 @@ from robots import rotation
 from synthetic import point_parameters, points_in
 
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, within
-from idtool.robot.inertia import POWERS, from_mass_com_inertia, from_pseudo_inertia, pseudo_inertia, transformation
-from idtool.robot.witness import deviation_ellipsoid, explain, reach, violations, witness
+from idtool.robot.inequality import REALIZABLE, density_within
+from idtool.robot.inertia import (
+    LENGTH_POWERS,
+    from_mass_com_inertia,
+    from_pseudo_inertia,
+    parameter_transform,
+    pseudo_inertia,
+)
+from idtool.robot.witness import (
+    deviation_ellipsoid,
+    find_witness,
+    required_ellipsoid_scale,
+    unrealizable_reasons,
+    violations,
+)
 
 Array = NDArray[np.float64]
 
@@ -21,7 +33,7 @@ seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
 def random_ellipsoid(rng: np.random.Generator, size: float = 1.0) -> Ellipsoid:
-    return Ellipsoid.along(size * rng.normal(size=3), size * rng.uniform(0.1, 2, 3), rotation(rng))
+    return Ellipsoid.from_axes(size * rng.normal(size=3), size * rng.uniform(0.1, 2, 3), rotation(rng))
 
 
 def on_surface(rng: np.random.Generator, S: Ellipsoid, count: int) -> Array:
@@ -32,12 +44,12 @@ def on_surface(rng: np.random.Generator, S: Ellipsoid, count: int) -> Array:
 
 def check(pi: Array, S: Ellipsoid | None, tolerance: float = 1e-9) -> None:
     """The witness has the body's parameters, in units of its mass and size, no negative mass, and lies in S."""
-    found = witness(pi, S)
+    found = find_witness(pi, S)
     assert found.masses.shape == (4,)
     assert found.points.shape == (4, 3)
     assert (found.masses >= 0).all()
     size = 0.1 if S is None else max(float(np.linalg.norm(S.center)), *S.semi_axes)
-    sizes = pi[0] * size**POWERS
+    sizes = pi[0] * size**LENGTH_POWERS
     np.testing.assert_allclose(point_parameters(found.masses, found.points) / sizes, pi / sizes, atol=tolerance)
     np.testing.assert_allclose(found.pi / sizes, pi / sizes, atol=tolerance)
     if S is not None:
@@ -60,7 +72,7 @@ def test_mass_on_the_surface_has_a_witness_on_it(rng: np.random.Generator, count
     S = random_ellipsoid(rng)
     pi = point_parameters(rng.uniform(0.1, 1, count), on_surface(rng, S, count))
     check(pi, S)
-    found = witness(pi, S)
+    found = find_witness(pi, S)
     heavy = found.masses > 1e-6 * pi[0]
     u = (found.points[heavy] - S.center) @ S.rotation / S.semi_axes
     np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1, atol=1e-6)
@@ -70,7 +82,7 @@ def test_mass_on_the_surface_has_a_witness_on_it(rng: np.random.Generator, count
 def test_without_an_ellipsoid_four_equal_masses_do(rng: np.random.Generator, count: int) -> None:
     pi = point_parameters(rng.uniform(0.1, 1, count), 0.1 * rng.normal(size=(count, 3)))
     check(pi, None)
-    np.testing.assert_allclose(witness(pi).masses, np.full(4, pi[0] / 4))
+    np.testing.assert_allclose(find_witness(pi).masses, np.full(4, pi[0] / 4))
 
 
 @pytest.mark.parametrize("axes", [3, 2, 1, 0], ids=["solid", "plate", "rod", "point"])
@@ -78,7 +90,7 @@ def test_a_witness_spans_no_more_than_its_body(rng: np.random.Generator, axes: i
     S = random_ellipsoid(rng)
     spread = rotation(rng)[:, :axes] * [[0.01] * axes]
     places = S.center + rng.normal(size=(6, axes)) @ spread.T
-    for found in (witness(point_parameters(np.ones(6), places), kind) for kind in (S, None)):
+    for found in (find_witness(point_parameters(np.ones(6), places), kind) for kind in (S, None)):
         singular = np.linalg.svd(found.points - found.masses @ found.points / 6, compute_uv=False)
         assert (singular > 1e-4).sum() == axes
         assert singular[axes:].max(initial=0.0) < 1e-6
@@ -90,7 +102,7 @@ def test_a_small_body_far_from_its_frame_keeps_its_spread(rng: np.random.Generat
     S = random_ellipsoid(rng)
     places = S.center + 1e-3 * min(S.semi_axes) * rng.normal(size=(6, 3))
     pi = point_parameters(np.ones(6), places)
-    found = witness(pi, S)
+    found = find_witness(pi, S)
     centred = found.points - found.masses @ found.points / found.masses.sum()
     offset = places - places.mean(axis=0)
     expected = offset.T @ offset
@@ -111,7 +123,7 @@ def test_a_body_has_a_witness_in_an_ellipsoid_exactly_where_the_trace_is_not_neg
         check(pi, S)
     else:
         with pytest.raises(ValueError, match="some mass lies beyond its ellipsoid"):
-            witness(pi, S)
+            find_witness(pi, S)
 
 
 @pytest.mark.parametrize(
@@ -135,13 +147,13 @@ def test_a_body_has_a_witness_in_an_ellipsoid_exactly_where_the_trace_is_not_neg
     ],
 )
 def test_the_reason_is_named(pi: Array, reason: str) -> None:
-    assert explain(pi) == [reason]
+    assert unrealizable_reasons(pi) == [reason]
     with pytest.raises(ValueError, match="no mass density has these parameters"):
-        witness(pi)
+        find_witness(pi)
 
 
 def test_every_negative_moment_is_named() -> None:
-    reasons = explain(from_mass_com_inertia(2.0, np.zeros(3), np.diag([-0.5, 0.5, -0.01])))
+    reasons = unrealizable_reasons(from_mass_com_inertia(2.0, np.zeros(3), np.diag([-0.5, 0.5, -0.01])))
     assert reasons == [
         "principal moment I1 is negative: -0.5 kg·m²",
         "principal moment I2 is negative: -0.01 kg·m²",
@@ -155,7 +167,7 @@ def test_a_reason_is_given_exactly_where_mass_moments_or_triangles_fail(rng: np.
     pi = from_mass_com_inertia(mass, rng.normal(size=3), R @ np.diag(moments) @ R.T)
     J1, J2, J3 = np.sort(moments)
     assume(abs(J1 + J2 - J3) > 1e-6)
-    assert (not explain(pi)) == (mass > 0 and J1 >= 0 and J1 + J2 > J3)
+    assert (not unrealizable_reasons(pi)) == (mass > 0 and J1 >= 0 and J1 + J2 > J3)
 
 
 @pytest.mark.parametrize("moments", [(3, 2, 5), (0, 2, 2), (0, 0, 0)], ids=["plate", "rod", "point"])
@@ -167,16 +179,16 @@ def test_rounding_does_not_forbid_a_body_without_volume(
         R = rotation(rng)
         inertia = 0.01 * length**2 * R @ np.diag(moments) @ R.T
         pi = from_mass_com_inertia(rng.uniform(0.1, 5), length * rng.normal(size=3), inertia)
-        assert explain(pi) == []
-        witness(pi)
+        assert unrealizable_reasons(pi) == []
+        find_witness(pi)
 
 
 @pytest.mark.parametrize(("relative", "accepted"), [(1e-10, True), (1e-7, False)])
 def test_a_plate_may_break_its_triangle_inequality_by_what_rounding_does(relative: float, accepted: bool) -> None:
     pi = from_mass_com_inertia(1.0, np.zeros(3), np.diag([0.3, 0.2, 0.5 * (1 + relative)]))
-    assert (explain(pi) == []) == accepted
-    assert (violations(pi, [DENSITY], 1.0, 1.0) == []) == accepted
-    assert violations(pi, [DENSITY], 1.0, 1.0, tolerance=0.0)
+    assert (unrealizable_reasons(pi) == []) == accepted
+    assert (violations(pi, [REALIZABLE], 1.0, 1.0) == []) == accepted
+    assert violations(pi, [REALIZABLE], 1.0, 1.0, tolerance=0.0)
     if accepted:
         check(pi, Ellipsoid((0, 0, 0), (1, 1, 1)))
 
@@ -194,7 +206,7 @@ def test_a_point_that_is_too_light_to_have_a_place_is_put_at_the_centre_of_mass(
     """A rod of 1e-7 radii that ends at a ball's surface: its points are that end, and 2.5e-15 of it opposite."""
     s = 1e-7
     c = np.array([np.sqrt(1 - s**2), 0, 0])
-    found = witness(from_mass_com_inertia(1.0, c, s**2 * np.diag([0.0, 1, 1])), Ellipsoid((0, 0, 0), (1, 1, 1)))
+    found = find_witness(from_mass_com_inertia(1.0, c, s**2 * np.diag([0.0, 1, 1])), Ellipsoid((0, 0, 0), (1, 1, 1)))
     assert found.masses.min() < 1e-14
     np.testing.assert_allclose(found.points, np.tile(c, (4, 1)), atol=1e-6)
 
@@ -206,8 +218,8 @@ def test_reach_is_the_root_mean_square_distance_in_semi_axes(rng: np.random.Gene
     u = (places - S.center) @ S.rotation / S.semi_axes
     expected = np.sqrt(masses @ np.square(u).sum(axis=1) / masses.sum())
     pi = point_parameters(masses, places)
-    assert reach(pi, S) == pytest.approx(expected)
-    assert reach(pi, S) ** 2 == pytest.approx(1 - np.trace(pseudo_inertia(pi) @ S.Q) / pi[0])
+    assert required_ellipsoid_scale(pi, S) == pytest.approx(expected)
+    assert required_ellipsoid_scale(pi, S) ** 2 == pytest.approx(1 - np.trace(pseudo_inertia(pi) @ S.Q) / pi[0])
     assert np.linalg.norm(u, axis=1).max() >= expected  # some mass is at least that far
 
 
@@ -215,33 +227,33 @@ def test_reach_is_the_root_mean_square_distance_in_semi_axes(rng: np.random.Gene
 def test_an_ellipsoid_grown_by_the_reach_just_holds_the_body(rng: np.random.Generator) -> None:
     S = random_ellipsoid(rng)
     pi = point_parameters(rng.uniform(0.1, 1, 6), S.center + 2 * rng.normal(size=(6, 3)))
-    factor = reach(pi, S)
+    factor = required_ellipsoid_scale(pi, S)
     larger, smaller = (
         Ellipsoid(S.center, tuple(g * factor * a for a in S.semi_axes), S.rpy)  # type: ignore[arg-type]
         for g in (1 + 1e-6, 1 - 1e-6)
     )
     check(pi, larger)
-    assert explain(pi, smaller)
+    assert unrealizable_reasons(pi, smaller)
 
 
 def test_a_body_too_large_for_its_ellipsoid_is_said_to_be_by_how_much() -> None:
     pi = point_parameters(np.full(2, 0.5), np.array([[0.26, 0, 0], [-0.26, 0, 0]]))
     sphere = Ellipsoid((0, 0, 0), (0.2, 0.2, 0.2))
-    (reason,) = explain(pi, sphere)
+    (reason,) = unrealizable_reasons(pi, sphere)
     assert reason == (
         "some mass lies beyond its ellipsoid, at least 30 % farther from the centre than the surface (Tr(JQ)/m = -0.69)"
     )
-    (found,) = violations(pi, [DENSITY, within(sphere.Q, "mass within its ellipsoid")], 1.0, 0.2)
+    (found,) = violations(pi, [REALIZABLE, density_within(sphere.Q, "mass within its ellipsoid")], 1.0, 0.2)
     assert found.label == "mass within its ellipsoid"
     assert found.amount == pytest.approx(0.69)
     assert found.text == reason.replace("ellipsoid,", "bounding shape,")
 
 
 def test_violations_name_each_inequality_that_fails_and_no_other() -> None:
-    sphere = within(Ellipsoid((0, 0, 0), (1, 1, 1)).Q, "sphere")
+    sphere = density_within(Ellipsoid((0, 0, 0), (1, 1, 1)).Q, "sphere")
     small, broken = 1e-3 * np.eye(3), np.diag([1.0, 1.0, 3.0])
     labels = {
-        case: [v.label for v in violations(pi, [DENSITY, sphere], 1.0, 1.0)]
+        case: [v.label for v in violations(pi, [REALIZABLE, sphere], 1.0, 1.0)]
         for case, pi in {
             "neither": from_mass_com_inertia(1.0, np.zeros(3), small),
             "density": from_mass_com_inertia(1.0, np.zeros(3), np.diag([1e-3, 1e-3, 3e-3])),
@@ -249,9 +261,14 @@ def test_violations_name_each_inequality_that_fails_and_no_other() -> None:
             "both": from_mass_com_inertia(1.0, [2.0, 0, 0], broken),
         }.items()
     }
-    expected = {"neither": [], "density": [DENSITY.label], "sphere": ["sphere"], "both": [DENSITY.label, "sphere"]}
+    expected = {
+        "neither": [],
+        "density": [REALIZABLE.label],
+        "sphere": ["sphere"],
+        "both": [REALIZABLE.label, "sphere"],
+    }
     assert labels == expected
-    (broken_density, _) = violations(from_mass_com_inertia(1.0, [2.0, 0, 0], broken), [DENSITY, sphere], 1.0, 1.0)
+    (broken_density, _) = violations(from_mass_com_inertia(1.0, [2.0, 0, 0], broken), [REALIZABLE, sphere], 1.0, 1.0)
     assert broken_density.text == "I1 + I2 < I3: 1 + 1 < 3 kg·m² (by 33 %)"
 
 
@@ -259,14 +276,14 @@ def test_violations_name_each_inequality_that_fails_and_no_other() -> None:
 def test_amounts_are_margins_and_the_same_in_all_units(rng: np.random.Generator) -> None:
     S = random_ellipsoid(rng)
     pi = rng.normal(size=10)
-    inequalities = [DENSITY, within(S.Q, "ellipsoid")]
-    units = 1e3 * 1e3**POWERS  # grams and millimetres
-    there = Ellipsoid.along(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
+    inequalities = [REALIZABLE, density_within(S.Q, "ellipsoid")]
+    units = 1e3 * 1e3**LENGTH_POWERS  # grams and millimetres
+    there = Ellipsoid.from_axes(1e3 * np.array(S.center), 1e3 * np.array(S.semi_axes), S.rotation)
     here = {v.label: v.amount for v in violations(pi, inequalities, 0.7, 0.3)}
     for label, amount in here.items():
         (inequality,) = (i for i in inequalities if i.label == label)
         assert amount == pytest.approx(-inequality.margin(pi, 0.7, 0.3))
-    other = [DENSITY, within(there.Q, "ellipsoid")]
+    other = [REALIZABLE, density_within(there.Q, "ellipsoid")]
     assert {v.label: v.amount for v in violations(pi * units, other, 700, 300)} == pytest.approx(here, rel=1e-6)
 
 
@@ -278,17 +295,17 @@ def test_what_is_not_an_ellipsoid_is_told_in_its_own_terms() -> None:
     below = np.zeros((4, 4))
     below[2, 3] = below[3, 2] = -0.5
     point = point_parameters(np.array([2.0]), np.array([[3.0, 0.0, 0.65]]))
-    (beyond,) = violations(point, [within(slab, "slab")], 2.0, 1.0)
+    (beyond,) = violations(point, [density_within(slab, "slab")], 2.0, 1.0)
     assert "at least 50 % farther from the centre" in beyond.text
-    (above,) = violations(point, [within(below, "below z = 0")], 2.0, 1.0)
+    (above,) = violations(point, [density_within(below, "below z = 0")], 2.0, 1.0)
     assert above.text == "below z = 0: short by 0.65 in units of the body's mass and length"
     for A, b in (([1.0, 1.0, -1.0], 0.0), ([1.0, 1.0, 0.0], 0.5)):  # a hyperboloid and a paraboloid have no inside
         Q = np.diag([*(-np.array(A)), 1.0])
         Q[2, 3] = Q[3, 2] = b
-        (open_,) = violations(point, [within(Q, "open")], 2.0, 1.0)
+        (open_,) = violations(point, [density_within(Q, "open")], 2.0, 1.0)
         assert open_.text.startswith("open: short by")
     unit = Ellipsoid((3, 0, 0), (1, 1, 1)).Q
-    (both,) = violations(point, [within(np.stack([unit, below]), "half a ball")], 2.0, 1.0)
+    (both,) = violations(point, [density_within(np.stack([unit, below]), "half a ball")], 2.0, 1.0)
     assert both.amount == pytest.approx(0.65)
     assert both.text.startswith("half a ball")
 
@@ -309,7 +326,7 @@ def test_the_deviation_ellipsoid_is_that_of_the_points(rng: np.random.Generator)
 def test_the_deviation_ellipsoid_moves_with_its_body(rng: np.random.Generator) -> None:
     pi = point_parameters(rng.uniform(0.1, 1, 8), rng.normal(size=(8, 3)))
     R, p = rotation(rng), rng.normal(size=3)
-    E, moved = deviation_ellipsoid(pi), deviation_ellipsoid(transformation(R, p) @ pi)
+    E, moved = deviation_ellipsoid(pi), deviation_ellipsoid(parameter_transform(R, p) @ pi)
     np.testing.assert_allclose(moved.center, R @ E.center + p, atol=1e-9)
     np.testing.assert_allclose(moved.Q_s, R @ E.Q_s @ R.T, atol=1e-9)
 

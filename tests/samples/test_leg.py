@@ -26,7 +26,7 @@ from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.evaluation.rollouts import HORIZONS, evaluate_rollouts
 from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import read_config
-from idtool.robot.inertia import NAMES, from_mass_com_inertia, symmetric
+from idtool.robot.inertia import PARAMETER_NAMES, from_mass_com_inertia, symmetric_matrix
 from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
@@ -45,13 +45,13 @@ def true_coefficients(robot: str, experiment: Experiment) -> Array:
     """What truth.yaml says of the coefficients, shape (p,)."""
     truth = TRUTH[robot]
     bodies = {
-        name: from_mass_com_inertia(body["mass"], body["com"], symmetric(body["inertia"]))
+        name: from_mass_com_inertia(body["mass"], body["com"], symmetric_matrix(body["inertia"]))
         for name, body in truth["bodies"].items()
     }
     friction = truth["friction"]
     return np.array(
         [
-            bodies[c.owner][NAMES.index(c.name)] if c.owner in bodies else friction[c.owner][c.name]
+            bodies[c.owner][PARAMETER_NAMES.index(c.name)] if c.owner in bodies else friction[c.owner][c.name]
             for c in experiment.equation.coefficients
         ]
     )

@@ -26,7 +26,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.problem.estimate import estimate
-from idtool.robot.config import WEAK, Config
+from idtool.robot.config import WEAK_PRIOR, Config
 from idtool.robot.sets import choose_set
 
 Change = Callable[[Motion], Motion]
@@ -146,7 +146,7 @@ class ReducedSample:
         noise = np.sqrt(self.free(T) * power)
         noise[noise == 0] = 1.0
         try:
-            theta = estimate(fit.equation, fit.bodies, data, fit.sets, WEAK, noise=noise).theta
+            theta = estimate(fit.equation, fit.bodies, data, fit.sets, WEAK_PRIOR, noise=noise).theta
         except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
             return None
         left = [f.squared_error(theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)]

@@ -18,7 +18,7 @@ from idtool.dynamics.effects.entry_parameters import entry_location
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NamedEffect, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
-from idtool.robot.config import Config, EffectEntry, Friction, Uncertain
+from idtool.robot.config import Config, EffectEntry, Friction, UncertainValue
 from idtool.robot.model import Model
 
 __all__ = [
@@ -109,6 +109,6 @@ def _friction(model: Model, joint: int, config: Config) -> list[JointTerm]:
         if setting:
             attribute = types[key].urdf_attribute
             urdf_value = getattr(properties, attribute) if attribute else 0.0
-            prior = setting.value if isinstance(setting, Uncertain) else urdf_value
+            prior = setting.value if isinstance(setting, UncertainValue) else urdf_value
             terms.append(types[key](model, joint, prior))
     return terms

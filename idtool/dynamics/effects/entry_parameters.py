@@ -9,7 +9,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, shown, some
-from idtool.robot.config import EffectEntry, Uncertain
+from idtool.robot.config import EffectEntry, UncertainValue
 from idtool.robot.model import Model
 
 
@@ -43,7 +43,7 @@ def read_number(entry: EffectEntry, name: str) -> float:
         If it is something else.
     """
     try:
-        return Uncertain.model_validate(entry.parameters[name]).value
+        return UncertainValue.model_validate(entry.parameters[name]).value
     except ValueError:
         message = f"{name} is not a number; give one, or value and standard_error"
         raise ConfigError(entry_location(entry), message) from None
@@ -85,7 +85,7 @@ def read_rows(entry: EffectEntry, name: str, length: int) -> Array:
 def _numbers(given: Any, length: int) -> Array:
     if not isinstance(given, list | tuple) or len(given) != length:
         raise ValueError
-    return np.array([Uncertain.model_validate(x).value for x in given])
+    return np.array([UncertainValue.model_validate(x).value for x in given])
 
 
 def read_joint_index(entry: EffectEntry, name: Any, model: Model, parameter: str = "") -> int:

@@ -18,7 +18,7 @@ from idtool.dynamics.effects.fixed_effect import FixedJointEffect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.mechanism import Mechanism, Transmission
-from idtool.robot.inertia import symmetric
+from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.model import Model
 
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
@@ -61,7 +61,7 @@ class JointElasticity(FixedJointEffect):
         self._rotor_inertia = np.zeros((nv, nv))  # torque on each joint per acceleration of each
         for body in model.bodies:
             if body.kind == "rotor":
-                axial = float(body.axis @ symmetric(body.pi[4:]) @ body.axis)
+                axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
                 self._rotor_inertia += axial * np.outer(body.ratios, body.ratios)
         self._model_along: Callable[[Motion], Linearization] | None = None
 

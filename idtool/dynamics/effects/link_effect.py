@@ -89,7 +89,7 @@ def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
             raise ConfigError(entry_location(entry), f"link {shown(link)} {reason}; name the link before it")
         R, p = joint.R @ R, joint.p + joint.R @ p
         ancestor = joint.parent
-    return frames[ancestor].then(R, p)
+    return frames[ancestor].compose(R, p)
 
 
 def _chain(model: Model, last: int) -> Model:

@@ -22,14 +22,14 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
 from idtool.robot.inertia import (
-    SIZE,
+    PI_SIZE,
     from_mass_com_inertia,
     from_pseudo_inertia,
     mass_com_inertia,
+    parameter_transform,
     pseudo_inertia,
-    six,
-    symmetric,
-    transformation,
+    symmetric_entries,
+    symmetric_matrix,
 )
 from idtool.robot.kinematics import body_motions, cross
 from idtool.robot.model import Model
@@ -66,14 +66,14 @@ class Payload(LinkEffect):
 
     def __init__(self, model: Model, link: str, frame: Frame, pi: Array) -> None:
         super().__init__(model, link, frame)
-        self.pi = transformation(frame.R, frame.p) @ pi  # in the body's frame
+        self.pi = parameter_transform(frame.R, frame.p) @ pi  # in the body's frame
 
     @classmethod
     @override
     def from_checked_entry(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
         mass = read_number(entry, "mass")
         com = read_vector(entry, "com", 3)
-        inertia = symmetric(read_vector(entry, "inertia", 6))
+        inertia = symmetric_matrix(read_vector(entry, "inertia", 6))
         if not mass > 0:
             raise ConfigError(entry_location(entry), f"mass of {mass:g} cannot be; give one above 0")
         about_com = pseudo_inertia(from_mass_com_inertia(mass, np.zeros(3), inertia))[:3, :3]
@@ -121,7 +121,7 @@ class Payload(LinkEffect):
         """Probe of the ten parameters in the link's frame."""
         parameters = {"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
         payload = cls.from_entry(EffectEntry(effect=cls.id, link=link, parameters=parameters), model)
-        unit_payloads = [with_parameters(payload, pi) for pi in np.eye(SIZE)]
+        unit_payloads = [with_parameters(payload, pi) for pi in np.eye(PI_SIZE)]
 
         def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
             rows = np.stack([unit_payload.fixed_torque(motion) for unit_payload in unit_payloads])
@@ -132,7 +132,7 @@ class Payload(LinkEffect):
             if pi is None:
                 return None
             mass, com, inertia = mass_com_inertia(pi)
-            parameters = {"mass": float(mass), "com": com.tolist(), "inertia": six(inertia).tolist()}
+            parameters = {"mass": float(mass), "com": com.tolist(), "inertia": symmetric_entries(inertia).tolist()}
             return EffectEntry(effect=cls.id, link=link, parameters=parameters)
 
         return Probe(
@@ -140,7 +140,7 @@ class Payload(LinkEffect):
             joint=None,
             link=link,
             columns=columns,
-            coefficient_count=SIZE,
+            coefficient_count=PI_SIZE,
             to_entry=to_entry,
             parameter_count=_PARAMETER_COUNT,
         )
@@ -153,7 +153,7 @@ class Payload(LinkEffect):
     def fixed_torque(self, motion: Motion) -> Array:
         """Joint torque from the force and moment about the body's origin that the payload's motion takes (4)."""
         body = body_motions(self.chain, motion.q, motion.v, motion.a)[-1]
-        mass, h, inertia = self.pi[0], self.pi[1:4], symmetric(self.pi[4:])
+        mass, h, inertia = self.pi[0], self.pi[1:4], symmetric_matrix(self.pi[4:])
         force = mass * body.acc + np.einsum("ijn,j->in", body.M, h)
         moment = cross(h[:, None], body.acc) + inertia @ body.alpha + cross(body.w, inertia @ body.w)
         tau = np.zeros_like(motion.q)
@@ -168,7 +168,7 @@ class Payload(LinkEffect):
 def with_parameters(payload: Payload, pi: Array) -> Payload:
     """Payload with other parameters in the link's frame, shape (10,)."""
     other = copy.copy(payload)
-    other.pi = transformation(payload.frame.R, payload.frame.p) @ pi
+    other.pi = parameter_transform(payload.frame.R, payload.frame.p) @ pi
     return other
 
 

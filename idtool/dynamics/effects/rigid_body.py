@@ -12,7 +12,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
-from idtool.robot.inertia import NAMES, POWERS, SIZE, UNITS, mass_com_inertia, skew
+from idtool.robot.inertia import LENGTH_POWERS, PARAMETER_NAMES, PARAMETER_UNITS, PI_SIZE, mass_com_inertia, skew
 from idtool.robot.kinematics import BodyMotion, body_motions, cross
 from idtool.robot.model import Model
 
@@ -33,7 +33,9 @@ class RigidBodies(Effect):
         typical = typical_mass(model.bodies)
         coefficients = []
         for body in model.bodies:
-            for name, unit, prior, scale in zip(NAMES, UNITS, body.pi, parameter_scales(body, typical), strict=True):
+            for name, unit, prior, scale in zip(
+                PARAMETER_NAMES, PARAMETER_UNITS, body.pi, parameter_scales(body, typical), strict=True
+            ):
                 coefficients.append(Coefficient("rigid_body", body.name, name, unit, float(prior), float(scale)))
         self.coefficients = tuple(coefficients)
 
@@ -41,7 +43,7 @@ class RigidBodies(Effect):
         active = []
         for joint in range(support.shape[1]):
             bodies = np.flatnonzero(support[:, joint])
-            active.append((bodies[:, None] * SIZE + np.arange(SIZE)).ravel())
+            active.append((bodies[:, None] * PI_SIZE + np.arange(PI_SIZE)).ravel())
         self.active = tuple(active)
         self._support = support
         # Number of bodies before each body among the columns of a joint:
@@ -53,8 +55,8 @@ class RigidBodies(Effect):
             D = _inertia_torque(body_motion)
             body = self.model.bodies[i]
             for k, joint in enumerate(body_motion.coordinates):
-                first = SIZE * self._position[i, joint]
-                rows = out[joint][first : first + SIZE]
+                first = PI_SIZE * self._position[i, joint]
+                rows = out[joint][first : first + PI_SIZE]
                 parent = body.mount.body
                 moves_parent = parent >= 0 and self._support[parent, joint]
                 if moves_parent:
@@ -64,7 +66,7 @@ class RigidBodies(Effect):
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        mechanism.pi += theta.reshape(-1, SIZE)
+        mechanism.pi += theta.reshape(-1, PI_SIZE)
         mechanism.gravity = self.model.gravity
 
 
@@ -130,4 +132,4 @@ def parameter_scales(body: Body, typical: float) -> Array:
     A mass far below the ``typical`` one [kg] may be a placeholder, and is raised to a tenth of it.
     """
     mass = max(body.pi[0], _MIN_MASS_SHARE * typical)
-    return np.asarray(mass * typical_length(body) ** POWERS)
+    return np.asarray(mass * typical_length(body) ** LENGTH_POWERS)

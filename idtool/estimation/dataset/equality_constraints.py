@@ -17,9 +17,9 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import nearest, some
 from idtool.common.notice import Notice
 from idtool.dynamics.regressor import LinearModel
-from idtool.robot.config import Config, Measured, Mirror
+from idtool.robot.config import Config, MeasuredValue, Mirror
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import SIZE, mirrored
+from idtool.robot.inertia import PI_SIZE, parameter_reflection
 from idtool.robot.model import Model
 
 _ELLIPSOID_TOLERANCE = 1e-2  # relative to its size
@@ -103,10 +103,10 @@ def equality_constraints(config: Config, model: Model, equation: LinearModel) ->
 
     body_copies = _copies(config.mirror, names, "body")
     for copy, (original, signs) in body_copies.items():
-        rows = slice(SIZE * copy, SIZE * (copy + 1))
-        columns = slice(SIZE * original, SIZE * (original + 1))
+        rows = slice(PI_SIZE * copy, PI_SIZE * (copy + 1))
+        columns = slice(PI_SIZE * original, PI_SIZE * (original + 1))
         K[rows] = 0
-        K[rows, columns] = mirrored(signs)
+        K[rows, columns] = parameter_reflection(signs)
         is_copy[rows] = True
 
     joint_copies = _copies(config.mirror, list(model.names), "joint")
@@ -126,7 +126,7 @@ def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
     overruled = []
     for copy, (original, signs) in equalities.copies.items():
         own = bodies[copy]
-        bodies[copy] = own.bounded_as(bodies[original], signs)
+        bodies[copy] = own.with_mirrored_bounds(bodies[original], signs)
         if own.bounds and not _are_close(own.ellipsoids, bodies[copy].ellipsoids):
             overruled.append(own.name)
     notices = model.notices
@@ -210,16 +210,16 @@ def _mass_constraints(config: Config, names: list[str], p: int) -> list[Constrai
             hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
             raise ConfigError(f"known.mass: {name}", hint)
         row = np.zeros(p)
-        row[SIZE * names.index(name)] = 1.0
+        row[PI_SIZE * names.index(name)] = 1.0
         constraints.append(_measured_constraint(f"known.mass: {name}", row, measured))
     if config.known.total_mass is not None:
         row = np.zeros(p)
-        row[: SIZE * len(names) : SIZE] = 1.0
+        row[: PI_SIZE * len(names) : PI_SIZE] = 1.0
         constraints.append(_measured_constraint("known.total_mass", row, config.known.total_mass))
     return constraints
 
 
-def _measured_constraint(label: str, row: Array, measured: Measured) -> Constraint:
+def _measured_constraint(label: str, row: Array, measured: MeasuredValue) -> Constraint:
     return Constraint(label, row, measured.value, measured.standard_error)
 
 
@@ -229,7 +229,7 @@ def _com_constraints(model: Model, p: int) -> list[Constraint]:
     for i, body in enumerate(model.bodies):
         for axis, c in enumerate(body.com or ()):
             row = np.zeros(p)
-            row[SIZE * i] = -c
-            row[SIZE * i + 1 + axis] = 1.0
+            row[PI_SIZE * i] = -c
+            row[PI_SIZE * i + 1 + axis] = 1.0
             constraints.append(Constraint(f"known_com: {body.name}", row, 0.0))
     return constraints

@@ -108,7 +108,7 @@ class Experiment:
         for joint in robot.joints.values():
             if joint.kind == "fixed" or joint.mimic or joint.name in self.model.names:
                 continue
-            if not any(robot.on_one_branch(joint.name, name) for name in self.model.names):
+            if not any(robot.on_same_branch(joint.name, name) for name in self.model.names):
                 continue  # the root stands still, so that nothing is felt of it
             travel = max((_travel(run.signals.log, joint.name) for run in self.runs), default=0.0)
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):

@@ -31,7 +31,7 @@ from idtool.estimation.dataset.reduction import empty
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import Model
 from idtool.robot.sets import ConstraintSet
 
@@ -193,7 +193,7 @@ def units(equation: LinearModel, model: Model) -> Array:
     """
     coefficients = equation.coefficients
     mass, moment = (
-        np.array([c.scale or 0.0 for c in coefficients[k : SIZE * len(model.bodies) : SIZE]]) for k in (0, 1)
+        np.array([c.scale or 0.0 for c in coefficients[k : PI_SIZE * len(model.bodies) : PI_SIZE]]) for k in (0, 1)
     )
     turning = np.array([joint.kind != "prismatic" for joint in model.joints])
     carried = _GRAVITY * np.where(turning, moment @ model.support(), mass @ model.support())

@@ -13,10 +13,10 @@ from scipy.linalg import solve_triangular
 
 from idtool.common.arrays import Array
 from idtool.estimation.problem.problem import Problem
-from idtool.robot.inequality import least
-from idtool.robot.inertia import BASIS, SIZE
+from idtool.robot.inequality import smallest_value
+from idtool.robot.inertia import J_BASIS, PI_SIZE
 
-_TRACE = np.trace(BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, in units of the body
+_TRACE = np.trace(J_BASIS, axis1=1, axis2=2)  # of J per unit of each parameter, in units of the body
 _MOST_STEPS = 50  # of Newton's method
 _LAST_DECREMENT = 1e-9  # Newton decrement, of a self-concordant function, at which the step was the last
 GAP = 1e-6  # relative duality gap above which a solution is refused
@@ -70,7 +70,7 @@ class Certificate:
 
 def violation(problem: Problem, x: Array) -> tuple[float, str]:
     """The largest violation of an inequality at x beyond rounding, in units of the body, and the inequality's label."""
-    margins = [least(inequality.value(x)) for inequality in problem.inequalities]
+    margins = [smallest_value(inequality.value(x)) for inequality in problem.inequalities]
     if not margins:
         return 0.0, ""
     worst = int(np.argmin(margins))
@@ -190,7 +190,7 @@ def _slope(problem: Problem, duals: Sequence[Array]) -> Array:
         bases = np.concatenate([piece.basis.T for piece in pieces])
         slopes = np.concatenate([in_x[piece.x_slice] for piece in pieces])
         g = np.linalg.lstsq(bases, slopes, rcond=None)[0]
-        if len(slopes) > SIZE:
+        if len(slopes) > PI_SIZE:
             shortfalls = [_shortfall(piece.basis, piece.basis.T @ g - in_x[piece.x_slice]) for piece in pieces]
             g = g + _TRACE * max(shortfalls)
         slope[pieces[0].z_slice] = g
@@ -199,8 +199,8 @@ def _slope(problem: Problem, duals: Sequence[Array]) -> Array:
 
 def _shortfall(basis: Array, rest: Array) -> float:
     """Multiple of the slope of Tr J that brings ``rest``, shape (K,), into the dual cone of a piece."""
-    if len(rest) > SIZE:  # point masses
+    if len(rest) > PI_SIZE:  # point masses
         return max(float(np.max(-rest / (basis.T @ _TRACE))), 0.0)
-    rows = BASIS.reshape(SIZE, -1)
+    rows = J_BASIS.reshape(PI_SIZE, -1)
     W = np.asarray(np.linalg.lstsq(rows, rest, rcond=None)[0], dtype=float)  # ⟨BASIS_k, W⟩ = rest_k, symmetric
-    return max(-least(W.reshape(4, 4)), 0.0)
+    return max(-smallest_value(W.reshape(4, 4)), 0.0)

@@ -17,7 +17,7 @@ from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import Config
 from idtool.robot.sets import choose_set
 from idtool.robot.urdf.reading import Robot
-from idtool.robot.urdf.writing import rewrite
+from idtool.robot.urdf.writing import replace_parameters
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def check_links(robot: Robot, config: Config) -> list[LinkCheck]:
     for link, pi in robot.links.items():
         if pi is None or not pi.any():
             continue
-        ellipsoids = tuple(bounding.ellipsoid() for bounding in config.bounding_ellipsoids.get(link, ()))
+        ellipsoids = tuple(bounding.to_ellipsoid() for bounding in config.bounding_ellipsoids.get(link, ()))
         shapes = tuple(bounding_shape(bound, robot, link) for bound in config.bounding_shapes.get(link, ()))
         mount = Frame(-1, np.eye(3), np.zeros(3))
         body = Body(link, "link", pi, ellipsoids, mount, np.zeros(3), False, np.zeros(0), shapes=shapes)
@@ -75,4 +75,4 @@ def nearest_bodies(checks: Sequence[LinkCheck]) -> dict[str, Array]:
 
 def repaired(robot: Robot, inertials: dict[str, Array]) -> bytes:
     """The URDF's text with new inertials, every other byte kept."""
-    return rewrite(robot.text, inertials, {})
+    return replace_parameters(robot.text, inertials, {})

@@ -30,8 +30,8 @@ from idtool.estimation.problem.conic import svec
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import INTERIOR
-from idtool.robot.inequality import DENSITY
-from idtool.robot.inertia import SIZE, from_pseudo_inertia, pseudo_inertia, skew
+from idtool.robot.inequality import REALIZABLE
+from idtool.robot.inertia import PI_SIZE, from_pseudo_inertia, pseudo_inertia, skew
 
 _SETTINGS: dict[str, Any] = {"method": "trf", "ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-10, "max_nfev": 500}  # of scipy
 _EDGE = 1e-3  # a start with a lesser eigenvalue, in units of the body, is moved inside
@@ -105,9 +105,9 @@ class Chart(ABC):
 class LogCholesky(Chart):
     """The coordinates alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 of Rucker & Wensing; F = e^alpha U."""
 
-    lower = np.full(SIZE, -np.inf)
+    lower = np.full(PI_SIZE, -np.inf)
     fixed = 1.0
-    stretch = np.zeros((SIZE, 4))
+    stretch = np.zeros((PI_SIZE, 4))
     runs = 1
 
     def __init__(self, J: Array, slope: Array) -> None:
@@ -123,9 +123,9 @@ class LogCholesky(Chart):
         U[:, range(3), range(3)] = np.exp(y[:, 1:4])
         size = np.exp(y[:, :1])
         F = size[..., None] * U
-        dF = np.zeros((len(y), SIZE, 4, 4))
+        dF = np.zeros((len(y), PI_SIZE, 4, 4))
         dF[:, 0] = F
-        dF[:, range(1, SIZE), _ROW, _COLUMN] = size
+        dF[:, range(1, PI_SIZE), _ROW, _COLUMN] = size
         dF[:, range(1, 4), range(3), range(3)] = F[:, range(3), range(3)]
         return F, dF
 
@@ -159,7 +159,7 @@ class Manifold(Chart):
         F = np.tile(np.eye(4), (len(y), 1, 1))
         F[:, :3, :3] = self.R @ (np.eye(3) + 2 * (S + S @ S) / length)
         F[:, :3, 3] = y[:, 1:4]
-        dF = np.zeros((len(y), SIZE, 4, 4))
+        dF = np.zeros((len(y), PI_SIZE, 4, 4))
         dF[:, range(1, 4), range(3), 3] = 1
         turns = 2 * (np.eye(3) - S) / length  # dR = R S(turns dw)
         dF[:, 7:, :3, :3] = F[:, None, :3, :3] @ np.tensordot(turns.swapaxes(-1, -2), _SKEW, axes=1)
@@ -171,12 +171,14 @@ class Residuals:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self.bodies = np.add.outer([piece.first for piece in problem.pieces], np.arange(SIZE))  # indices in z, (B, 10)
+        self.bodies = np.add.outer(
+            [piece.first for piece in problem.pieces], np.arange(PI_SIZE)
+        )  # indices in z, (B, 10)
 
     def z(self, chart: Chart, v: Array) -> Array:
         """The coefficients, shape (p',)."""
         z = np.empty(len(v))
-        J = chart.pseudo_inertias(v[: self.bodies.size].reshape(-1, SIZE))
+        J = chart.pseudo_inertias(v[: self.bodies.size].reshape(-1, PI_SIZE))
         z[self.bodies] = from_pseudo_inertia(J + INTERIOR * np.eye(4))
         z[self._problem.other_coefficients] = v[self.bodies.size :]
         return z
@@ -200,7 +202,7 @@ class Residuals:
     def jacobian(self, v: Array, chart: Chart) -> Array:
         """Derivative of r with respect to v, shape (rows, m)."""
         D = self.at(self.z(chart, v))[1]
-        dpi = from_pseudo_inertia(chart.derivatives(v[: self.bodies.size].reshape(-1, SIZE)))
+        dpi = from_pseudo_inertia(chart.derivatives(v[: self.bodies.size].reshape(-1, PI_SIZE)))
         of_bodies = D[:, self.bodies].swapaxes(0, 1) @ dpi.swapaxes(-1, -2)  # (B, rows, 10)
         return np.column_stack([*of_bodies, D[:, self._problem.other_coefficients]])
 
@@ -221,7 +223,7 @@ def spectral(term: LogDet, z: Array) -> tuple[Array, Array]:
     """
     X = np.tensordot(z[term.z_slice], term.G, axes=1)
     if not np.isfinite(X).all():
-        return np.full(SIZE, np.inf), np.zeros((SIZE, SIZE))
+        return np.full(PI_SIZE, np.inf), np.zeros((PI_SIZE, PI_SIZE))
     values, V = np.linalg.eigh(X)
     values = np.maximum(values, _TINY)
     phi, _ = _phi(values)
@@ -276,7 +278,7 @@ def check_problem(problem: Problem, name: str) -> None:
     """Raise a `SolverError` if a problem has exact constraints, or other inequalities than J ⪰ 0 for every body."""
     for variables in problem.pieces:
         inequalities = variables.piece.inequalities
-        if len(inequalities) != 1 or inequalities[0] is not DENSITY:
+        if len(inequalities) != 1 or inequalities[0] is not REALIZABLE:
             body = problem.body_names[variables.body]
             what = f"{name} knows only constraints: full, and {body} has others; use clarabel"
             raise SolverError("solver.name", what)

@@ -23,8 +23,8 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import BASIS, SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
-from idtool.robot.metric import pullback
+from idtool.robot.inertia import J_BASIS, PI_SIZE, from_mass_com_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.metric import pullback_metric
 
 _LEAST_MOMENT = 1e-3  # least second moment of a prior about its centre of mass, in units of its mass and typical size
 
@@ -50,7 +50,7 @@ class LogDet:
     @property
     def z_slice(self) -> slice:
         """The ten coefficients in z."""
-        return slice(self.first, self.first + SIZE)
+        return slice(self.first, self.first + PI_SIZE)
 
     @property
     def slope(self) -> Array:
@@ -83,7 +83,7 @@ class LogDet:
         """A matrix whose square, root.T @ root, is the second derivative, shape (16, 10)."""
         X = self.matrix(z)
         inverse = np.linalg.inv(np.linalg.cholesky(X))
-        return np.asarray(np.sqrt(self.weight) * (inverse @ self.G @ inverse.T).reshape(SIZE, -1).T)
+        return np.asarray(np.sqrt(self.weight) * (inverse @ self.G @ inverse.T).reshape(PI_SIZE, -1).T)
 
 
 def realizable_prior(pi: Array, scales: Array) -> Array:
@@ -114,7 +114,7 @@ def moved_priors(model: LinearModel, bodies: Sequence[Body], regularization: Reg
     """Names of the bodies whose distance is not from the prior itself but from its `realizable_prior`."""
     if regularization.kind not in ("entropic", "pullback"):
         return ()
-    scales = np.array([c.scale or 0.0 for c in model.coefficients[: SIZE * len(bodies)]]).reshape(-1, SIZE)
+    scales = np.array([c.scale or 0.0 for c in model.coefficients[: PI_SIZE * len(bodies)]]).reshape(-1, PI_SIZE)
     pairs = zip(bodies, scales, strict=True)
     return tuple(body.name for body, own in pairs if not np.array_equal(realizable_prior(body.pi, own), body.pi))
 
@@ -133,18 +133,18 @@ def prior_rows(model: LinearModel, bodies: Sequence[Body], regularization: Regul
     units
         Units of theta, shape (p,).
     """
-    root_weight = np.sqrt(regularization.number)
+    root_weight = np.sqrt(regularization.numeric_weight)
     prior = model.prior
-    p, inertial = len(prior), SIZE * len(bodies)
+    p, inertial = len(prior), PI_SIZE * len(bodies)
     L = np.zeros((inertial, p))
     if regularization.kind == "euclidean":
         np.fill_diagonal(L, root_weight / (units[:inertial] if regularization.units == "relative" else 1.0))
     elif regularization.kind == "pullback":
         prior = prior.copy()
         for i, body in enumerate(bodies):
-            own = slice(SIZE * i, SIZE * (i + 1))
+            own = slice(PI_SIZE * i, PI_SIZE * (i + 1))
             prior[own] = realizable_prior(body.pi, units[own])
-            M = units[own, None] * pullback(prior[own]) * units[own]
+            M = units[own, None] * pullback_metric(prior[own]) * units[own]
             L[own, own] = root_weight * np.linalg.cholesky(M).T / units[own]
     masses = _mass_rows(bodies, regularization, units, p)
     return np.column_stack([np.concatenate([L, masses]), np.concatenate([L @ prior, masses @ model.prior])])
@@ -156,9 +156,9 @@ def _mass_rows(bodies: Sequence[Body], regularization: Regularization, units: Ar
     if regularization.kind == "none" or regularization.units == "si":
         return rows
     share = 1.0 if regularization.kind == "euclidean" else 0.5  # of a mass's relative deviation squared, in d
-    beyond = share * (regularization.masses_known_better**2 - 1)
+    beyond = share * (regularization.mass_precision_factor**2 - 1)
     for i in range(len(bodies)):
-        rows[i, SIZE * i] = np.sqrt(regularization.number * beyond) / units[SIZE * i]
+        rows[i, PI_SIZE * i] = np.sqrt(regularization.numeric_weight * beyond) / units[PI_SIZE * i]
     return rows
 
 
@@ -170,16 +170,16 @@ def log_dets(
     scale: Array,
 ) -> tuple[LogDet, ...]:
     """Divergences of all bodies, copies too, from their priors, on z in units of ``scale``, shape (p',)."""
-    if regularization.kind != "entropic" or not regularization.number:
+    if regularization.kind != "entropic" or not regularization.numeric_weight:
         return ()
     terms = []
     for i, body in enumerate(bodies):
-        rows = equalities.K[SIZE * i : SIZE * (i + 1)]
+        rows = equalities.K[PI_SIZE * i : PI_SIZE * (i + 1)]
         first = int(np.flatnonzero(rows.any(axis=0))[0])
-        own = slice(first, first + SIZE)
-        units = np.array([c.scale for c in model.coefficients[SIZE * i : SIZE * (i + 1)]])
+        own = slice(first, first + PI_SIZE)
+        units = np.array([c.scale for c in model.coefficients[PI_SIZE * i : PI_SIZE * (i + 1)]])
         J = pseudo_inertia(realizable_prior(body.pi, units))
         inverse = np.linalg.inv(np.linalg.cholesky(J))
-        G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ BASIS @ inverse.T, axes=1)
-        terms.append(LogDet(first, G, regularization.number))
+        G = np.tensordot((rows[:, own] * scale[own]).T, inverse @ J_BASIS @ inverse.T, axes=1)
+        terms.append(LogDet(first, G, regularization.numeric_weight))
     return tuple(terms)

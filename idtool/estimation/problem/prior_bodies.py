@@ -23,9 +23,9 @@ from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import weighted_rows
 from idtool.robot.body import Body
 from idtool.robot.config import Config
-from idtool.robot.config.estimation import Measured
+from idtool.robot.config.estimation import MeasuredValue
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import SIZE, from_pseudo_inertia, mass_com_inertia
+from idtool.robot.inertia import PI_SIZE, from_pseudo_inertia, mass_com_inertia
 from idtool.robot.model import Model
 from idtool.robot.shapes import Shape
 
@@ -208,7 +208,7 @@ def _at_known_masses(config: Config, bodies: tuple[Body, ...]) -> tuple[Body, ..
     return tuple(replace(body, pi=factor * body.pi) for body, factor in zip(bodies, factors, strict=True))
 
 
-def _blended(mass: float, measured: Measured) -> float:
+def _blended(mass: float, measured: MeasuredValue) -> float:
     """Mean of a URDF's mass and a measured one, weighted by their precisions [kg]."""
     variance_of_urdf = (_URDF_MASS_ERROR * mass) ** 2
     variance_of_measured = (measured.standard_error or 0.0) ** 2
@@ -309,11 +309,11 @@ def _density_from_torque(
 ) -> float:
     """Density with which placeholders, the others' prior and any friction come nearest to the torque [kg/m³]."""
     prior = equation.prior
-    is_inertial = np.arange(len(prior)) < SIZE * bodies
+    is_inertial = np.arange(len(prior)) < PI_SIZE * bodies
     of_others = np.where(is_inertial, prior, 0.0)
     of_placeholders = np.zeros(len(prior))
     for i, unit in unit_densities.items():
-        own = slice(SIZE * i, SIZE * (i + 1))
+        own = slice(PI_SIZE * i, PI_SIZE * (i + 1))
         of_placeholders[own] = unit
         of_others[own] = 0.0
     rows = weighted_rows(equation, reduction, np.ones(len(reduction)))

@@ -30,7 +30,7 @@ from idtool.estimation.problem.prior import LogDet, log_dets, prior_rows
 from idtool.estimation.problem.variables import INTERIOR, ConicInequality, PieceVariables, piece_variables
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import ConstraintSet
 
 _LEAST_WEIGHT = 1e-8  # of the prior: where neither data nor regularization hold them, coefficients stay there
@@ -136,7 +136,7 @@ class Problem:
         """Body index and parameters, shape (10,), SI, of every piece; of copies too."""
         parameters = []
         for body in range(len(self.body_names)):
-            K = self.K[SIZE * body : SIZE * (body + 1)]
+            K = self.K[PI_SIZE * body : PI_SIZE * (body + 1)]
             first = int(np.flatnonzero(K.any(axis=0))[0])
             for piece in self.pieces:
                 if piece.first == first:
@@ -196,7 +196,7 @@ def build_problem(
     scale = units[equalities.free]
     q = len(scale)
     R = np.asarray(np.linalg.qr(np.column_stack([rows[:, :p] @ equalities.K * scale, rows[:, p]]), mode="r"))
-    others = np.flatnonzero(equalities.free >= SIZE * len(bodies))
+    others = np.flatnonzero(equalities.free >= PI_SIZE * len(bodies))
     lower = np.array([model.coefficients[equalities.free[i]].lower for i in others]) / scale[others]
     E, e = _exact_equations(equalities, scale)
     return Problem(

@@ -18,8 +18,8 @@ from idtool.estimation.problem.prior import realizable_prior
 from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import piece_variables
 from idtool.robot.body import Body
-from idtool.robot.inertia import SIZE
-from idtool.robot.metric import FLOOR, nearest_realizable, pullback
+from idtool.robot.inertia import PI_SIZE
+from idtool.robot.metric import FLOOR, nearest_realizable, pullback_metric
 from idtool.robot.sets import ConstraintSet
 
 Metric = Literal["euclidean", "pullback"]
@@ -72,9 +72,9 @@ def project(pi: Array, constraint_set: ConstraintSet, body: Body, metric: Metric
     pi = np.asarray(pi, dtype=float)
     unit = parameter_scales(body, abs(float(pi[0])) or 1.0)
     if metric == "euclidean":
-        return _project_by_solver(pi, constraint_set, body, np.eye(SIZE), unit)
+        return _project_by_solver(pi, constraint_set, body, np.eye(PI_SIZE), unit)
     center = realizable_prior(pi, unit)
-    M = unit[:, None] * pullback(center) * unit
+    M = unit[:, None] * pullback_metric(center) * unit
     has_closed_form = constraint_set.name in ("full", "ellipsoid") and len(body.ellipsoids) < 2 and not body.com
     if not has_closed_form:
         return _project_by_solver(pi, constraint_set, body, M, unit)
@@ -121,7 +121,7 @@ def nearest_problem(pi: Array, constraint_set: ConstraintSet, body: Body, A: Arr
         Units of the parameters, shape (10,).
     """
     com = body.com or ()
-    E = np.zeros((len(com), SIZE))  # h − m c = 0
+    E = np.zeros((len(com), PI_SIZE))  # h − m c = 0
     for axis, c in enumerate(com):
         E[axis, 0] = -c
         E[axis, 1 + axis] = 1.0
@@ -131,8 +131,8 @@ def nearest_problem(pi: Array, constraint_set: ConstraintSet, body: Body, A: Arr
         b=A @ (pi / unit),
         constant=0.0,
         scale=unit,
-        K=np.eye(SIZE),
-        pieces=piece_variables([body], [constraint_set], np.arange(SIZE)),
+        K=np.eye(PI_SIZE),
+        pieces=piece_variables([body], [constraint_set], np.arange(PI_SIZE)),
         body_names=(body.name,),
         other_coefficients=np.zeros(0, dtype=np.intp),
         lower=np.zeros(0),

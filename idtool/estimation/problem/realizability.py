@@ -16,9 +16,9 @@ from idtool.estimation.problem.conic import solve_conic
 from idtool.estimation.problem.projection import nearest_problem
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
-from idtool.robot.inertia import POWERS, SIZE
+from idtool.robot.inertia import LENGTH_POWERS, PI_SIZE
 from idtool.robot.sets import ConstraintSet, choose_set
-from idtool.robot.witness import explain, violations, witness
+from idtool.robot.witness import find_witness, unrealizable_reasons, violations
 
 _ROUNDING = 1e-9  # by which an inequality may fail, in units of the body
 _NEAR = 1e-5  # distance, in units of the body, below which a body counts as in a set: the solver's tolerance
@@ -60,7 +60,7 @@ def check_realizability(body: Body, pi: Array, pieces: Array | None = None) -> R
     pieces
         Parameters that they are the sum of, if that is known, shape (pieces, 10).
     """
-    if reasons := explain(pi):
+    if reasons := unrealizable_reasons(pi):
         return _unrealizable(*reasons)
     constraint_set = choose_set(body)
     demanded = constraint_set.pieces(body)
@@ -85,7 +85,7 @@ def _split(pi: Array, constraint_set: ConstraintSet, body: Body) -> tuple[Array,
 
     The sets here are closed, unlike those of `project`: a piece may be a plate, a rod or a point, or without mass.
     """
-    problem = nearest_problem(pi, constraint_set, body, np.eye(SIZE), pi[0] * typical_length(body) ** POWERS)
+    problem = nearest_problem(pi, constraint_set, body, np.eye(PI_SIZE), pi[0] * typical_length(body) ** LENGTH_POWERS)
     closed = tuple(replace(variables, piece=_closed(variables.piece)) for variables in problem.pieces)
     problem = replace(problem, pieces=closed)
     start = np.asarray(np.linalg.lstsq(problem.S, problem.b, rcond=None)[0], dtype=np.float64)
@@ -123,9 +123,9 @@ def _point_masses(body: Body, pieces: Array) -> tuple[Array, Array]:
     """Point masses with the pieces' parameters; none where a piece's bounds are only necessary conditions."""
     masses, points = [np.zeros(0)], [np.zeros((0, 3))]
     for ellipsoid, pi in zip(body.ellipsoids or (None,), pieces, strict=not body.shapes):
-        if body.shapes or explain(pi, ellipsoid):
+        if body.shapes or unrealizable_reasons(pi, ellipsoid):
             return masses[0], points[0]
-        cloud = witness(pi, ellipsoid)
+        cloud = find_witness(pi, ellipsoid)
         has_mass = cloud.masses > 0
         masses.append(cloud.masses[has_mass])
         points.append(cloud.points[has_mass])

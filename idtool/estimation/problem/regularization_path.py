@@ -31,7 +31,7 @@ from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import ConstraintSet
 
 WEIGHTS = 10.0 ** np.append(np.arange(1, -4.1, -0.5), -5)  # from the firmest
@@ -347,7 +347,7 @@ class _Tracker:
         quadratic = float(v @ self._prior_gram @ v)
         log_dets = sum(term.value(z) for term in self.problem.log_dets)
         parameters = self.problem.theta(z)
-        masses = parameters[: SIZE * self.body_count : SIZE]  # a body's first parameter
+        masses = parameters[: PI_SIZE * self.body_count : PI_SIZE]  # a body's first parameter
         train = float(self.mean_squares(self.data_gram, x[None])[0])
         return PathPoint(
             weight=float(weight),

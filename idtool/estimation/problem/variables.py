@@ -14,7 +14,7 @@ from idtool.common.arrays import Array, Indices
 from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
-from idtool.robot.inertia import POWERS, SIZE
+from idtool.robot.inertia import LENGTH_POWERS, PI_SIZE
 from idtool.robot.sets import ConstraintSet
 
 INTERIOR = 1e-9  # how far inside its set a body is kept, in units of its own mass and size: survives rounding
@@ -52,7 +52,7 @@ class PieceVariables:
     @property
     def z_slice(self) -> slice:
         """The body's ten coefficients in z."""
-        return slice(self.first, self.first + SIZE)
+        return slice(self.first, self.first + PI_SIZE)
 
     @property
     def x_slice(self) -> slice:
@@ -62,7 +62,7 @@ class PieceVariables:
     @property
     def basis(self) -> Array:
         """Share of z per unit of x, shape (10, K)."""
-        return np.asarray(self.piece.basis * self.length ** (self.piece.powers - POWERS[:, None]))
+        return np.asarray(self.piece.basis * self.length ** (self.piece.powers - LENGTH_POWERS[:, None]))
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def piece_variables(bodies: Sequence[Body], sets: Sequence[ConstraintSet], free:
     place = {int(k): i for i, k in enumerate(free)}
     start = 0
     for i, (body, constraint_set) in enumerate(zip(bodies, sets, strict=True)):
-        first = place.get(SIZE * i)
+        first = place.get(PI_SIZE * i)
         if first is None:
             continue
         for piece in constraint_set.pieces(body):

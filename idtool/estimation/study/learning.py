@@ -17,7 +17,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem
-from idtool.robot.inertia import SIZE, least_eigenvalue
+from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
 
 _POOL = 4096  # samples that draws are made from, at random from all: a log of any length fits into memory
 _FEW_SAMPLES_FACTOR = 4  # times as many draws of few samples
@@ -216,7 +216,7 @@ def rms(data: Reduction, active: Sequence[Indices], theta: Array) -> Array:
 def violation(problem: Problem, z: Array) -> float:
     """Distance of the worst body from full consistency, in units of its typical mass and size; 0 if there is none."""
     inertial = np.setdiff1d(np.arange(len(z)), problem.other_coefficients)
-    least = least_eigenvalue(z[inertial].reshape(-1, SIZE))
+    least = smallest_eigenvalue(z[inertial].reshape(-1, PI_SIZE))
     return max(-float(least.min()), 0.0)
 
 

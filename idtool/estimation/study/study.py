@@ -27,8 +27,8 @@ from idtool.estimation.problem.estimate import solve, solve_locally
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study.learning import Curve, gather, held_out, learn
-from idtool.robot.config import WEAK
-from idtool.robot.inertia import SIZE, least_eigenvalue
+from idtool.robot.config import WEAK_PRIOR
+from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
 from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
 
 CURVES = ("none", "semi", "full", "ellipsoid")  # of the paper's Fig. 5
@@ -147,7 +147,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     total, pool = gather(experiment, rng, progress)
     noise = free_noise(equation, total, experiment.equalities)
     notices = [*experiment.notices, *(delay.notices if delay else ())]
-    names = [name for name, s in constraint_sets().items() if any(map(s.applies, experiment.model.bodies))]
+    names = [name for name, s in constraint_sets().items() if any(map(s.applies_to, experiment.model.bodies))]
     problem_of = {name: _problem_builder(experiment, name, noise) for name in names}
     candidates = {}
     for name in names:
@@ -156,7 +156,8 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     sets = _solved_entries(candidates, notices, progress)
     estimators = _solved_entries(_estimators(experiment, total, noise), notices, progress)
 
-    tightest = [name for name in sets if constraint_sets()[name].chosen][-1]  # at least `none`, a plain least squares
+    automatic = [name for name in sets if constraint_sets()[name].automatic]  # at least `none`, plain least squares
+    tightest = automatic[-1]
     models = {"identified": sets[tightest].theta, "prior": equation.prior}
     models |= {f"set {name}": entry.theta for name, entry in sets.items()}
     models |= {name: entry.theta for name, entry in estimators.items()}
@@ -188,7 +189,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
 
 def _weakly_regularized(experiment: Experiment) -> Experiment:
     """The experiment with a number for the prior's weight: an automatic one would hide the effect of a set."""
-    regularization = experiment.config.regularization.or_weak()
+    regularization = experiment.config.regularization.fixed_or_weak()
     return replace(experiment, config=experiment.config.model_copy(update={"regularization": regularization}))
 
 
@@ -214,8 +215,8 @@ def _entry(
         seconds.append(time.perf_counter() - started)
     theta = problem.theta(problem.S @ x)
     sets = tuple(choose_set(body, name) for body in experiment.model.bodies)
-    units = np.array([c.scale for c in experiment.equation.coefficients[: SIZE * len(sets)]])
-    least = least_eigenvalue((theta[: len(units)] / units).reshape(-1, SIZE))
+    units = np.array([c.scale for c in experiment.equation.coefficients[: PI_SIZE * len(sets)]])
+    least = smallest_eigenvalue((theta[: len(units)] / units).reshape(-1, PI_SIZE))
     return StudyEntry(sets, theta, certificate, float(np.median(seconds)), least)
 
 
@@ -236,7 +237,9 @@ def _solved_entries(
 def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[str, Callable[[], StudyEntry]]:
     """Every prior on the ellipsoids, and the local solvers on the set that they know."""
     equation, bodies, given = experiment.equation, experiment.model.bodies, experiment.config.regularization
-    weighted = given.model_copy(update={"weight": given.number or WEAK.number, "units": "relative"})
+    weighted = given.model_copy(
+        update={"weight": given.numeric_weight or WEAK_PRIOR.numeric_weight, "units": "relative"}
+    )
     candidates: dict[str, Callable[[], StudyEntry]] = {}
     for name in (*PRIORS, *LOCAL):
         kind = given if name in LOCAL else weighted.model_copy(update={"kind": name})

@@ -24,7 +24,7 @@ from idtool.estimation.uncertainty.identifiability import Identifiability, ident
 from idtool.estimation.uncertainty.prediction import Prediction, prediction
 from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 
 _BIAS_UNCHECKED = Notice(
     "bias_unchecked",
@@ -249,7 +249,7 @@ def _mass_notices(parameters: Identifiability | None, experiment: Experiment) ->
     if parameters is None or experiment.config.known.total_mass is not None:
         return
     names = [body.name for body in experiment.model.bodies]
-    masses = parameters.sources[::SIZE]
+    masses = parameters.sources[::PI_SIZE]
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
         message = f"the torque does not tell the mass of {some(unknown)}"

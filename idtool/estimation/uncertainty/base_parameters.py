@@ -21,7 +21,7 @@ from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import Model
 
 _RANK = 1e-5  # of a column: what the others leave of it by less is rounding, such as that of 1.5708 in a URDF
@@ -110,7 +110,7 @@ def structural_base_parameters(
         factor[:, columns] = R
         factors.append(factor)
     Y = np.concatenate(factors)
-    order = np.argsort(equalities.free < SIZE * len(model.bodies), kind="stable")  # friction bears its own name
+    order = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")  # friction bears its own name
     base = base_parameters(without_rounding(Y, equation, _RANK) @ equalities.K, order)
     B = np.zeros((len(base), p))
     B[:, equalities.free] = base.B
@@ -130,7 +130,7 @@ def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
         Effect of a parameter of typical size, relative to the body's largest, below which it is zero.
     """
     effect = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
-    by_body = effect[: len(effect) // SIZE * SIZE].reshape(-1, SIZE)
+    by_body = effect[: len(effect) // PI_SIZE * PI_SIZE].reshape(-1, PI_SIZE)
     is_rounding = (by_body > 0) & (by_body < rounding * by_body.max(axis=1, keepdims=True))
     zeroed = np.zeros(len(effect), dtype=bool)
     zeroed[: by_body.size] = is_rounding.ravel()

@@ -25,7 +25,7 @@ from idtool.estimation.problem.problem import Problem
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
 from idtool.estimation.uncertainty.ranges import free_spread, ranges
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, whitened_rows
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import Model
 
 InformationSource = Literal["data", "combination", "constraints", "prior"]
@@ -150,7 +150,7 @@ def identifiability(
         value=base.B @ estimate.theta,
         standard_error=uncertainty.of(base.B),
         coverage_factor=uncertainty.coverage_factor(base.B),
-        sources=_with_copies(sources, equalities, SIZE * len(model.bodies)),
+        sources=_with_copies(sources, equalities, PI_SIZE * len(model.bodies)),
     )
 
 

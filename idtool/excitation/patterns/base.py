@@ -1,10 +1,10 @@
 """`Pattern`: a family of motions from rest at one pose back to rest at the same pose.
 
-Every part of a trajectory begins and ends at the same pose, the home pose, at rest: so parts follow one another in any
-order and number, and position, velocity and acceleration are continuous where they meet.
+Every segment of a trajectory begins and ends at rest at the home pose. So segments follow one another in any order and
+number, and position, velocity and acceleration are continuous where they meet.
 
-Letters: q, v, a positions, velocities, accelerations, shape (nv, N) [rad or m, s]; t times within the part, shape (N,)
-[s]; x the numbers that tell one motion of the family from another, shape (n,), of no unit.
+Letters: q, v, a positions, velocities, accelerations, shape (nv, N) [rad or m, s]; t times within the segment, shape
+(N,) [s]; x dimensionless parameters of a motion of the family, shape (n,).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from idtool.excitation.limits import Limits
 from idtool.robot.model import Model
 
 
-class Samples(NamedTuple):
+class MotionSamples(NamedTuple):
     """Positions, velocities and accelerations, or derivatives by them; shape (nv, N) each."""
 
     q: Array
@@ -29,30 +29,30 @@ class Samples(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What a pattern is for.
+class PatternSpec:
+    """Robot, limits and duration that a pattern is made for.
 
     Attributes
     ----------
     model
         The robot.
     limits
-        What the motion is to keep to; it need not by itself, but is of about that size.
+        Limits for the magnitude of the motion, which may still exceed them.
     home
-        Where it begins and ends, shape (nv,) [rad or m].
-    seconds
-        How long it takes [s].
-    highest
-        The highest frequency in it [Hz].
+        Pose at the start and end, shape (nv,) [rad or m].
+    duration
+        Duration of the motion [s].
+    max_frequency
+        Highest frequency of the motion [Hz].
     tip
-        Link that a motion in space is for; None: the last of the URDF.
+        Link whose motion in space is designed; None: the last of the URDF.
     """
 
     model: Model
     limits: Limits
     home: Array
-    seconds: float
-    highest: float = 1.0
+    duration: float
+    max_frequency: float = 1.0
     tip: str | None = None
 
 
@@ -62,60 +62,68 @@ class Pattern(ABC):
     Attributes
     ----------
     name
-        What it is called on the command line and in reports.
+        Name on the command line and in reports.
     draws
-        How many motions to draw before one is chosen to be improved.
+        Number of random motions of which the best is improved.
 
     Parameters
     ----------
-    setting
-        What it is for.
+    spec
+        Robot, limits and duration.
     """
 
     name: str
     draws: int = 3
 
-    def __init__(self, setting: Setting) -> None:
-        self.limits, self.home, self.seconds = setting.limits, setting.home, setting.seconds
+    def __init__(self, spec: PatternSpec) -> None:
+        self.limits = spec.limits
+        self.home = spec.home
+        self.duration = spec.duration
 
     @property
-    def room(self) -> Array:
-        """How far every joint may go from home to either side, shape (nv,) [rad or m]."""
+    def max_excursion(self) -> Array:
+        """Largest excursion of every joint from home to either side, shape (nv,) [rad or m]."""
         return np.minimum(self.limits.upper - self.home, self.home - self.limits.lower)
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Array:
-        """A motion at random, of about the size that the limits allow, shape (n,)."""
+        """A random motion of about the magnitude that the limits allow, shape (n,)."""
 
     @abstractmethod
-    def motion(self, x: Array, t: Array) -> Samples:
-        """The motion at times from 0 to ``seconds``."""
+    def motion(self, x: Array, t: Array) -> MotionSamples:
+        """The motion at times t from 0 to ``duration``."""
 
     @abstractmethod
     def scaled(self, x: Array, share: Array) -> Array:
-        """The same motion with its way from home this much as long, shape (nv,), from 0 to 1."""
+        """The motion with its excursion from home times ``share``, shape (nv,), from 0 to 1."""
 
-    def gradient(self, x: Array, t: Array, by: Samples) -> Array:
-        """Derivative by x, shape (n,), of what has the derivatives ``by`` by q, v and a at the times t.
+    def gradient(self, x: Array, t: Array, by: MotionSamples) -> Array:
+        """Gradient with respect to x, shape (n,), of a function whose derivatives by q, v and a are ``by``.
 
-        A family without one gives zeros: its motions are drawn, and the best of them is taken.
+        A family without gradient gives zeros: of its motions, the best random one is taken.
         """
         return np.zeros(len(x))
 
 
-def step(x: Array) -> Samples:
+def smooth_step(x: Array) -> MotionSamples:
     """The smooth step from 0 to 1 over 0 <= x <= 1 and its two derivatives: 10 x³ − 15 x⁴ + 6 x⁵, shape (N,) each.
 
     It is 0 before and 1 after; velocity and acceleration are zero at both ends. Its largest velocity is 15/8, its
     largest acceleration 10/√3.
     """
     x = np.clip(x, 0.0, 1.0)
-    return Samples(x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x))
+    value = x**3 * (10 - 15 * x + 6 * x**2)
+    first = 30 * x**2 * (1 - x) ** 2
+    second = 60 * x * (1 - x) * (1 - 2 * x)
+    return MotionSamples(value, first, second)
 
 
-STEP_SPEED, STEP_ACCELERATION = 15 / 8, 10 / np.sqrt(3)
+STEP_VELOCITY = 15 / 8
+STEP_ACCELERATION = 10 / np.sqrt(3)
 
 
-def farthest(velocity: Array, acceleration: Array, seconds: float) -> Array:
-    """How far a smooth step may go in so many seconds within limits of velocity and acceleration."""
-    return np.asarray(np.minimum(velocity * seconds / STEP_SPEED, acceleration * seconds**2 / STEP_ACCELERATION))
+def max_step_distance(velocity: Array, acceleration: Array, duration: float) -> Array:
+    """Largest distance of a smooth step of a duration [s] within limits of velocity and acceleration, shape (nv,)."""
+    by_velocity = velocity * duration / STEP_VELOCITY
+    by_acceleration = acceleration * duration**2 / STEP_ACCELERATION
+    return np.asarray(np.minimum(by_velocity, by_acceleration))

@@ -3,47 +3,55 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns.base import Samples, step
-from idtool.excitation.patterns.series import Series
+from idtool.excitation.patterns.base import MotionSamples, smooth_step
+from idtool.excitation.patterns.linear import LinearPattern
 
-_HARMONICS = 60  # at most; where there is room for more, they are spread
-_RAMP = 0.1  # of the whole, but no more than
-_LONGEST_RAMP = 1.5  # s
+_MAX_HARMONICS = 60  # spread over the band where it has room for more
+_RAMP_SHARE = 0.1  # of the duration
+_MAX_RAMP = 1.5  # s
 
 
-class Fourier(Series):
+class Fourier(LinearPattern):
     """Window times a constant, sines and cosines; the window takes the motion from rest and back to it."""
 
     name = "fourier"
 
+    @override
     def frequencies(self) -> Array:
-        """See `Series.frequencies`."""
-        w = 2 * np.pi * self._harmonics() / self.seconds
+        w = 2 * np.pi * self._harmonics() / self.duration
         return np.concatenate([np.zeros(1), w, w])
 
-    def functions(self, t: Array) -> Samples:
-        """See `Series.functions`."""
-        w = (2 * np.pi * self._harmonics() / self.seconds)[:, None]
-        sin, cos, one = np.sin(w * t), np.cos(w * t), np.ones((1, len(t)))
+    @override
+    def functions(self, t: Array) -> MotionSamples:
+        w = (2 * np.pi * self._harmonics() / self.duration)[:, None]
+        sin = np.sin(w * t)
+        cos = np.cos(w * t)
+        one = np.ones((1, len(t)))
         f = np.concatenate([one, sin, cos])
         df = np.concatenate([0 * one, w * cos, -w * sin])
         ddf = np.concatenate([0 * one, -(w**2) * sin, -(w**2) * cos])
         window, dwindow, ddwindow = self._window(t)
-        return Samples(window * f, dwindow * f + window * df, ddwindow * f + 2 * dwindow * df + window * ddf)
+        value = window * f
+        first = dwindow * f + window * df
+        second = ddwindow * f + 2 * dwindow * df + window * ddf
+        return MotionSamples(value, first, second)
 
     def _harmonics(self) -> Array:
-        """Multiples of one turn in all."""
-        most = max(int(self.highest * self.seconds), 1)
-        if most <= _HARMONICS:
-            return np.arange(1.0, most + 1)
-        return np.asarray(np.unique(np.round(np.geomspace(1, most, _HARMONICS))))
+        """Numbers of periods in the duration, shape (H,)."""
+        highest = max(int(self.max_frequency * self.duration), 1)
+        if highest <= _MAX_HARMONICS:
+            return np.arange(1.0, highest + 1)
+        return np.asarray(np.unique(np.round(np.geomspace(1, highest, _MAX_HARMONICS))))
 
-    def _window(self, t: Array) -> Samples:
-        ramp = min(_RAMP * self.seconds, _LONGEST_RAMP)
-        up, down = step(t / ramp), step((self.seconds - t) / ramp)
+    def _window(self, t: Array) -> MotionSamples:
+        """A factor that rises from 0 to 1 at the start and falls to 0 at the end, and its derivatives."""
+        ramp = min(_RAMP_SHARE * self.duration, _MAX_RAMP)
+        up = smooth_step(t / ramp)
+        down = smooth_step((self.duration - t) / ramp)
         value = up.q * down.q
         first = (up.v * down.q - up.q * down.v) / ramp
         second = (up.a * down.q - 2 * up.v * down.v + up.q * down.a) / ramp**2
-        return Samples(value, first, second)
+        return MotionSamples(value, first, second)

@@ -20,10 +20,10 @@ from idtool.reporting.export.existence import can_exist, refused
 from idtool.reporting.export.identified import NOTHING, Identified, Term
 from idtool.reporting.export.rotors import Rotor, rotors_of
 from idtool.reporting.export.transmissions import transmissions
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.urdf.reading import Joint
 from idtool.robot.urdf.text import Edit, Element, apply_edits, root_element, set_attribute
-from idtool.robot.urdf.writing import JointDynamics, rewrite
+from idtool.robot.urdf.writing import JointDynamics, replace_parameters
 
 FILE = "drake.urdf"
 
@@ -42,7 +42,7 @@ def to_drake(identified: Identified) -> Export:
     rotors = rotors_of(identified)
     moving = {body.name for body in identified.model.bodies if body.kind == "link"}
     fixed = [j for j in identified.robot.joints.values() if j.kind != "fixed" and j.child not in moving]
-    text = rewrite(identified.robot.text, _links(identified, rotors), _dynamics(identified))
+    text = replace_parameters(identified.robot.text, _links(identified, rotors), _dynamics(identified))
     root = root_element(text)
     edits: list[Edit] = []
     elements = {element.name: element for element in root.with_tag("joint")}
@@ -59,11 +59,11 @@ def to_drake(identified: Identified) -> Export:
 def _links(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, Array | None]:
     """New parameters of links, in their frames: with what the URDF does not know of in the body that they carry."""
     robot, model = identified.robot, identified.model
-    more = {-1: np.zeros(SIZE)}
+    more = {-1: np.zeros(PI_SIZE)}
     for i, body in enumerate(model.bodies):
         if body.kind == "link":
             known = [member.pi_in_body for member in body.members if member.link in robot.links]
-            more[i] = identified.pi[i] - sum(known, np.zeros(SIZE))
+            more[i] = identified.pi[i] - sum(known, np.zeros(PI_SIZE))
     for rotor in rotors:
         if rotor.body.name not in robot.links:
             more[rotor.body.mount.body] += rotor.pi
@@ -73,7 +73,7 @@ def _links(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, Array
         if link == "world":  # Drake's own, which has no mass
             continue
         own = robot.links[link]
-        own = np.zeros(SIZE) if own is None else own
+        own = np.zeros(PI_SIZE) if own is None else own
         if (np.abs(pi) > _ROUNDING * max(1.0, float(np.abs(own).max()))).any():
             links[link] = own + pi
         if i >= 0:
@@ -97,7 +97,7 @@ def _together(identified: Identified, index: int, own: Array) -> dict[str, Array
     others = [member for member in body.members[1:] if member.link in robot.links]
     if all(can_exist(pi) for pi in (own, *(member.pi for member in others))):
         return {}
-    whole = own + sum((member.pi_in_body for member in others), np.zeros(SIZE))
+    whole = own + sum((member.pi_in_body for member in others), np.zeros(PI_SIZE))
     if not can_exist(whole):
         raise refused(robot, body.name)
     return {body.name: whole, **{member.link: None for member in others}}

@@ -19,7 +19,7 @@ from idtool.reporting.export.base import Part
 from idtool.reporting.export.existence import refused
 from idtool.reporting.export.identified import Identified
 from idtool.robot.body import Body
-from idtool.robot.inertia import six, symmetric, transformation
+from idtool.robot.inertia import parameter_transform, symmetric_entries, symmetric_matrix
 from idtool.robot.kinematics import body_motions
 
 _POSES = 256  # in which w is looked at; a function of the pose that is the same in all of them is constant
@@ -82,7 +82,7 @@ class Rotor:
 
     def imbalance(self, gravity: Array) -> list[Part]:
         """What to say of what averaging leaves out, if it is more than rounding."""
-        mass, size = max(self.pi[0], _LEAST), max(float(np.trace(symmetric(self.pi[4:]))), _LEAST)
+        mass, size = max(self.pi[0], _LEAST), max(float(np.trace(symmetric_matrix(self.pi[4:]))), _LEAST)
         moment, change = self.unbalance
         torque = moment * self.largest_ratio * float(np.linalg.norm(gravity))
         found = []
@@ -109,7 +109,7 @@ def rotors_of(identified: Identified) -> tuple[Rotor, ...]:
     found = []
     for body, pi, motion in zip(model.bodies, identified.pi, motions, strict=True):
         if body.kind == "rotor":
-            if body.axis @ symmetric(pi[4:]) @ body.axis < 0:
+            if body.axis @ symmetric_matrix(pi[4:]) @ body.axis < 0:
                 raise refused(identified.robot, f"rotor {body.name}")
             turning = np.zeros((len(q), _POSES))
             turning[motion.coordinates] = np.tensordot(body.axis, motion.S_w, axes=1)
@@ -120,7 +120,7 @@ def rotors_of(identified: Identified) -> tuple[Rotor, ...]:
 def _averaged(body: Body, pi: Array, w: Array) -> Rotor:
     """A rotor from its parameters in its own frame and the coefficients of w in some poses, shape (nv, poses)."""
     a = body.axis
-    h, inertia = pi[1:4], symmetric(pi[4:])
+    h, inertia = pi[1:4], symmetric_matrix(pi[4:])
     axial = float(a @ inertia @ a)
     across = 0.5 * (np.trace(inertia) - axial)
     along = np.outer(a, a)
@@ -129,7 +129,7 @@ def _averaged(body: Body, pi: Array, w: Array) -> Rotor:
     constant = w.mean(axis=1)
     constant[np.abs(constant) < _CONSTANT] = 0.0
     is_constant = np.abs(w - constant[:, None]).max() < _CONSTANT
-    to_carrier = transformation(body.mount.R, body.mount.p)
+    to_carrier = parameter_transform(body.mount.R, body.mount.p)
     return Rotor(
         body=body,
         own=pi,
@@ -140,11 +140,11 @@ def _averaged(body: Body, pi: Array, w: Array) -> Rotor:
         without_spin=to_carrier @ (mean - spun),
         unbalance=(
             float(np.linalg.norm(h - a * (a @ h))),
-            float(np.abs(np.linalg.eigvalsh(inertia - symmetric(mean[4:]))).max()),
+            float(np.abs(np.linalg.eigvalsh(inertia - symmetric_matrix(mean[4:]))).max()),
         ),
     )
 
 
 def _pi(mass: float, h: Array, inertia: Array) -> Array:
     """Parameters from mass, first moment and inertia about the origin, shape (10,)."""
-    return np.concatenate([[mass], h, six(inertia)])
+    return np.concatenate([[mass], h, symmetric_entries(inertia)])

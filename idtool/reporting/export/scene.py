@@ -14,7 +14,7 @@ from idtool.reporting.export.base import Part
 from idtool.reporting.export.existence import can_exist, refused, slack
 from idtool.reporting.export.identified import Identified
 from idtool.reporting.export.joints import Forces
-from idtool.robot.inertia import SIZE, mass_com_inertia, six
+from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
 
 LEAST = 1e-12  # kg, kg·m²: what MuJoCo takes for a body that can move, and by how much triangle inequalities must hold
 
@@ -65,7 +65,7 @@ class Scene:
     def own(self, link: str) -> Array:
         """A link's parameters in the URDF, shape (10,)."""
         pi = self.identified.robot.links[link]
-        return np.zeros(SIZE) if pi is None else pi.copy()
+        return np.zeros(PI_SIZE) if pi is None else pi.copy()
 
     def carrier(self, index: int) -> str:
         """The link whose frame is that of a body of the model, −1 being the root."""
@@ -102,7 +102,7 @@ class Scene:
         if moves:
             self.carried.append(Part("inertial", name, "mass with all that is fixed to it", mass, "kg"))
         inertia = inertia + max(0.0, LEAST - slack(inertia)) * np.eye(3)
-        xx, xy, yy, xz, yz, zz = six(inertia)
+        xx, xy, yy, xz, yz, zz = symmetric_entries(inertia)
         full = text([xx, yy, zz, xy, xz, yz])
         etree.SubElement(self.bodies[name], "inertial", pos=text(com), mass=repr(max(mass, LEAST)), fullinertia=full)
 

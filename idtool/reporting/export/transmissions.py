@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from idtool.robot.urdf.text import Edit, Element, quoted
+from idtool.robot.urdf.text import Edit, Element, quoted_attribute
 
 
 def transmissions(text: bytes, root: Element, gears: Mapping[str, tuple[float, float]]) -> list[Edit]:
@@ -49,10 +49,10 @@ def _joint(text: bytes, element: Element, joints: Collection[str]) -> str | None
 
 def _rows(joint: str, actuator: str, inertia: float, ratio: float) -> list[bytes]:
     return [
-        b"  <transmission name=" + quoted(f"{actuator}_transmission") + b">",
+        b"  <transmission name=" + quoted_attribute(f"{actuator}_transmission") + b">",
         b"    <type>transmission_interface/SimpleTransmission</type>",
-        b"    <joint name=" + quoted(joint) + b"/>",
-        b"    <actuator name=" + quoted(actuator) + b">",
+        b"    <joint name=" + quoted_attribute(joint) + b"/>",
+        b"    <actuator name=" + quoted_attribute(actuator) + b">",
         f'      <drake:rotor_inertia value="{inertia!r}"/>'.encode(),
         f'      <drake:gear_ratio value="{ratio!r}"/>'.encode(),
         b"    </actuator>",

@@ -10,9 +10,9 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.reporting.results.fit import BodyReport, PointMasses
-from idtool.robot.inertia import SIZE
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import Model
-from idtool.robot.witness import deviation_ellipsoid, explain
+from idtool.robot.witness import deviation_ellipsoid, unrealizable_reasons
 
 _DECIMALS = 6  # of lengths in m
 _MOST_NUMBERS = 60_000  # that all bodies hold together
@@ -72,7 +72,7 @@ def model_views(model: Model, theta: Array, prior: Array | None) -> dict[str, An
     """
     drawn = {}
     for i, body in enumerate(model.bodies):
-        part = slice(SIZE * i, SIZE * (i + 1))
+        part = slice(PI_SIZE * i, PI_SIZE * (i + 1))
         ellipsoids = [{"kind": "ellipsoid", **ellipsoid.to_dict()} for ellipsoid in body.ellipsoids]
         drawn[body.name] = DrawnBody(
             bounds=[*ellipsoids, *(shape.to_dict() for shape in body.shapes)],
@@ -120,7 +120,7 @@ def _view(name: str, body: DrawnBody) -> dict[str, Any]:
 
 def _spread(pi: list[float]) -> dict[str, Any] | None:
     """The standard-deviation ellipsoid, if some density has these parameters."""
-    if len(pi) != SIZE or explain(pi):
+    if len(pi) != PI_SIZE or unrealizable_reasons(pi):
         return None
     return deviation_ellipsoid(pi).to_dict()
 

@@ -13,8 +13,8 @@ from idtool.estimation.evaluation.envelope import Trace
 from idtool.reporting.pages.base import Sections
 from idtool.robot.body import Body, Frame
 from idtool.robot.geometry import link_surface
-from idtool.robot.kinematics import body_places
-from idtool.robot.meshes import Mesh, simplified, together
+from idtool.robot.kinematics import body_placements
+from idtool.robot.meshes import Mesh, merge_meshes, simplify_mesh
 from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Robot
 
@@ -53,7 +53,7 @@ def robot_view(
     if trace is None:
         return {"robot": None}
     t, q = _postures(trace, min(_POSTURES, max(_MOST_PLACES // max(len(bodies), 1), 1)))
-    places, known = body_places(model, q), {view["name"]: view for view in bodies}
+    places, known = body_placements(model, q), {view["name"]: view for view in bodies}
     drawn = [(i, body) for i, body in enumerate(model.bodies) if body.name in known][:_MOST_PLACES]
     most = max(_MOST_FACES // (len(drawn) + 1), _FEWEST_FACES)
     views = [_base(model.robot, most)]
@@ -93,7 +93,7 @@ def _base(robot: Robot, most: int) -> dict[str, Any]:
     frames = {robot.root: Frame(-1, np.eye(3), np.zeros(3))}
     for joint in robot.joints.values():
         if joint.kind == "fixed" and joint.parent in frames:
-            frames[joint.child] = frames[joint.parent].then(joint.R, joint.p)
+            frames[joint.child] = frames[joint.parent].compose(joint.R, joint.p)
     seen: dict[str, Any] = {"bounds": [], "found": None, "prior": None, "masses": None}
     return {"name": robot.root, **seen, "surface": _drawn(robot, frames.items(), most)}
 
@@ -109,5 +109,5 @@ def _drawn(robot: Robot, places: Iterable[tuple[str, Frame]], most: int) -> dict
     for link, frame in places:
         mesh = link_surface(robot, link)
         found.append(Mesh(mesh.points @ frame.R.T + frame.p, mesh.faces))
-    whole = simplified(together(found), most)
+    whole = simplify_mesh(merge_meshes(found), most)
     return {"points": whole.points.round(_FINE).tolist(), "faces": whole.faces.tolist()} if len(whole.faces) else None

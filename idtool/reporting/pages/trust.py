@@ -25,14 +25,14 @@ from idtool.reporting.results.fit import (
     RepeatedParameter,
 )
 from idtool.reporting.uncertainty_report import PULLED
-from idtool.robot.inertia import NAMES
+from idtool.robot.inertia import PARAMETER_NAMES
 
 RESTS = ("What each number rests on", "trust.html")
 BASE = ("Base parameters", "base_parameters.html")
 LOGS = ("Do the logs agree?", "repeatability.html")
 BIAS = ("Least squares and instruments", "bias.html")
 
-_PARAMETERS = ("mass", *(name.replace("mc_", "m·c_") for name in NAMES[1:]))
+_PARAMETERS = ("mass", *(name.replace("mc_", "m·c_") for name in PARAMETER_NAMES[1:]))
 _MOST_BODIES = 80  # in words
 _MOST_ROWS = 60  # of a table of base parameters
 _MOST_LOGS = 8  # side by side; as many colours there are

@@ -22,7 +22,7 @@ from idtool.reporting.results.base import (
     field,
 )
 from idtool.reporting.results.rollouts import Simulation
-from idtool.robot.inertia import symmetric
+from idtool.robot.inertia import symmetric_matrix
 
 
 class TorqueErrors(Record):
@@ -119,7 +119,7 @@ class BodyReport(Record):
     @property
     def inertia(self) -> Array:
         """Inertia about the centre of mass, shape (3, 3) [kg·m²]."""
-        return symmetric(self.inertia_com)
+        return symmetric_matrix(self.inertia_com)
 
     def __repr__(self) -> str:
         com = ", ".join(f"{x:.4g}" for x in self.com)

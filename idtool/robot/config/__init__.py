@@ -3,33 +3,33 @@
 Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic joint takes the second of each pair.
 """
 
-from idtool.robot.config.base import Positive, Record, checked
-from idtool.robot.config.bounds import Bounding, BoundingShape, HullBound
+from idtool.robot.config.base import ConfigRecord, Positive, validate_record
+from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape, HullBound
 from idtool.robot.config.config import Config, parse_config, read_config
-from idtool.robot.config.estimation import WEAK, Known, Measured, Mirror, Regularization, Solver
-from idtool.robot.config.rotors import Rotor
+from idtool.robot.config.estimation import WEAK_PRIOR, KnownMasses, MeasuredValue, Mirror, Regularization, Solver
+from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller
-from idtool.robot.config.terms import EffectEntry, Friction, Uncertain
+from idtool.robot.config.terms import EffectEntry, Friction, UncertainValue
 
 __all__ = [
-    "WEAK",
-    "Bounding",
+    "WEAK_PRIOR",
+    "BoundingEllipsoid",
     "BoundingShape",
     "Config",
+    "ConfigRecord",
     "Controller",
     "EffectEntry",
     "Friction",
     "HullBound",
-    "Known",
-    "Measured",
+    "KnownMasses",
+    "MeasuredValue",
     "Mirror",
     "Positive",
-    "Record",
     "Regularization",
-    "Rotor",
+    "RotorConfig",
     "Solver",
-    "Uncertain",
-    "checked",
+    "UncertainValue",
     "parse_config",
     "read_config",
+    "validate_record",
 ]

@@ -1,4 +1,4 @@
-"""What every record of the configuration is made of: its base, its numbers, and the errors that name a key."""
+"""Base of the configuration's records, the types of its numbers, and errors that name a key."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from idtool.common.exceptions import ConfigError
 
-_MOST = 1e12  # SI, of any number: powers of what is larger are not finite
-LEAST = 1e-6  # of a length: the inverse square of what is smaller is not finite
+_MAX_VALUE = 1e12  # SI, of any number: powers of what is larger are not finite
+MIN_LENGTH = 1e-6  # m: the inverse square of what is smaller is not finite
 
 
 def _length(x: float) -> float:
-    if x < LEAST:
-        raise ValueError(f"input should be at least {LEAST:g} m")
+    if x < MIN_LENGTH:
+        raise ValueError(f"input should be at least {MIN_LENGTH:g} m")
     return x
 
 
-Finite = Annotated[float, Field(ge=-_MOST, le=_MOST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, le=_MOST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-_MAX_VALUE, le=_MAX_VALUE, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=_MAX_VALUE, allow_inf_nan=False)]
 Length = Annotated[Positive, AfterValidator(_length)]
-NonNegative = Annotated[float, Field(ge=0, le=_MOST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=_MAX_VALUE, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
-class Record(BaseModel):
+class ConfigRecord(BaseModel):
     """Base of the configuration's records: frozen, strict about its keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -38,19 +38,18 @@ class Record(BaseModel):
         if isinstance(data, Mapping):
             for key in data:
                 if key not in cls.model_fields:
-                    near = difflib.get_close_matches(str(key), cls.model_fields, n=1, cutoff=0.0)
-                    raise ValueError(f"unknown key '{key}'; did you mean '{near[0]}'?")
+                    closest = difflib.get_close_matches(str(key), cls.model_fields, n=1, cutoff=0.0)
+                    raise ValueError(f"unknown key '{key}'; did you mean '{closest[0]}'?")
         return data
 
 
-R = TypeVar("R", bound=Record)
-
+R = TypeVar("R", bound=ConfigRecord)
 
 _TAGS = ("by joint", "alike", "[key]", "[auto]", "[number]")  # of the forms that a value can have, not of keys
 
 
-def checked(kind: type[R], data: Any, where: str) -> R:
-    """A record from plain data.
+def validate_record(record: type[R], data: Any, where: str) -> R:
+    """A record of the given class from plain data.
 
     Raises
     ------
@@ -58,10 +57,12 @@ def checked(kind: type[R], data: Any, where: str) -> R:
         If a key is unknown or a value does not fit; the message names the key.
     """
     try:
-        return kind.model_validate(data)
+        return record.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(part for part in map(str, first["loc"]) if part not in _TAGS)
-        message = first["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
-        message = message.split(" or instance of ")[0].replace("valid dictionary", "mapping of keys to values")
-        raise ConfigError(f"{where}: {key}" if key else where, message[0].lower() + message[1:]) from None
+        key = ".".join(str(part) for part in first["loc"] if part not in _TAGS)
+        message = first["msg"].removeprefix("Value error, ")
+        message = message.split(" or instance of ")[0]
+        message = message.replace("valid tuple", "list").replace("valid dictionary", "mapping of keys to values")
+        message = message[0].lower() + message[1:]
+        raise ConfigError(f"{where}: {key}" if key else where, message) from None

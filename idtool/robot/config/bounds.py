@@ -8,37 +8,37 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from idtool.robot.config.base import Length, Record, Vector
+from idtool.robot.config.base import ConfigRecord, Length, Vector
 from idtool.robot.ellipsoid import Ellipsoid
 
 
-class Bounding(Record):
+class BoundingEllipsoid(ConfigRecord):
     """A bounding ellipsoid: centre [m], semi-axes [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
     semi_axes: tuple[Length, Length, Length]
     rpy: Vector = (0.0, 0.0, 0.0)
 
-    def ellipsoid(self) -> Ellipsoid:
-        """The same as geometry."""
+    def to_ellipsoid(self) -> Ellipsoid:
+        """The ellipsoid as geometry."""
         return Ellipsoid(self.center, self.semi_axes, self.rpy)
 
 
-class Placed(Record):
+class PosedBound(ConfigRecord):
     """Pose of a bounding shape: centre [m], roll–pitch–yaw [rad]."""
 
     center: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
 
 
-class BoxBound(Placed):
+class BoxBound(PosedBound):
     """A box with sides of lengths ``size`` [m]."""
 
     kind: Literal["box"]
     size: tuple[Length, Length, Length]
 
 
-class CylinderBound(Placed):
+class CylinderBound(PosedBound):
     """A cylinder about its z axis: radius [m], length [m]."""
 
     kind: Literal["cylinder"]
@@ -46,7 +46,7 @@ class CylinderBound(Placed):
     length: Length
 
 
-class CapsuleBound(Placed):
+class CapsuleBound(PosedBound):
     """A capsule about its z axis: a cylinder of ``length`` [m] with a hemisphere at each end."""
 
     kind: Literal["capsule"]
@@ -54,14 +54,14 @@ class CapsuleBound(Placed):
     length: Length
 
 
-class HullBound(Record):
+class HullBound(ConfigRecord):
     """The convex hull of a mesh: ``file``, relative to the URDF's folder, or the link's geometry in the URDF."""
 
     kind: Literal["hull"]
     file: str | None = None
 
 
-_KINDS: dict[Any, type[Record]] = {
+_KINDS: dict[Any, type[ConfigRecord]] = {
     "box": BoxBound,
     "cylinder": CylinderBound,
     "capsule": CapsuleBound,
@@ -70,18 +70,19 @@ _KINDS: dict[Any, type[Record]] = {
 
 
 def _by_kind(data: Any) -> Any:
-    """The record of the kind named, so that errors speak of that one only."""
-    if isinstance(data, Record):
+    """The record of the named kind, so that errors are about that one only."""
+    if isinstance(data, ConfigRecord):
         return data
     if not isinstance(data, Mapping):
         raise ValueError("input should be a mapping of keys to values")
-    for key in data if "kind" not in data else ():
-        if difflib.get_close_matches(str(key), ["kind"]):
-            raise ValueError(f"unknown key '{key}'; did you mean 'kind'?")
-    kind = str(data.get("kind"))
+    if "kind" not in data:
+        for key in data:
+            if difflib.get_close_matches(str(key), ["kind"]):
+                raise ValueError(f"unknown key '{key}'; did you mean 'kind'?")
+        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}")
+    kind = str(data["kind"])
     if kind not in _KINDS:
-        given = f", not {kind}" if "kind" in data else ""
-        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}{given}")
+        raise ValueError(f"needs a kind that is one of {', '.join(_KINDS)}, not {kind}")
     return _KINDS[kind].model_validate(data)
 
 

@@ -11,47 +11,47 @@ from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag
 from idtool.common.exceptions import ConfigError
 from idtool.common.provenance import Source, source_of
 from idtool.common.safe_yaml import parse_yaml, yaml_bytes
-from idtool.robot.config.base import Finite, Record, Vector, checked
-from idtool.robot.config.bounds import Bounding, BoundingShape
-from idtool.robot.config.estimation import Constraints, Known, Mirror, Regularization, Solver
+from idtool.robot.config.base import ConfigRecord, Finite, Vector, validate_record
+from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape
+from idtool.robot.config.estimation import Constraints, KnownMasses, Mirror, Regularization, Solver
 from idtool.robot.config.limits import JointLimits
-from idtool.robot.config.rotors import Rotor
-from idtool.robot.config.signals import Controller, Filter, LogOptions, Simulation
-from idtool.robot.config.terms import EffectEntry, Friction, friction_form
+from idtool.robot.config.rotors import RotorConfig
+from idtool.robot.config.signals import Controller, Filter, LogOptions, SimulationOptions
+from idtool.robot.config.terms import EffectEntry, Friction, friction_tag
 
 
-def _once_each(names: tuple[str, ...]) -> tuple[str, ...]:
+def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{name} stands there twice; name each joint once")
     return names
 
 
-class Config(Record):
+class Config(ConfigRecord):
     """The configuration: everything that a URDF does not contain."""
 
-    joints: Annotated[tuple[str, ...], AfterValidator(_once_each)] | None = None
+    joints: Annotated[tuple[str, ...], AfterValidator(_unique)] | None = None
     locked_joints: dict[str, Finite] = Field(default_factory=dict)
     gravity: Vector = (0.0, 0.0, -9.81)
     log: LogOptions = LogOptions()
     velocity: Literal["measured", "differentiated", "auto"] = "auto"
-    bounding_ellipsoids: dict[str, tuple[Bounding, ...]] = Field(default_factory=dict)
+    bounding_ellipsoids: dict[str, tuple[BoundingEllipsoid, ...]] = Field(default_factory=dict)
     bounding_shapes: dict[str, tuple[BoundingShape, ...]] = Field(default_factory=dict)
     known_com: dict[str, Vector] = Field(default_factory=dict)
-    rotors: dict[str, Rotor] = Field(default_factory=dict)
+    rotors: dict[str, RotorConfig] = Field(default_factory=dict)
     friction: Annotated[
         Annotated[dict[str, Friction], Tag("by joint")] | Annotated[Friction, Tag("alike")],
-        Discriminator(friction_form),
+        Discriminator(friction_tag),
     ] = Friction()
     constraints: Constraints | None = None
     regularization: Regularization = Regularization()
     filter: Filter = Filter()
-    known: Known = Known()
+    known: KnownMasses = KnownMasses()
     mirror: tuple[Mirror, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     solver: Solver = Solver()
     controller: Controller | None = None
-    simulation: Simulation = Simulation()
+    simulation: SimulationOptions = SimulationOptions()
     limits: dict[str, JointLimits] = Field(default_factory=dict)
     seed: int = 0
 
@@ -59,22 +59,27 @@ class Config(Record):
 
     @property
     def source(self) -> Source | None:
-        """The file it was read from, if it was."""
+        """The file it was read from, if any."""
         return self._source
 
     def without_friction_values(self) -> Config:
-        """The same with the terms that friction has, but neither their values nor effects."""
+        """A copy with the friction terms, but without their values and without effects."""
 
-        def terms(friction: Friction) -> Friction:
+        def without_values(friction: Friction) -> Friction:
             return Friction(**{name: term is not False for name, term in friction})
 
-        friction = self.friction
-        plain = terms(friction) if isinstance(friction, Friction) else {j: terms(f) for j, f in friction.items()}
-        return self.model_copy(update={"friction": plain, "effects": ()})
+        friction: Friction | dict[str, Friction]
+        if isinstance(self.friction, Friction):
+            friction = without_values(self.friction)
+        else:
+            friction = {joint: without_values(terms) for joint, terms in self.friction.items()}
+        return self.model_copy(update={"friction": friction, "effects": ()})
 
     def friction_of(self, joint: str) -> Friction:
         """The friction terms of one joint; a joint that is not named has the default ones."""
-        return self.friction if isinstance(self.friction, Friction) else self.friction.get(joint, Friction())
+        if isinstance(self.friction, Friction):
+            return self.friction
+        return self.friction.get(joint, Friction())
 
 
 def parse_config(data: Any, where: str) -> Config:
@@ -89,7 +94,7 @@ def parse_config(data: Any, where: str) -> Config:
         return Config()
     if not isinstance(data, Mapping):
         raise ConfigError(where, "is not a configuration: expected keys such as joints, rotors, filter")
-    return checked(Config, data, where)
+    return validate_record(Config, data, where)
 
 
 def read_config(path: Path) -> Config:

@@ -6,25 +6,25 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from idtool.robot.config.base import Finite, NonNegative, Positive, Record
-from idtool.robot.config.terms import Uncertain
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
+from idtool.robot.config.terms import UncertainValue
 
 _MASS_PRECISION = 5.0  # with an automatic weight
 
 Constraints = Literal["none", "semi", "full", "known_com", "com_ellipsoid", "ellipsoid", "shape", "points"]
 
 
-def _weight_form(data: Any) -> str:
+def _weight_tag(data: Any) -> str:
     """Tag of the form in which a weight is given, for messages that name its key alone."""
     return "[auto]" if data == "auto" else "[number]"
 
 
 Weight = Annotated[
-    Annotated[Literal["auto"], Tag("[auto]")] | Annotated[NonNegative, Tag("[number]")], Discriminator(_weight_form)
+    Annotated[Literal["auto"], Tag("[auto]")] | Annotated[NonNegative, Tag("[number]")], Discriminator(_weight_tag)
 ]
 
 
-class Regularization(Record):
+class Regularization(ConfigRecord):
     """The prior's kind and weight (27); the weight ``auto`` is chosen by cross-validation.
 
     The prior's masses are taken as ``mass_precision`` times more accurate than its inertias: with 5, relative standard
@@ -44,8 +44,8 @@ class Regularization(Record):
         return self.weight == "auto" and self.kind != "none"
 
     @property
-    def masses_known_better(self) -> float:
-        """Factor by which a mass of the prior has a smaller relative standard error than an inertia, 1 or more."""
+    def mass_precision_factor(self) -> float:
+        """Ratio of the prior's relative standard errors, an inertia's over a mass's; 1 or more."""
         if self.units == "si":
             return 1.0
         if self.mass_precision is not None:
@@ -53,7 +53,7 @@ class Regularization(Record):
         return _MASS_PRECISION if self.is_automatic else 1.0
 
     @property
-    def number(self) -> float:
+    def numeric_weight(self) -> float:
         """The weight as a number.
 
         Raises
@@ -66,17 +66,17 @@ class Regularization(Record):
         return 0.0 if self.weight == "auto" else self.weight
 
     def with_weight(self, weight: float) -> Self:
-        """Itself with a number as its weight; the factor of ``mass_precision`` stays as it is now."""
-        return self.model_copy(update={"weight": weight, "mass_precision": self.masses_known_better})
+        """A copy with a number as its weight and the same factor of ``mass_precision``."""
+        return self.model_copy(update={"weight": weight, "mass_precision": self.mass_precision_factor})
 
-    def or_weak(self) -> Regularization:
-        """Itself if the weight is a number, else a weak prior that needs no choice of weight: the paper's."""
+    def fixed_or_weak(self) -> Regularization:
+        """Itself if the weight is a number, else the paper's weak prior, which needs no choice of weight."""
         if self.weight != "auto":
             return self
-        return WEAK if self.is_automatic else self.with_weight(0.0)
+        return WEAK_PRIOR if self.is_automatic else self.with_weight(0.0)
 
     @model_validator(mode="after")
-    def _units_of_the_euclidean(self) -> Self:
+    def _check_units(self) -> Self:
         if self.units == "si" and self.kind in ("entropic", "pullback"):
             raise ValueError(f"units: si is for kind euclidean; {self.kind} does not depend on units")
         if self.units == "si" and self.weight == "auto":
@@ -84,24 +84,24 @@ class Regularization(Record):
         return self
 
 
-WEAK = Regularization(kind="euclidean", weight=1e-6)
+WEAK_PRIOR = Regularization(kind="euclidean", weight=1e-6)
 
 
-class Measured(Uncertain):
+class MeasuredValue(UncertainValue):
     """A known positive number; a soft constraint with a standard error, exact without."""
 
     value: Positive
     standard_error: Positive | None = None
 
 
-class Known(Record):
+class KnownMasses(ConfigRecord):
     """Masses [kg] by body, and of all bodies of the model together."""
 
-    mass: dict[str, Measured] = Field(default_factory=dict)
-    total_mass: Measured | None = None
+    mass: dict[str, MeasuredValue] = Field(default_factory=dict)
+    total_mass: MeasuredValue | None = None
 
 
-class Mirror(Record):
+class Mirror(ConfigRecord):
     """A body that is an equal or mirrored copy of another, or a joint with the same friction as another.
 
     The torque offset (direction-dependent friction) is not copied.
@@ -113,7 +113,7 @@ class Mirror(Record):
     plane: Literal["xy", "xz", "yz"] | None = None
 
     @model_validator(mode="after")
-    def _one_thing(self) -> Self:
+    def _check_copy(self) -> Self:
         if (self.body is None) == (self.joint is None):
             raise ValueError("give either body or joint, and of")
         if self.joint is not None and self.plane is not None:
@@ -123,14 +123,14 @@ class Mirror(Record):
         return self
 
 
-class Solver(Record):
+class Solver(ConfigRecord):
     """The conic solver, a solver of cvxpy, or a local solver on a manifold of realizable bodies."""
 
     name: Literal["clarabel", "cvxpy", "log_cholesky", "manifold"] = "clarabel"
     backend: str | None = None
 
     @model_validator(mode="after")
-    def _backend_of_cvxpy(self) -> Self:
+    def _check_backend(self) -> Self:
         if self.backend is not None and self.name != "cvxpy":
             raise ValueError(f"backend is for name: cvxpy; {self.name} has none")
         return self

@@ -1,4 +1,4 @@
-"""What a joint may be asked to do when a trajectory is designed; it can only tighten the URDF's limits."""
+"""Joint limits for the design of trajectories; they can only tighten the URDF's limits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from idtool.robot.config.base import Finite, Positive, Record
+from idtool.robot.config.base import ConfigRecord, Finite, Positive
 
 
 def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
@@ -15,7 +15,7 @@ def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-class JointLimits(Record):
+class JointLimits(ConfigRecord):
     """Position [rad or m], velocity [rad/s or m/s], acceleration [rad/s² or m/s²], torque or force [N·m or N]."""
 
     position: Annotated[tuple[Finite, Finite], AfterValidator(_ascending)] | None = None

@@ -1,4 +1,4 @@
-"""Rotors: bodies that spin with joints, which a URDF does not know."""
+"""Rotors: bodies that spin with joints, which a URDF cannot describe."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from idtool.robot.config.base import LEAST, Finite, NonNegative, Record, Vector
-from idtool.robot.config.bounds import Bounding
+from idtool.robot.config.base import MIN_LENGTH, ConfigRecord, Finite, NonNegative, Vector
+from idtool.robot.config.bounds import BoundingEllipsoid
 
 
-class Origin(Record):
+class Origin(ConfigRecord):
     """Origin of a frame: xyz [m], roll–pitch–yaw [rad]."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
 
 
-class Inertial(Record):
+class Inertial(ConfigRecord):
     """Mass [kg], centre of mass [m] and [ixx, ixy, iyy, ixz, iyz, izz] about it [kg·m²]."""
 
     mass: NonNegative
@@ -26,7 +26,7 @@ class Inertial(Record):
     inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 
-class Rotor(Record):
+class RotorConfig(ConfigRecord):
     """A body that spins with a joint, or with a combination of joint velocities.
 
     A rotor with the same name as a URDF link on a fixed joint is that link; missing keys are taken from the URDF.
@@ -39,17 +39,17 @@ class Rotor(Record):
     origin: Origin | None = None
     axis: Vector | None = None
     inertial: Inertial | None = None
-    bounding_ellipsoid: Bounding | None = None
+    bounding_ellipsoid: BoundingEllipsoid | None = None
 
     @model_validator(mode="after")
-    def _one_drive(self) -> Self:
+    def _check_drive(self) -> Self:
         if self.coupling and (self.joint or self.gear_ratio is not None):
             raise ValueError("give either joint and gear_ratio, or coupling")
         if not self.coupling and (self.joint is None or self.gear_ratio is None):
             raise ValueError("needs joint and gear_ratio, or coupling: {joint: ratio, ...}")
         if 0.0 in (self.gear_ratio, *self.coupling.values()):
             raise ValueError("a gear ratio of 0 does not move the rotor")
-        if self.axis is not None and math.hypot(*self.axis) < LEAST:
+        if self.axis is not None and math.hypot(*self.axis) < MIN_LENGTH:
             raise ValueError("axis must not be zero")
         return self
 
@@ -59,5 +59,5 @@ class Rotor(Record):
         if self.coupling:
             return dict(self.coupling)
         if self.joint is None or self.gear_ratio is None:
-            raise AssertionError  # ruled out by _one_drive
+            raise AssertionError  # ruled out by _check_drive
         return {self.joint: self.gear_ratio}

@@ -1,4 +1,4 @@
-"""How logs are read and filtered, and what commanded the joints meanwhile."""
+"""Reading and filtering of logs, and the controller that commanded the joints."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from idtool.robot.config.base import Finite, NonNegative, Positive, Record
-from idtool.robot.config.terms import Uncertain
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
+from idtool.robot.config.terms import UncertainValue
 
 
-def _keeps_the_signal(factor: float) -> float:
+def _nonzero(factor: float) -> float:
     if factor == 0:
         raise ValueError("a signal times 0 is lost; to leave a joint out, leave it out of joints")
     return factor
 
 
-Factors = dict[str, Annotated[Finite, AfterValidator(_keeps_the_signal)]]
+Factors = dict[str, Annotated[Finite, AfterValidator(_nonzero)]]
 
 
-class Scale(Record):
+class Scale(ConfigRecord):
     """Factors from logged units to SI units, by joint."""
 
     q: Factors = Field(default_factory=dict)
@@ -30,15 +30,15 @@ class Scale(Record):
     vcmd: Factors = Field(default_factory=dict)
 
 
-class LogOptions(Record):
-    """How to read the logs."""
+class LogOptions(ConfigRecord):
+    """Options for reading the logs."""
 
     topic: str | None = None
     columns: dict[str, str] = Field(default_factory=dict)
     scale: Scale = Scale()
 
 
-class Filter(Record):
+class Filter(ConfigRecord):
     """The zero-phase low-pass. Default cut-off: 40 Hz, or a fifth of the sampling rate if that is lower."""
 
     kind: Literal["butterworth"] = "butterworth"
@@ -46,21 +46,21 @@ class Filter(Record):
     order: Annotated[int, Field(ge=1, le=8)] = 4
 
 
-def _delay(data: Any) -> str | float | Uncertain:
+def _delay(data: Any) -> str | float | UncertainValue:
     if data == "auto":
         return "auto"
     if isinstance(data, str):
         raise ValueError(f"{data} is no delay; give auto, or a number in s")
-    delay = data if isinstance(data, Uncertain) else Uncertain.model_validate(data)
+    delay = data if isinstance(data, UncertainValue) else UncertainValue.model_validate(data)
     if delay.value < 0:
         raise ValueError(f"a delay of {delay.value:g} s is none; give 0 or more, or auto")
-    return delay if isinstance(data, Uncertain | Mapping) else delay.value
+    return delay if isinstance(data, UncertainValue | Mapping) else delay.value
 
 
-Delay = Annotated[Literal["auto"] | float | Uncertain, BeforeValidator(_delay)]
+Delay = Annotated[Literal["auto"] | float | UncertainValue, BeforeValidator(_delay)]
 
 
-class Controller(Record):
+class Controller(ConfigRecord):
     """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s].
 
     A delay of ``auto`` is fitted.
@@ -71,14 +71,14 @@ class Controller(Record):
     delay: Delay = "auto"
 
     @property
-    def known_delay(self) -> Uncertain | None:
+    def known_delay(self) -> UncertainValue | None:
         """The delay as given [s]; None: to be fitted."""
         if self.delay == "auto":
             return None
-        return Uncertain.model_validate(self.delay)
+        return UncertainValue.model_validate(self.delay)
 
 
-class Simulation(Record):
+class SimulationOptions(ConfigRecord):
     """Rollouts restart from the measured state every window [s]; null: never."""
 
     window: Positive | None = 1.0

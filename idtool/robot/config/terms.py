@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from idtool.robot.config.base import Finite, NonNegative, Record
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative
 
 
-class Uncertain(Record):
-    """A number that may carry its standard error, both in the number's unit."""
+class UncertainValue(ConfigRecord):
+    """A number that may have a standard error, both in the same unit."""
 
     value: Finite
     standard_error: NonNegative | None = None
@@ -22,21 +22,21 @@ class Uncertain(Record):
         return data if isinstance(data, Mapping) else {"value": data}
 
 
-def _term(data: Any) -> Any:
-    return data if isinstance(data, bool | Uncertain) else Uncertain.model_validate(data)
+def _parse_term(data: Any) -> Any:
+    return data if isinstance(data, bool | UncertainValue) else UncertainValue.model_validate(data)
 
 
-def _dissipates(term: bool | Uncertain) -> bool | Uncertain:
-    if isinstance(term, Uncertain) and term.value < 0:
+def _check_dissipative(term: bool | UncertainValue) -> bool | UncertainValue:
+    if isinstance(term, UncertainValue) and term.value < 0:
         raise ValueError(f"friction of {term.value:g} would drive the joint; give 0 or more")
     return term
 
 
-Term = Annotated[bool | Uncertain, BeforeValidator(_term)]
-Dissipation = Annotated[Term, AfterValidator(_dissipates)]
+Term = Annotated[bool | UncertainValue, BeforeValidator(_parse_term)]
+Dissipation = Annotated[Term, AfterValidator(_check_dissipative)]
 
 
-class Friction(Record):
+class Friction(ConfigRecord):
     """Friction terms of a joint: on, off, or a value [N·m·s/rad, N·m, N·m]."""
 
     viscous: Dissipation = True
@@ -44,14 +44,15 @@ class Friction(Record):
     offset: Term = False
 
 
-def friction_form(data: Any) -> str:
-    """Terms for all joints alike, or by joint: told apart by the keys, so that errors speak of one of them."""
+def friction_tag(data: Any) -> str:
+    """Tag of the form: terms for all joints alike, or by joint. Told by the keys, so that errors are about one form."""
     if not isinstance(data, Mapping) or not data or set(data) & set(Friction.model_fields):
         return "alike"
-    return "by joint" if all(isinstance(terms, Mapping | Friction) for terms in data.values()) else "alike"
+    is_by_joint = all(isinstance(terms, Mapping | Friction) for terms in data.values())
+    return "by joint" if is_by_joint else "alike"
 
 
-class EffectEntry(Record):
+class EffectEntry(ConfigRecord):
     """An effect of the model; parameters in SI units, each a number or a value with its standard error."""
 
     effect: str

@@ -16,19 +16,22 @@ __all__ = ["ConstraintSet", "choose_set", "constraint_sets"]
 @cache
 def constraint_sets() -> dict[str, ConstraintSet]:
     """Every set by name, the loosest first."""
-    found: dict[str, ConstraintSet] = {}
-    for module in pkgutil.iter_modules(__path__):
-        for _, member in inspect.getmembers(importlib.import_module(f"{__name__}.{module.name}"), inspect.isclass):
+    sets: dict[str, ConstraintSet] = {}
+    for info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{info.name}")
+        for _, member in inspect.getmembers(module, inspect.isclass):
             if issubclass(member, ConstraintSet) and not inspect.isabstract(member):
-                found[member.name] = member()
-    return dict(sorted(found.items(), key=lambda item: item[1].tightness))
+                sets[member.name] = member()
+    return dict(sorted(sets.items(), key=lambda item: item[1].tightness))
 
 
 def choose_set(body: Body, name: str | None = None) -> ConstraintSet:
-    """The set of that name, or the tightest; where a body lacks what it needs, the tightest below that it has."""
-    known = constraint_sets()
-    wanted = known[name] if name else None
-    if wanted is not None and wanted.applies(body):
-        return wanted
-    most = wanted.tightness if wanted else len(known)
-    return [s for s in known.values() if s.chosen and s.applies(body) and s.tightness <= most][-1]
+    """The named set, or the tightest; where it does not apply to the body, the tightest looser one that does."""
+    sets = constraint_sets()
+    max_tightness = len(sets)
+    if name:
+        if sets[name].applies_to(body):
+            return sets[name]
+        max_tightness = sets[name].tightness
+    applicable = [s for s in sets.values() if s.automatic and s.applies_to(body) and s.tightness <= max_tightness]
+    return applicable[-1]

@@ -17,18 +17,18 @@ class ConstraintSet(ABC):
         As in the configuration.
     tightness
         Order among the sets: a tighter set lies within a looser one, where both apply.
-    chosen
-        Whether a body gets it without being asked for; not where it leaves out bodies that could exist.
+    automatic
+        True if a body may get it without being asked for; False where it leaves out bodies that could exist.
     """
 
     name: str
     tightness: int
-    chosen: bool = True
+    automatic: bool = True
 
-    def applies(self, body: Body) -> bool:
-        """Whether the body has what the set needs, such as a bounding ellipsoid."""
+    def applies_to(self, body: Body) -> bool:
+        """True if the body has what the set needs, such as a bounding ellipsoid."""
         return True
 
     @abstractmethod
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """The pieces that the body's parameters are the sum of, each with what it must fulfil."""
+        """The pieces whose sum the body's parameters are, each with its inequalities."""

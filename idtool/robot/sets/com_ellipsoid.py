@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, Inequality, Piece
-from idtool.robot.inertia import SIZE
+from idtool.robot.inequality import REALIZABLE, Inequality, Piece
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets.base import ConstraintSet
 
 
@@ -17,20 +18,22 @@ class ComInEllipsoid(ConstraintSet):
     name = "com_ellipsoid"
     tightness = 4
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.ellipsoids)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
-        return tuple(Piece((DENSITY, _centre_in(ellipsoid))) for ellipsoid in body.ellipsoids)
+        return tuple(Piece((REALIZABLE, _com_within(ellipsoid))) for ellipsoid in body.ellipsoids)
 
 
-def _centre_in(ellipsoid: Ellipsoid) -> Inequality:
-    C = np.zeros((SIZE, 4, 4))
+def _com_within(ellipsoid: Ellipsoid) -> Inequality:
+    C = np.zeros((PI_SIZE, 4, 4))
     C[0, 0, 0] = 1
-    C[0, 1:, 0] = C[0, 0, 1:] = -np.asarray(ellipsoid.center)
+    C[0, 1:, 0] = -np.asarray(ellipsoid.center)
+    C[0, 0, 1:] = -np.asarray(ellipsoid.center)
     C[0, 1:, 1:] = ellipsoid.Q_s
     for k in (1, 2, 3):
-        C[k, 0, k] = C[k, k, 0] = 1
+        C[k, 0, k] = 1
+        C[k, k, 0] = 1
     return Inequality("centre of mass in its ellipsoid", C, np.array([0.0, 1.0, 1.0, 1.0]))

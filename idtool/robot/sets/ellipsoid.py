@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing_extensions import override
+
 from idtool.robot.body import Body
-from idtool.robot.inequality import DENSITY, Piece, within
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
 from idtool.robot.sets.base import ConstraintSet
 
 
@@ -13,10 +15,12 @@ class DensityOnEllipsoid(ConstraintSet):
     name = "ellipsoid"
     tightness = 5
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.ellipsoids)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
-        return tuple(Piece((DENSITY, within(e.Q, "mass within its bounding ellipsoid"))) for e in body.ellipsoids)
+        return tuple(
+            Piece((REALIZABLE, density_within(e.Q, "mass within its bounding ellipsoid"))) for e in body.ellipsoids
+        )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing_extensions import override
+
 from idtool.robot.body import Body
-from idtool.robot.inequality import DENSITY, Piece
+from idtool.robot.inequality import REALIZABLE, Piece
 from idtool.robot.sets.base import ConstraintSet
 
 
@@ -13,6 +15,6 @@ class FullyConsistent(ConstraintSet):
     name = "full"
     tightness = 2
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
-        return (Piece((DENSITY,)),)
+        return (Piece((REALIZABLE,)),)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing_extensions import override
+
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
 from idtool.robot.sets.base import ConstraintSet
@@ -13,6 +15,6 @@ class Unconstrained(ConstraintSet):
     name = "none"
     tightness = 0
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         return (Piece(()),)

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
-from idtool.robot.inequality import Piece, masses
+from idtool.robot.inequality import Piece, point_masses
 from idtool.robot.sets.base import ConstraintSet
 
-_PLACES = 120  # in all of a body's bounding shapes together
+_POINTS = 120  # in all of a body's bounds together
 
 
-class PointMasses(ConstraintSet):
-    """pi = Σ_k m_k pi(x_k), m_k ≥ 0, at places x_k in the bounding ellipsoids and shapes.
+class PointMassGrid(ConstraintSet):
+    """pi = Σ_k m_k pi(x_k), m_k ≥ 0, at points x_k in the bounding ellipsoids and shapes.
 
-    Bodies that need mass between the places are left out, so it is used only where it is asked for.
+    Bodies that need mass between the points are left out, so it is used only where it is asked for.
     """
 
     name = "points"
     tightness = 7
-    chosen = False
+    automatic = False
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.bounds)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
-        each = _PLACES // len(body.bounds)
-        return (masses(np.concatenate([bound.grid(each) for bound in body.bounds])),)
+        points_per_bound = _POINTS // len(body.bounds)
+        points = np.concatenate([bound.grid(points_per_bound) for bound in body.bounds])
+        return (point_masses(points),)

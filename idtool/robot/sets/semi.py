@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.inequality import Inequality, Piece
-from idtool.robot.inertia import SIZE, spatial_inertia
+from idtool.robot.inertia import PI_SIZE, spatial_inertia
 from idtool.robot.sets.base import ConstraintSet
 
 _SPATIAL = Inequality(
-    "positive definite spatial inertia", spatial_inertia(np.eye(SIZE)), np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    "positive definite spatial inertia", spatial_inertia(np.eye(PI_SIZE)), np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 )
 
 
@@ -20,6 +21,6 @@ class SemiConsistent(ConstraintSet):
     name = "semi"
     tightness = 1
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         return (Piece((_SPATIAL,)),)

@@ -1,10 +1,12 @@
 """A mass density on boxes, cylinders, capsules, hulls of meshes and ellipsoids, or on a union of them.
 
-What a box or a hull demands is necessary, not sufficient (a moment relaxation, Heins & Schoellig, arXiv 2411.07079);
-what ellipsoids, cylinders and capsules demand is both.
+The conditions of a box or a hull are necessary, not sufficient (a moment relaxation, Heins & Schoellig, arXiv
+2411.07079); those of ellipsoids, cylinders and capsules are both.
 """
 
 from __future__ import annotations
+
+from typing_extensions import override
 
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece
@@ -18,10 +20,10 @@ class DensityOnShape(ConstraintSet):
     name = "shape"
     tightness = 6
 
-    def applies(self, body: Body) -> bool:
-        """See `ConstraintSet.applies`."""
+    @override
+    def applies_to(self, body: Body) -> bool:
         return bool(body.shapes)
 
+    @override
     def pieces(self, body: Body) -> tuple[Piece, ...]:
-        """See `ConstraintSet.pieces`."""
         return (*DensityOnEllipsoid().pieces(body), *(piece for shape in body.shapes for piece in shape.pieces()))

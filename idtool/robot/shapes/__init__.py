@@ -16,9 +16,10 @@ __all__ = ["Hull", "Shape", "known_shapes"]
 @cache
 def known_shapes() -> dict[str, type[Shape]]:
     """Every shape by its kind."""
-    found: dict[str, type[Shape]] = {}
-    for module in pkgutil.iter_modules(__path__):
-        for _, member in inspect.getmembers(importlib.import_module(f"{__name__}.{module.name}"), inspect.isclass):
+    shapes: dict[str, type[Shape]] = {}
+    for info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{info.name}")
+        for _, member in inspect.getmembers(module, inspect.isclass):
             if issubclass(member, Shape) and not inspect.isabstract(member):
-                found[member.kind] = member
-    return found
+                shapes[member.kind] = member
+    return shapes

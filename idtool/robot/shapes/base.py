@@ -1,7 +1,7 @@
 """`Shape`: a solid that bounds a body's mass. A new shape is one new file in this folder.
 
-Each shape says side by side what it is, as a test of points, and what it demands of a body's parameters, as linear
-inequalities on the moments of a density that is zero outside of it.
+Each shape has side by side its numeric check, a test of points, and its realizability constraints: linear inequalities
+on the moments of a density that is zero outside of it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import Piece
@@ -31,7 +32,7 @@ class Shape(ABC):
     kind
         As in the configuration and the report.
     exact
-        Whether `pieces` admits exactly what a density on the solid can have.
+        True if `pieces` admits exactly the parameters of the densities on the solid, False if also others.
     """
 
     kind: ClassVar[str]
@@ -48,27 +49,27 @@ class Shape(ABC):
         return math.cbrt(0.75 * self.volume / math.pi)
 
     @abstractmethod
-    def moved(self, R: Array, p: Array) -> Self:
-        """The same solid in the frame in which its present frame sits at R (3, 3), p (3,) [m].
+    def transformed(self, R: Array, p: Array) -> Self:
+        """The solid in another frame, in which its present frame has the pose R (3, 3), p (3,) [m].
 
         R is a rotation or, for the solid's mirror image, a reflection.
         """
 
     @abstractmethod
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """Whether points, shape (..., 3), lie inside, within a tolerance relative to its size; shape (...)."""
+        """Mask of the points, shape (..., 3), that lie inside, within a tolerance relative to its size; shape (...)."""
 
     @abstractmethod
     def grid(self, count: int) -> Array:
-        """About ``count`` places spread evenly over the solid, its boundary included; shape (K, 3) [m]."""
+        """About ``count`` points spread evenly over the solid, its boundary included; shape (K, 3) [m]."""
 
     @abstractmethod
     def pieces(self) -> tuple[Piece, ...]:
-        """What parameters of a body within the solid fulfil: pi is the sum of parameters of these pieces."""
+        """The pieces whose sum the parameters of a body within the solid are."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Kind, place and dimensions as plain data, as in the configuration."""
+        """Kind, pose and dimensions as plain data, as in the configuration."""
 
     @classmethod
     @abstractmethod
@@ -76,15 +77,15 @@ class Shape(ABC):
         """The shape of plain data such as `to_dict` gives, its kind aside: checked by the configuration, not here."""
 
 
-class Placed(Shape):
-    """A solid described in a frame of its own, at its middle: a frozen dataclass with these two fields.
+class PosedShape(Shape):
+    """A solid described in a frame at its own centre: a frozen dataclass with these two fields.
 
     It is symmetric to the planes of that frame.
 
     Attributes
     ----------
     center
-        The frame's place [m].
+        Position of the frame [m].
     rpy
         The frame's roll, pitch and yaw, as in URDF [rad].
     """
@@ -92,7 +93,7 @@ class Placed(Shape):
     center: Vector
     rpy: Vector
     #: The configuration's name for a field that has another.
-    renamed: ClassVar[dict[str, str]] = {}
+    config_names: ClassVar[dict[str, str]] = {}
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
@@ -101,64 +102,76 @@ class Placed(Shape):
         matrix: Array = Rotation.from_euler("xyz", self.rpy).as_matrix()
         return matrix
 
-    def moved(self, R: Array, p: Array) -> Self:
-        """See `Shape.moved`."""
+    @override
+    def transformed(self, R: Array, p: Array) -> Self:
         with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
-            own = R @ self.rotation
-            own[:, 0] *= np.sign(np.linalg.det(own))  # a mirror image: the solid is its own, x turned round
-            rpy = Rotation.from_matrix(own).as_euler("xyz")
-        return replace(self, center=tuple((R @ self.center + p).tolist()), rpy=tuple(rpy.tolist()))
+            axes = R @ self.rotation
+            axes[:, 0] *= np.sign(np.linalg.det(axes))  # after a reflection; the solid is symmetric in x
+            rpy = Rotation.from_matrix(axes).as_euler("xyz")
+        center = R @ self.center + p
+        return replace(self, center=tuple(center.tolist()), rpy=tuple(rpy.tolist()))
 
+    @override
     def to_dict(self) -> dict[str, Any]:
-        """See `Shape.to_dict`."""
-        values = {self.renamed.get(field.name, field.name): getattr(self, field.name) for field in fields(self)}
-        return {"kind": self.kind} | {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+        data: dict[str, Any] = {"kind": self.kind}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            key = self.config_names.get(field.name, field.name)
+            data[key] = list(value) if isinstance(value, tuple) else value
+        return data
 
     @classmethod
+    @override
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """See `Shape.from_dict`."""
-        values = {field.name: data.get(cls.renamed.get(field.name, field.name)) for field in fields(cls)}
-        given = {k: v for k, v in values.items() if v is not None}
-        return cls(**{k: tuple(v) if isinstance(v, Sequence) else v for k, v in given.items()})
+        values: dict[str, Any] = {}
+        for field in fields(cls):
+            value = data.get(cls.config_names.get(field.name, field.name))
+            if value is not None:
+                values[field.name] = tuple(value) if isinstance(value, Sequence) else value
+        return cls(**values)
 
-    def local(self, points: ArrayLike) -> Array:
+    def to_local(self, points: ArrayLike) -> Array:
         """Points, shape (..., 3), in its own frame [m]."""
         return np.asarray((np.asarray(points, dtype=float) - self.center) @ self.rotation)
 
-    def placed(self, points: Array) -> Array:
+    def to_body(self, points: Array) -> Array:
         """Points of its own frame, shape (n, 3), in the body's frame [m]."""
         return np.asarray(points @ self.rotation.T + self.center)
 
-    def coordinates(self, units: ArrayLike) -> Array:
-        """Rows f, shape (4, 4), with f · [x; 1] the place in its own frame in ``units``, shape (3,) [m], and last 1."""
+    def affine_coordinates(self, units: ArrayLike) -> Array:
+        """Rows f, shape (4, 4), of f · [x; 1]: x in its own frame, in ``units`` (3,) [m], and last the constant 1."""
         rows = np.eye(4)
         rows[:3, :3] = self.rotation.T / np.asarray(units, dtype=float)[:, None]
         rows[:3, 3] = -rows[:3, :3] @ self.center
         return rows
 
 
-def product(f: Array, g: Array) -> Array:
+def product_form(f: Array, g: Array) -> Array:
     """The symmetric Q, shape (..., 4, 4), with [x; 1]ᵀ Q [x; 1] = (f · [x; 1]) (g · [x; 1])."""
     Q = f[..., :, None] * g[..., None, :]
     return np.asarray(0.5 * (Q + np.swapaxes(Q, -1, -2)))
 
 
-def discs(levels: Array, radii: Array, spacing: float) -> Array:
+def disc_points(levels: Array, radii: Array, spacing: float) -> Array:
     """Points of discs around the z axis at heights ``levels``, in rings about ``spacing`` apart; shape (n, 3) [m]."""
     points: list[Array] = []
     for z, radius in zip(levels, radii, strict=True):
-        rings = max(1, round(radius / spacing)) if radius > 0 else 0
         points.append(np.array([[0.0, 0.0, z]]))
-        for ring in radius * np.arange(1, rings + 1) / max(rings, 1):
-            angle = np.linspace(0, 2 * np.pi, max(4, round(2 * np.pi * ring / spacing)), endpoint=False)
-            points.append(np.column_stack([ring * np.cos(angle), ring * np.sin(angle), np.full(len(angle), z)]))
+        rings = max(1, round(radius / spacing)) if radius > 0 else 0
+        for ring_radius in radius * np.arange(1, rings + 1) / max(rings, 1):
+            count = max(4, round(2 * np.pi * ring_radius / spacing))
+            angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+            x = ring_radius * np.cos(angle)
+            y = ring_radius * np.sin(angle)
+            points.append(np.column_stack([x, y, np.full(count, z)]))
     return np.concatenate(points)
 
 
-def finest(points: Callable[[float], Array], coarsest: float, count: int) -> Array:
-    """The points of a spacing below ``coarsest`` [m], as fine as gives no more than ``count``; else the coarsest."""
+def finest_grid(points: Callable[[float], Array], coarsest: float, count: int) -> Array:
+    """The grid of the smallest spacing, up to ``coarsest`` [m], that has no more than ``count`` points."""
     best = points(coarsest)
-    spacing = coarsest
-    while len(finer := points(spacing := 0.97 * spacing)) <= count:
+    spacing = 0.97 * coarsest
+    while len(finer := points(spacing)) <= count:
         best = finer
+        spacing *= 0.97
     return best

@@ -8,14 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
-from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Placed, Vector, finest, product
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
+from idtool.robot.shapes.base import PosedShape, Vector, finest_grid, product_form
 
 
 @dataclass(frozen=True)
-class Box(Placed):
+class Box(PosedShape):
     """A box.
 
     With u its coordinates in units of half its sides, a density on it has moments with J ⪰ 0 and E[f] ≥ 0 for every
@@ -38,33 +39,38 @@ class Box(Placed):
 
     kind: ClassVar[str] = "box"
     exact: ClassVar[bool] = False
-    renamed: ClassVar[dict[str, str]] = {"sides": "size"}
+    config_names: ClassVar[dict[str, str]] = {"sides": "size"}
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return float(np.prod(self.sides))
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
-        beyond = np.abs(self.local(points)) - 0.5 * np.asarray(self.sides)
+        beyond = np.abs(self.to_local(points)) - 0.5 * np.asarray(self.sides)
         return np.asarray(beyond.max(axis=-1) <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least the eight corners."""
+        """Evenly spaced points, at least the eight corners; see `Shape.grid`."""
 
         def points(spacing: float) -> Array:
-            axes = [np.linspace(-0.5 * side, 0.5 * side, 1 + max(1, round(side / spacing))) for side in self.sides]
+            axes = []
+            for side in self.sides:
+                intervals = max(1, round(side / spacing))
+                axes.append(np.linspace(-0.5 * side, 0.5 * side, 1 + intervals))
             return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
-        return self.placed(finest(points, 2 * max(self.sides), count))
+        return self.to_body(finest_grid(points, 2 * max(self.sides), count))
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`."""
-        *u, one = self.coordinates(0.5 * np.asarray(self.sides))
+        x, y, z, one = self.affine_coordinates(0.5 * np.asarray(self.sides))
         signs = [(s, t) for s in (1, -1) for t in (1, -1)]
-        Q = [product(one - x, one + x) for x in u]
-        Q += [product(one + s * x, one + t * y) for x, y in combinations(u, 2) for s, t in signs]
-        xy, xz, yz = (product(x, y) for x, y in combinations(u, 2))
-        Q += [product(one, one) + s * xy + t * xz + s * t * yz for s, t in signs]
-        return (Piece((DENSITY, within(np.array(Q), "mass within its bounding box"))),)
+        Q = [product_form(one - u, one + u) for u in (x, y, z)]
+        for u, v in combinations((x, y, z), 2):
+            Q += [product_form(one + s * u, one + t * v) for s, t in signs]
+        xy, xz, yz = product_form(x, y), product_form(x, z), product_form(y, z)
+        Q += [product_form(one, one) + s * xy + t * xz + s * t * yz for s, t in signs]
+        return (Piece((REALIZABLE, density_within(np.array(Q), "mass within its bounding box"))),)

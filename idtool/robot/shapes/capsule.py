@@ -8,16 +8,17 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inequality import DENSITY, Piece, within
-from idtool.robot.shapes.base import Placed, Vector, discs, finest
+from idtool.robot.inequality import REALIZABLE, Piece, density_within
+from idtool.robot.shapes.base import PosedShape, Vector, disc_points, finest_grid
 from idtool.robot.shapes.cylinder import Cylinder
 
 
 @dataclass(frozen=True)
-class Capsule(Placed):
+class Capsule(PosedShape):
     """All points within ``radius`` of a line segment along its own z axis.
 
     Attributes
@@ -39,32 +40,36 @@ class Capsule(Placed):
     exact: ClassVar[bool] = Cylinder.exact
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return math.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
-        local = self.local(points)
+        local = self.to_local(points)
         local[..., 2] -= np.clip(local[..., 2], -0.5 * self.length, 0.5 * self.length)
         return np.asarray(np.linalg.norm(local, axis=-1) - self.radius <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least the middle and both tips."""
-        half, radius = 0.5 * self.length, self.radius
+        """Points in discs, at least the middle and both tips; see `Shape.grid`."""
+        half_length = 0.5 * self.length
+        radius = self.radius
 
         def points(spacing: float) -> Array:
-            middle = half * np.linspace(-1, 1, 1 + max(1, round(self.length / spacing)))
-            height = np.linspace(0, radius, 1 + max(1, round(radius / spacing)))[1:]
+            middle = half_length * np.linspace(-1, 1, 1 + max(1, round(self.length / spacing)))
+            height = np.linspace(0, radius, 1 + max(1, round(radius / spacing)))[1:]  # above an end's centre
             width = np.sqrt(np.maximum(radius**2 - height**2, 0))
-            levels = np.concatenate([-half - height, middle, half + height])
-            return discs(levels, np.concatenate([width, np.full(len(middle), radius), width]), spacing)
+            levels = np.concatenate([-half_length - height, middle, half_length + height])
+            radii = np.concatenate([width, np.full(len(middle), radius), width])
+            return disc_points(levels, radii, spacing)
 
-        return self.placed(finest(points, 2 * (self.length + 2 * radius), count))
+        return self.to_body(finest_grid(points, 2 * (self.length + 2 * radius), count))
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`: the cylinder's, and one for each ball (Cor. 2)."""
-        ends = self.placed(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
-        balls = [Ellipsoid((x, y, z), (self.radius,) * 3) for x, y, z in ends.tolist()]
-        round_ends = [Piece((DENSITY, within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
+        """The pieces of the cylinder, and one for each ball (Cor. 2)."""
+        ends = self.to_body(np.array([[0, 0, -0.5], [0, 0, 0.5]]) * self.length)
+        balls = [Ellipsoid((x, y, z), (self.radius, self.radius, self.radius)) for x, y, z in ends.tolist()]
+        round_ends = [Piece((REALIZABLE, density_within(ball.Q, "mass within its bounding capsule"))) for ball in balls]
         return (*Cylinder(self.center, self.radius, self.length, self.rpy).pieces(), *round_ends)

@@ -8,16 +8,17 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
-from idtool.robot.inequality import DENSITY, Inequality, Piece, within
-from idtool.robot.shapes.base import Placed, Vector, discs, finest, product
+from idtool.robot.inequality import REALIZABLE, Inequality, Piece, density_within
+from idtool.robot.shapes.base import PosedShape, Vector, disc_points, finest_grid, product_form
 
 _LABEL = "mass within its bounding cylinder"
 
 
 @dataclass(frozen=True)
-class Cylinder(Placed):
+class Cylinder(PosedShape):
     """A cylinder around its own z axis.
 
     With (u, v, w) its coordinates in units of radius, radius and half length, a density on it has moments with J ⪰ 0,
@@ -44,36 +45,43 @@ class Cylinder(Placed):
     exact: ClassVar[bool] = True
 
     @property
+    @override
     def volume(self) -> float:
-        """See `Shape.volume`."""
         return math.pi * self.radius**2 * self.length
 
+    @override
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> Mask:
-        """See `Shape.contains`."""
-        local = self.local(points)
-        beyond = np.hypot(local[..., 0], local[..., 1]) - self.radius, np.abs(local[..., 2]) - 0.5 * self.length
-        return np.asarray(np.maximum(*beyond) <= tolerance * self.size)
+        local = self.to_local(points)
+        beyond_side = np.hypot(local[..., 0], local[..., 1]) - self.radius
+        beyond_end = np.abs(local[..., 2]) - 0.5 * self.length
+        return np.asarray(np.maximum(beyond_side, beyond_end) <= tolerance * self.size)
 
+    @override
     def grid(self, count: int) -> Array:
-        """See `Shape.grid`; at least ten places."""
+        """Points in discs, at least ten; see `Shape.grid`."""
 
         def points(spacing: float) -> Array:
             levels = self.length * np.linspace(-0.5, 0.5, 1 + max(1, round(self.length / spacing)))
-            return discs(levels, np.full(len(levels), self.radius), spacing)
+            return disc_points(levels, np.full(len(levels), self.radius), spacing)
 
-        return self.placed(finest(points, 2 * max(2 * self.radius, self.length), count))
+        return self.to_body(finest_grid(points, 2 * max(2 * self.radius, self.length), count))
 
+    @override
     def pieces(self) -> tuple[Piece, ...]:
-        """See `Shape.pieces`."""
-        u, v, w, one = self.coordinates((self.radius, self.radius, 0.5 * self.length))
-        Q = np.array([product(one, one) - product(u, u) - product(v, v), product(one - w, one + w)])
-        ends = (_arrow(u, v, one + w), _arrow(u, v, one - w))
-        return (Piece((DENSITY, within(Q, _LABEL), *ends)),)
+        u, v, w, one = self.affine_coordinates((self.radius, self.radius, 0.5 * self.length))
+        side = product_form(one, one) - product_form(u, u) - product_form(v, v)
+        ends = product_form(one - w, one + w)
+        quadratic = density_within(np.array([side, ends]), _LABEL)
+        upper = _second_order_cone(u, v, one + w)
+        lower = _second_order_cone(u, v, one - w)
+        return (Piece((REALIZABLE, quadratic, upper, lower)),)
 
 
-def _arrow(u: Array, v: Array, end: Array) -> Inequality:
+def _second_order_cone(u: Array, v: Array, end: Array) -> Inequality:
     """‖E[end (u, v)]‖ ≤ E[end] as the matrix [[e, a, b], [a, e, 0], [b, 0, e]] ⪰ 0."""
-    e, a, b = within(np.array([product(end, f) for f in (np.array([0.0, 0, 0, 1]), u, v)]), _LABEL).G.T  # (10,) each
+    one = np.array([0.0, 0.0, 0.0, 1.0])
+    Q = np.array([product_form(end, f) for f in (one, u, v)])
+    e, a, b = density_within(Q, _LABEL).G.T  # (10,) each
     zero = np.zeros_like(e)
     G = np.array([[e, a, b], [a, e, zero], [b, zero, e]])
     return Inequality(_LABEL, np.moveaxis(G, -1, 0), np.zeros(3))

@@ -1,4 +1,4 @@
-"""`Robot`: what a URDF says of links and joints, checked. Its text is written back by `urdf`.
+"""`Robot`: links and joints of a URDF, checked.
 
 Read with yourdfpy from a tree that lxml has parsed strictly: no document type, no entities, no network.
 """
@@ -19,15 +19,15 @@ from lxml import etree
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.provenance import Source, source_of
-from idtool.robot.inertia import SIZE, from_mass_com_inertia
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 
-_MOST_BYTES = 64 << 20
-_MOST = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
-_KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
+_MAX_BYTES = 64 << 20
+_MAX_VALUE = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
+_CHILDREN = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
-_LOGS = (".csv", ".mcap")  # by their endings
+_LOG_SUFFIXES = (".csv", ".mcap")
 _XACRO = "xacro"  # in the namespaces that xacro has had
-_MOMENTS = ("ixx", "iyy", "izz")  # the parser takes 1 kg·m² for one that is missing
+_MOMENTS = ("ixx", "iyy", "izz")  # for one that is missing the parser takes 1 kg·m²
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Robot:
     joints
         Joint name to joint, parents before children.
     source
-        Where the text comes from.
+        Path and hash of the file.
     """
 
     path: Path
@@ -102,18 +102,19 @@ class Robot:
     joints: dict[str, Joint]
     source: Source
 
-    def path_to(self, joint: str) -> list[str]:
-        """Joints from one to the root, itself first."""
-        carrying = {one.child: one for one in self.joints.values()}
-        found, here = [], self.joints.get(joint)
-        while here is not None:
-            found.append(here.name)
-            here = carrying.get(here.parent)
-        return found
+    def path_to_root(self, joint: str) -> list[str]:
+        """Names of the joints from one to the root, itself first; empty for an unknown joint."""
+        parent_joint = {other.child: other for other in self.joints.values()}
+        path: list[str] = []
+        current = self.joints.get(joint)
+        while current is not None:
+            path.append(current.name)
+            current = parent_joint.get(current.parent)
+        return path
 
-    def on_one_branch(self, joint: str, other: str) -> bool:
-        """Whether one of two joints carries the other."""
-        return joint in self.path_to(other) or other in self.path_to(joint)
+    def on_same_branch(self, joint: str, other: str) -> bool:
+        """True if one of two joints carries the other."""
+        return joint in self.path_to_root(other) or other in self.path_to_root(joint)
 
 
 def read_robot(path: Path) -> Robot:
@@ -124,17 +125,17 @@ def read_robot(path: Path) -> Robot:
     ModelError
         If the file cannot be read, is not a URDF, or its links and joints make no tree.
     """
-    if path.suffix == ".xacro" and path.is_file():  # also where it has no macros: by its name it will have
+    if path.suffix == ".xacro" and path.is_file():  # even without macros: by its name it may get some
         raise ModelError(path, _expand(path))
     if os.path.isdir(path):
         identified = path / "identified.urdf"
         raise ModelError(path, f"is a folder; give {identified if identified.is_file() else 'a URDF'}")
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
-    if path.suffix.lower() in _LOGS or data.startswith(b"\x89MCAP"):
+    if path.suffix.lower() in _LOG_SUFFIXES or data.startswith(b"\x89MCAP"):
         raise ModelError(path, "is a log; the URDF comes first, the logs after it")
     return parse_robot(path, data)
 
@@ -154,13 +155,13 @@ def parse_robot(path: Path, data: bytes) -> Robot:
     ModelError
         If it is not a URDF, or its links and joints make no tree.
     """
-    if len(data) > _MOST_BYTES:
-        raise ModelError(path, f"is larger than {_MOST_BYTES >> 20} MiB, which no URDF is")
+    if len(data) > _MAX_BYTES:
+        raise ModelError(path, f"is larger than {_MAX_BYTES >> 20} MiB, which no URDF is")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise ModelError(path, "is in UTF-16; save it as UTF-8")
     try:
         with np.errstate(all="ignore"):  # numbers that are not finite are found below
-            text = io.BytesIO(_reduced(path, data))
+            text = io.BytesIO(_kinematic_urdf(path, data))
             urdf = yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot
             joints = [_joint(path, joint) for joint in urdf.joints]
             links = {link.name: _parameters(path, link) for link in urdf.links}
@@ -175,7 +176,7 @@ def parse_robot(path: Path, data: bytes) -> Robot:
 
 
 def parse_xml(path: Path, data: bytes) -> etree._Element:
-    """The root element of a stranger's XML.
+    """The root element of untrusted XML.
 
     Raises
     ------
@@ -192,8 +193,8 @@ def parse_xml(path: Path, data: bytes) -> etree._Element:
     return root
 
 
-def _reduced(path: Path, data: bytes) -> bytes:
-    """The URDF with only what is read here, so that a strange visual or plugin tag cannot stop the parser."""
+def _kinematic_urdf(path: Path, data: bytes) -> bytes:
+    """The URDF with only what is read here, so that an unusual visual or plugin tag cannot stop the parser."""
     try:
         root = parse_xml(path, data)
     except ModelError:
@@ -206,35 +207,39 @@ def _reduced(path: Path, data: bytes) -> bytes:
         raise ModelError(path, f"is not a URDF: its root element is <{root.tag}>, not <robot>")
     reduced = etree.Element("robot", name=root.get("name", "robot"))
     for element in root:
-        kept = _KEPT.get(element.tag) if isinstance(element.tag, str) else None
-        if kept is None:
+        children = _CHILDREN.get(element.tag) if isinstance(element.tag, str) else None
+        if children is None:
             continue
-        _check_parts(path, element)
-        copy = etree.SubElement(reduced, element.tag, {str(name): str(value) for name, value in element.attrib.items()})
-        copy.extend([child for child in element if child.tag in kept])
-    if any(sign in value for element in reduced.iter() for value in element.attrib.values() for sign in ("${", "$(")):
-        raise ModelError(path, _expand(path))
+        _check_required(path, element)
+        attributes = {str(name): str(value) for name, value in element.attrib.items()}
+        copy = etree.SubElement(reduced, element.tag, attributes)
+        copy.extend([child for child in element if child.tag in children])
+    for element in reduced.iter():
+        for value in element.attrib.values():
+            if "${" in value or "$(" in value:
+                raise ModelError(path, _expand(path))
     return bytes(etree.tostring(reduced))
 
 
 def _expand(path: Path) -> str:
-    """What to do with xacro macros."""
+    """Message: how to expand xacro macros."""
     plain = path.name.removesuffix(".xacro").removesuffix(".urdf")
     urdf = shlex.quote(f"{plain}.urdf" if path.suffix == ".xacro" else f"{plain}_expanded.urdf")
     return f"holds xacro macros; run xacro on it and give the result: xacro {shlex.quote(path.name)} > {urdf}"
 
 
-def _check_parts(path: Path, element: etree._Element) -> None:
-    """What a link or joint cannot be without."""
+def _check_required(path: Path, element: etree._Element) -> None:
+    """Raise ModelError if a link or joint lacks a required name, parent, child or moment of inertia."""
     where = f"{path}: line {element.sourceline}: {element.tag} {element.get('name', '')}".rstrip()
     if not element.get("name"):
         raise ModelError(where, "has no name; give it one")
     if not element.get("name", "").isprintable():
         raise ModelError(where, "has a name in characters that cannot be printed; give it another")
-    for tag in ("parent", "child") if element.tag == "joint" else ():
-        part = element.find(tag)
-        if part is None or not part.get("link"):
-            raise ModelError(where, f"has no {tag} link; add <{tag} link=.../>")
+    if element.tag == "joint":
+        for tag in ("parent", "child"):
+            end = element.find(tag)
+            if end is None or not end.get("link"):
+                raise ModelError(where, f"has no {tag} link; add <{tag} link=.../>")
     for inertia in element.iterfind("inertial/inertia"):
         missing = [name for name in _MOMENTS if name not in inertia.attrib]
         if missing:
@@ -242,15 +247,16 @@ def _check_parts(path: Path, element: etree._Element) -> None:
 
 
 def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
+    """Inertia parameters of a link in its frame, shape (10,); None without an inertial."""
     if link.inertial is None:
         return None
     inertial = link.inertial
     mass = inertial.mass if inertial.mass is not None else 0.0
     inertia = inertial.inertia if inertial.inertia is not None else np.zeros((3, 3))
-    placement = inertial.origin if inertial.origin is not None else np.eye(4)
-    R = placement[:3, :3]
-    pi = from_mass_com_inertia(mass, placement[:3, 3], R @ inertia @ R.T)
-    if pi.shape != (SIZE,) or not (np.abs(pi) < _MOST).all():
+    origin = inertial.origin if inertial.origin is not None else np.eye(4)
+    R = origin[:3, :3]
+    pi = from_mass_com_inertia(mass, origin[:3, 3], R @ inertia @ R.T)
+    if pi.shape != (PI_SIZE,) or not (np.abs(pi) < _MAX_VALUE).all():
         raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
     return pi
 
@@ -259,40 +265,48 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
     where = f"{path}: joint {joint.name}"
     if joint.type not in _TYPES:
         raise ModelError(where, f"type {joint.type} is not supported; use one of {', '.join(_TYPES)}")
-    placement = joint.origin if joint.origin is not None else np.eye(4)
+    origin = joint.origin if joint.origin is not None else np.eye(4)
     axis = np.asarray(joint.axis, dtype=float)
-    if axis.shape != (3,) or not (np.abs(placement) < _MOST).all() or not (np.abs(axis) < _MOST).all():
+    if axis.shape != (3,) or not (np.abs(origin) < _MAX_VALUE).all() or not (np.abs(axis) < _MAX_VALUE).all():
         raise ModelError(where, "its origin or axis is not made of three finite numbers")
     if joint.type != "fixed":
         if not np.linalg.norm(axis) > 0:
             raise ModelError(where, "its axis is zero; give the direction it moves in")
         axis = axis / np.linalg.norm(axis)
-    dynamics, limit, mimic = joint.dynamics, joint.limit, joint.mimic
 
-    def bound(value: float | None, default: float) -> float:
-        return default if limit is None or value is None or not math.isfinite(value) else float(value)
-
-    turns = joint.type == "continuous"
-    friction = [float(x or 0.0) for x in ((dynamics.damping, dynamics.friction) if dynamics else (0.0, 0.0))]
-    follows = [float(x) for x in ((mimic.multiplier, mimic.offset) if mimic else ())]
-    if not (np.abs([*friction, *follows]) < _MOST).all():
+    dynamics = joint.dynamics
+    damping = float(dynamics.damping or 0.0) if dynamics else 0.0
+    friction = float(dynamics.friction or 0.0) if dynamics else 0.0
+    mimic = None
+    if joint.mimic:
+        mimic = Mimic(joint.mimic.joint, float(joint.mimic.multiplier), float(joint.mimic.offset))
+    values = [damping, friction, *((mimic.multiplier, mimic.offset) if mimic else ())]
+    if not (np.abs(values) < _MAX_VALUE).all():
         raise ModelError(where, "its dynamics or mimic holds a value that is not a finite number")
+
+    limit = joint.limit
+    has_position_limits = limit and joint.type != "continuous"
     return Joint(
         name=joint.name,
         kind=joint.type,
         parent=joint.parent,
         child=joint.child,
-        R=placement[:3, :3],
-        p=placement[:3, 3],
+        R=origin[:3, :3],
+        p=origin[:3, 3],
         axis=axis,
-        damping=friction[0],
-        friction=friction[1],
-        lower=-math.inf if turns else bound(limit and limit.lower, -math.inf),
-        upper=math.inf if turns else bound(limit and limit.upper, math.inf),
-        velocity=bound(limit and limit.velocity, math.inf),
-        effort=bound(limit and limit.effort, math.inf),
-        mimic=Mimic(mimic.joint, *follows) if mimic else None,
+        damping=damping,
+        friction=friction,
+        lower=_finite_or(-math.inf, limit.lower) if has_position_limits else -math.inf,
+        upper=_finite_or(math.inf, limit.upper) if has_position_limits else math.inf,
+        velocity=_finite_or(math.inf, limit.velocity) if limit else math.inf,
+        effort=_finite_or(math.inf, limit.effort) if limit else math.inf,
+        mimic=mimic,
     )
+
+
+def _finite_or(default: float, value: float | None) -> float:
+    """The value if it is a finite number, else the default."""
+    return default if value is None or not math.isfinite(value) else float(value)
 
 
 def _tree(path: Path, links: dict[str, Array | None], joints: list[Joint]) -> tuple[str, dict[str, Joint]]:
@@ -309,8 +323,8 @@ def _tree(path: Path, links: dict[str, Array | None], joints: list[Joint]) -> tu
         children.setdefault(joint.parent, []).append(joint)
     roots = [link for link in links if link not in parent_joint]
     if len(roots) != 1:
-        found = f"{len(roots)} root links ({', '.join(roots[:4])})" if roots else "no root link"
-        raise ModelError(path, f"has {found}; a URDF must be one tree")
+        which = f"{len(roots)} root links ({', '.join(roots[:4])})" if roots else "no root link"
+        raise ModelError(path, f"has {which}; a URDF must be one tree")
     order: list[Joint] = []
     stack = list(reversed(children.get(roots[0], [])))
     while stack:  # depth first: leg by leg, as a reader of the URDF expects them

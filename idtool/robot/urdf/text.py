@@ -26,7 +26,7 @@ class Edit(NamedTuple):
 
 @dataclass
 class Element:
-    """An element of the document and its place in the text.
+    """An element of the document and its position in the text.
 
     Attributes
     ----------
@@ -72,11 +72,11 @@ def root_element(text: bytes) -> Element:
     stack = [document]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        at = parser.CurrentByteIndex
-        opening = _OPENING.match(text, at)
+        position = parser.CurrentByteIndex
+        opening = _OPENING.match(text, position)
         if opening is None:
-            raise AssertionError  # the parser has already seen the tag's end
-        element = Element(tag, attributes, at, opening.end())
+            raise AssertionError  # the parser has already read the tag's end
+        element = Element(tag, attributes, position, opening.end())
         stack[-1].children.append(element)
         stack.append(element)
 
@@ -95,16 +95,16 @@ def set_attribute(text: bytes, element: Element, name: str, value: str) -> Edit:
     """The edit that gives an element's attribute a value, whether it has the attribute or not."""
     for attribute in _ATTRIBUTE.finditer(text, element.start, element.content):
         if attribute[1] == name.encode():
-            return Edit(*attribute.span(2), quoted(value))
+            return Edit(*attribute.span(2), quoted_attribute(value))
     opening = text[element.start : element.content]
     end = element.start + len(re.sub(rb"\s*/?>\Z", b"", opening))
-    return Edit(end, end, b" " + name.encode() + b"=" + quoted(value))
+    return Edit(end, end, b" " + name.encode() + b"=" + quoted_attribute(value))
 
 
 def set_child(text: bytes, element: Element, tag: str, rows: Iterable[bytes]) -> Edit:
-    """The edit that puts rows in place of an element's first child with a tag, or where it has none at its beginning.
+    """The edit that replaces an element's first child with a tag by rows, or inserts them as its first child.
 
-    Rows take the child's indentation; without any the child is removed, with the white space before it.
+    Rows take the child's indentation. Without rows the child is removed, with the white space before it.
     """
     child = element.first(tag)
     rows = list(rows)
@@ -132,7 +132,7 @@ def _line_break(text: bytes, element: Element, deeper: bool) -> bytes:
     return line_end + indentation + (b"  " if deeper else b"")
 
 
-def quoted(value: str) -> bytes:
+def quoted_attribute(value: str) -> bytes:
     """An attribute's value in quotes, in ASCII: right in whatever encoding the text is."""
     return b'"' + escape(value, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace") + b'"'
 

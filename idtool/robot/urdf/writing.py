@@ -1,6 +1,6 @@
-"""An estimate into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
+"""Estimates written into the URDF's own text: inertials and joint dynamics are replaced, every other byte is kept.
 
-In another folder than its own, relative names of mesh files are made to hold there.
+For another folder, the relative paths of mesh files are changed so that they stay valid.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.body import Body
-from idtool.robot.inertia import is_realizable, rounded, rounded_inertial, six
+from idtool.robot.inertia import is_realizable, round_to_digits, rounded_inertial, symmetric_entries
 from idtool.robot.urdf.reading import Robot
-from idtool.robot.urdf.text import Edit, Element, apply_edits, quoted, root_element, set_attribute, set_child
+from idtool.robot.urdf.text import Edit, Element, apply_edits, quoted_attribute, root_element, set_attribute, set_child
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class JointDynamics:
 def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, Array | None]:
     """New inertials of a body's links, in the links' frames, which together are the body's.
 
-    The carrying link takes the difference between what was identified and what the URDF gives the links lumped into it.
-    Where no body could have that difference, it takes all, and the others become links without mass (None).
+    The first link takes the difference between the identified parameters and those that the URDF gives the links lumped
+    with it. If that difference is not realizable, it takes all, and the others become links without mass (None).
 
     Parameters
     ----------
@@ -40,20 +40,22 @@ def link_parameters(body: Body, pi: Array, links: Collection[str]) -> dict[str, 
     pi
         Its identified parameters, shape (10,).
     links
-        Names of the URDF's links; a rotor that is locked and none of them stays in the configuration.
+        Names of the URDF's links; a locked rotor that is none of them stays in the configuration.
     """
     if not body.members:
         return {}
     first, *others = body.members
     lumped = [member for member in others if member.link in links]
-    own = pi - sum((member.pi_in_body for member in others if member.link not in links), np.zeros(len(pi)))
-    rest = own - sum((member.pi_in_body for member in lumped), np.zeros(len(pi)))
-    if is_realizable(rest):
-        return {first.link: rest}
-    return {first.link: own, **{member.link: None for member in lumped}}
+    zero = np.zeros(len(pi))
+    of_links = pi - sum((member.pi_in_body for member in others if member.link not in links), zero)
+    of_first = of_links - sum((member.pi_in_body for member in lumped), zero)
+    if is_realizable(of_first):
+        return {first.link: of_first}
+    massless: dict[str, Array | None] = {member.link: None for member in lumped}
+    return {first.link: of_links} | massless
 
 
-def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
+def replace_parameters(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str, JointDynamics]) -> bytes:
     """The URDF with other inertials and joint dynamics.
 
     Parameters
@@ -81,7 +83,7 @@ def rewrite(text: bytes, links: Mapping[str, Array | None], joints: Mapping[str,
 def _inertial(pi: Array) -> list[bytes]:
     """The rows of an inertial element."""
     mass, com, inertia = rounded_inertial(pi)
-    xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in six(inertia))
+    xx, xy, yy, xz, yz, zz = (repr(float(x)) for x in symmetric_entries(inertia))
     xyz = " ".join(repr(float(x)) for x in com)
     rows = [
         "<inertial>",
@@ -96,13 +98,13 @@ def _inertial(pi: Array) -> list[bytes]:
 def _dynamics(text: bytes, joint: Element, dynamics: JointDynamics) -> list[Edit]:
     """The edits that give a joint the values that are not None."""
     values = {"damping": dynamics.damping, "friction": dynamics.friction}
-    written = {name: repr(float(rounded(value))) for name, value in values.items() if value is not None}
+    written = {name: repr(float(round_to_digits(value))) for name, value in values.items() if value is not None}
     element = joint.first("dynamics")
     if element is not None:
         return [set_attribute(text, element, name, value) for name, value in written.items()]
     if not written:
         return []
-    attributes = b"".join(b" " + name.encode() + b"=" + quoted(value) for name, value in written.items())
+    attributes = b"".join(b" " + name.encode() + b"=" + quoted_attribute(value) for name, value in written.items())
     return [set_child(text, joint, "dynamics", [b"<dynamics" + attributes + b"/>"])]
 
 
@@ -123,22 +125,23 @@ def identified_urdf(
     links: dict[str, Array | None] = {}
     for body, pi in bodies.values():
         links.update(link_parameters(body, pi, robot.links))
-    return rewrite(robot.text, links, joints)
+    return replace_parameters(robot.text, links, joints)
 
 
-def moved(text: bytes, urdf: Path, folder: Path) -> bytes:
-    """The URDF's text for a file in another folder: relative names of files that are there, meshes and textures.
+def relocate_meshes(text: bytes, urdf: Path, folder: Path) -> bytes:
+    """The URDF's text for a file in another folder, with new relative paths of its meshes and textures.
 
     Parameters
     ----------
     text
         The text.
     urdf
-        The file it stood in.
+        The file it was read from.
     folder
-        Where it will stand.
+        The folder it is written to.
     """
-    old_folder, new_folder = os.path.realpath(urdf.parent), os.path.realpath(folder)
+    old_folder = os.path.realpath(urdf.parent)
+    new_folder = os.path.realpath(folder)
     if old_folder == new_folder:
         return text
     edits: list[Edit] = []
