@@ -127,6 +127,7 @@ def test_arrays_and_what_is_not_finite_become_plain(found: Diagnosis) -> None:
         ("torque_offset", "knee", ("offset",), ("N",)),
         ("rotor_inertia", "knee", ("inertia",), ("kg",)),
         ("torque_gain", "hip", ("gain",), (None,)),
+        ("presliding_hysteresis", "hip", ("amplitude", "displacement", "damping"), ("N·m", "rad", "s")),
         ("torque_ripple", "hip", ("amplitude", "periods", "phase"), ("N·m", "per turn", "rad")),
         ("time_delay", None, ("delay",), ("s",)),
     ],
@@ -134,7 +135,7 @@ def test_arrays_and_what_is_not_finite_become_plain(found: Diagnosis) -> None:
 def test_units_are_those_of_the_joint(
     found: Diagnosis, effect: str, joint: str | None, parameters: tuple[str, ...], units: tuple[str | None, ...]
 ) -> None:
-    report = report_of(sliding(found, effect, joint, dict.fromkeys(parameters, 1.0)))
+    report = report_of(sliding(found, effect, joint, dict.fromkeys(parameters, 0.5)))
     assert report["units"]["knee"] == "N"
     assert tuple(report["steps"][0]["units"].values()) == units
     assert "N·m and N together" in report["summary"]

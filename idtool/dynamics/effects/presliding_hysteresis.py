@@ -42,7 +42,7 @@ class PreslidingHysteresis(JointTerm):
     units = ("N·m", "N")
     nonlinear_parameters = (
         NonlinearParameter("displacement", ("rad", "m"), positive=True),
-        NonlinearParameter("damping", optional_maximum=0.5),
+        NonlinearParameter("damping", ("s", "s"), optional_maximum=0.5),
     )
 
     @classmethod
