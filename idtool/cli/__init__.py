@@ -35,7 +35,7 @@ def main() -> None:
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would wait for each other
     try:
-        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], prog_name="idtool", standalone_mode=False)
         sys.stdout.flush()
     except IdtoolError as error:
         code = _fail(str(error))
