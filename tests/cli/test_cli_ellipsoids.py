@@ -220,9 +220,11 @@ def test_links_whose_meshes_are_missing_are_named(tmp_path: Path) -> None:
     assert done.code == 0
     assert set(done.json["bounding_ellipsoids"]) == {"abad_link", "shank_link"}
     (note,) = done.json["warnings"]
-    assert note.startswith("link thigh_link: no ellipsoid; ")
+    assert note.startswith("thigh_link: no ellipsoid; ")
     assert "package://leg/thigh.stl is not found" in note
-    assert note in " ".join(done.err.split())
+    (notice,) = done.json["notices"]
+    assert notice["message"] in " ".join(done.err.split())
+    assert notice["advice"] in " ".join(done.err.split())
 
 
 @pytest.mark.parametrize("folder", ["go2", "panda"])
@@ -235,7 +237,7 @@ def test_real_robots(tmp_path: Path, folder: str) -> None:
     bounds = idtool("ellipsoids", path, "--json", folder=tmp_path)
     assert bounds.code == 0
     with_mass = {name for name, pi in read_robot(path).links.items() if pi is not None and pi[0] > 0}
-    named = {note.split()[1].rstrip(":") for note in bounds.json["warnings"]}
+    named = {notice["subject"] for notice in bounds.json["notices"]}
     assert set(bounds.json["bounding_ellipsoids"]) | named == with_mass
     assert not set(bounds.json["bounding_ellipsoids"]) & named
 

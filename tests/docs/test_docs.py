@@ -92,7 +92,14 @@ def test_blocks_are_what_they_say(page: Path) -> None:
 
 def test_every_page_has_something_to_run_or_is_a_reference() -> None:
     ran = {page.name for page in ALL if any(block.commands for block in blocks(page))}
-    assert {page.name for page in ALL} - ran <= {"method.md", "config.md", "json.md", "effects.md", "python.md"}
+    assert {page.name for page in ALL} - ran <= {
+        "method.md",
+        "config.md",
+        "json.md",
+        "effects.md",
+        "notices.md",
+        "python.md",
+    }
 
 
 class _Assets(HTMLParser):

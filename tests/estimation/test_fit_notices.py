@@ -40,10 +40,10 @@ def test_a_robot_that_was_weighed_is_not_to_be_weighed() -> None:
 @pytest.mark.parametrize(
     ("signals", "naming"),
     [
-        ({"tau": RIGHT.tau * [1, -1, 1]}, "the data: hip: tau has the opposite sign"),
-        ({"tau": RIGHT.tau[:, [0, 2, 1]]}, "the data: knee: its torque stands under hip"),
+        ({"tau": RIGHT.tau * [1, -1, 1]}, "hip: tau has the opposite sign"),
+        ({"tau": RIGHT.tau[:, [0, 2, 1]]}, "its torque stands under"),
         ({"tau": 1000 * RIGHT.tau}, "mN·m"),
-        ({"q": np.degrees(RIGHT.q), "v": np.degrees(RIGHT.v)}, "the data: abad: q is in degrees"),
+        ({"q": np.degrees(RIGHT.q), "v": np.degrees(RIGHT.v)}, "abad: q is in degrees"),
     ],
     ids=["sign", "order", "unit", "degrees"],
 )

@@ -15,7 +15,7 @@ from leg_truth import true_theta
 from numpy.typing import NDArray
 from paths import SAMPLES
 from scipy import stats
-from sentences import sentences
+from sentences import texts
 
 from idtool.data.logs import Log, make_log, read_log, write_log
 from idtool.estimation.dataset.blocks import merge_reductions
@@ -119,7 +119,7 @@ def test_the_sample_log_says_how_far_to_trust_it() -> None:
     for values in (B @ found.estimate.theta, B @ analysis.cluster_robust.theta):
         assert ((low <= values) & (values <= high)).all()
     assert analysis.cluster_robust.bootstrap
-    assert not any("log for longer" in said or "resampled" in said for said in sentences(analysis.notices))
+    assert not any("log for longer" in said or "resampled" in said for said in texts(analysis.notices))
     assert analysis.repeatability is None
     np.testing.assert_array_equal(analysis.theta, found.estimate.theta)
 
@@ -171,7 +171,7 @@ def test_a_short_log_is_told_by_its_spectrum() -> None:
     one, fourth, more = (analysis_with(share, 10) for share in (1.0, 0.25, 4.0))
     for analysis in (one, fourth, more):
         assert analysis.cluster_robust.bootstrap is None
-        (said,) = (said for said in sentences(analysis.notices) if "blocks" in said)
+        (said,) = (said for said in texts(analysis.notices) if "blocks" in said)
         assert "less than the 16 blocks" in said
         assert "log for longer" in said
     B = base()[one.uncertainty.directions.determines(base())]
@@ -208,7 +208,7 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
     times = 9.0
     np.testing.assert_allclose(analysis_with(1.0).uncertainty.of(base()), 3 * plain.of(base()), rtol=1e-6)
     for analysis in (many, few):
-        assert any("correlated for longer than" in said for said in sentences(analysis.notices))
+        assert any("correlated for longer than" in said for said in texts(analysis.notices))
 
 
 @pytest.fixture
@@ -239,7 +239,7 @@ def test_a_log_of_a_stiffer_knee_is_named(spoilt: Callable[[str, Callable[[Log],
     assert compared
     assert asked
     assert compared.outlier == 2
-    assert any("the odd one out is stiff.csv" in said for said in sentences(found.notices))
+    assert any("the odd one out is stiff.csv" in said for said in texts(found.notices))
     coefficients = fitted().experiment.equation.coefficients
     differ = [coefficients[k] for k in asked.base.own[~compared.agrees]]
     assert ("knee", "viscous") in [(c.owner, c.name) for c in differ]
