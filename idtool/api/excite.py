@@ -12,7 +12,7 @@ from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress, notice_lines, silent, table
 from idtool.common.exceptions import ConfigError
-from idtool.common.interrupt import held_back
+from idtool.common.interrupt import delay_interrupt
 from idtool.common.names import nearest
 from idtool.common.outputs import check_log, write_all
 from idtool.data.logs import write_log
@@ -69,7 +69,7 @@ class ExcitationResult(ExcitationReport):
         check_log(path, [])
         report = self.model_copy(update={"file": str(path)})
         page = excite_page(report, made_by)
-        with held_back():
+        with delay_interrupt():
             write_all(path.parent, {f"{path.stem}.html": page})
             write_log(path, self._design.log(path))
         return path, path.with_suffix(".html")

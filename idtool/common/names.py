@@ -1,4 +1,4 @@
-"""Names in messages and of files. They are strangers', so in messages they are made to fit a line of a terminal."""
+"""Names in messages and of files. They are untrusted: in messages they are cut to fit a line of a terminal."""
 
 from __future__ import annotations
 

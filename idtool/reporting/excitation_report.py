@@ -10,7 +10,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import some
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
@@ -39,7 +39,7 @@ _LARGE = 1.0  # relative standard error from which a parameter is as good as unk
 
 
 def excitation_report(
-    design: Design, sources: Sequence[Source], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
+    design: Design, sources: Sequence[InputFile], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
 ) -> ExcitationReport:
     """What `idtool excite` prints as JSON.
 

@@ -18,7 +18,7 @@ from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import nearest
-from idtool.common.provenance import source_file
+from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, files_of, is_bag, not_mcap, of_ros1
 from idtool.data.logs.log import SIGNALS, Log, make_log
 
@@ -72,7 +72,7 @@ def read_log(
     path = Path(path)
     try:
         log = _read(path, topic, columns)
-        sources = tuple(source_file("log", file) for file in files_of(path))
+        sources = tuple(source_from_file("log", file) for file in files_of(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     return _scaled(replace(log, sources=sources), scale)

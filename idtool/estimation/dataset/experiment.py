@@ -12,7 +12,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import shown, some
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.data.command import commanded
 from idtool.data.logs import Log, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
@@ -124,7 +124,7 @@ class Experiment:
             yield Notice("moving_joints_held_still", "warning", None, message, advice)
 
     @property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[InputFile, ...]:
         """Files of the experiment: the URDF, the configuration and the logs, each once."""
         return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
 
@@ -217,11 +217,11 @@ def _travel(log: Log, joint: str) -> float:
     return float(high - low)
 
 
-def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:
+def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[InputFile, ...]:
     """Files of a robot, a configuration and logs, each once; a log of arrays has no hash."""
     read = [robot.source, *([config.source] if config.source else [])]
     for log in logs:
-        read += log.sources or [Source("log", str(log.path), None)]
+        read += log.sources or [InputFile("log", str(log.path), None)]
     return tuple(dict.fromkeys(read))
 
 
