@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError, ModelError
-from idtool.common.names import shown, some
+from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.command import commanded
@@ -114,7 +114,7 @@ class Experiment:
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
                 unit = "m" if joint.kind == "prismatic" else "rad"
                 place = self.config.locked_joints.get(joint.name, 0.0)
-                moved.append(f"{shown(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
+                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
         if moved:
             message = (
                 f"taken as standing still, though they move in the log: {', '.join(moved)}; what their motion does to "
@@ -202,9 +202,9 @@ class Experiment:
         if still:
             what = "hardly moves in the part to fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
-                what += f", or only where one of the effects ({some(effects)}) is not defined"
+                what += f", or only where one of the effects ({join_names(effects)}) is not defined"
             what += "; log a motion, or lock it by leaving it out of joints"
-            raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
+            raise LogError(self.runs[0].signals.log.path, f"joint {join_names(still)} {what}")
         return data
 
 
