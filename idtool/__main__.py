@@ -1,11 +1,11 @@
 """`idtool`, and `python -m idtool`."""
 
-from idtool.common.interrupt import at_once
+from idtool.common.interrupt import exit_on_interrupt
 
 
 def main() -> None:
     """Run the command line."""
-    at_once()
+    exit_on_interrupt()
     from idtool.cli import main as run
 
     run()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest, shown
+from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
@@ -42,7 +42,7 @@ def known_assumption(given: str | Assumed) -> Assumed:
 def _known(option: str, effect: str) -> str:
     named = [id for id, kind in effect_types().items() if kind.reportable]
     if effect not in named:
-        raise ConfigError(option, f"{shown(effect) or 'nothing'} is no effect; {nearest(effect, named)}")
+        raise ConfigError(option, f"{printable(effect) or 'nothing'} is no effect; {suggestion(effect, named)}")
     return effect
 
 
@@ -61,4 +61,6 @@ def check_assumed(assumed: Sequence[Assumed], model: Model) -> None:
         if on is None and issubclass(kind, LinkEffect | JointEffect):
             raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
         if on is not None and on not in names:
-            raise ConfigError("--assume", f"{shown(on) or 'nothing'} is no {what} of the model; {nearest(on, names)}")
+            raise ConfigError(
+                "--assume", f"{printable(on) or 'nothing'} is no {what} of the model; {suggestion(on, names)}"
+            )

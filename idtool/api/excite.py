@@ -12,8 +12,8 @@ from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress, notice_lines, silent, table
 from idtool.common.exceptions import ConfigError
-from idtool.common.interrupt import held_back
-from idtool.common.names import nearest
+from idtool.common.interrupt import delay_interrupt
+from idtool.common.names import suggestion
 from idtool.common.outputs import check_log, write_all
 from idtool.data.logs import write_log
 from idtool.dynamics.effects import build_effects
@@ -69,7 +69,7 @@ class ExcitationResult(ExcitationReport):
         check_log(path, [])
         report = self.model_copy(update={"file": str(path)})
         page = excite_page(report, made_by)
-        with held_back():
+        with delay_interrupt():
             write_all(path.parent, {f"{path.stem}.html": page})
             write_log(path, self._design.log(path))
         return path, path.with_suffix(".html")
@@ -177,7 +177,7 @@ def _check(
 ) -> None:
     """Before anything is read: whether the options can be meant."""
     if criterion not in CRITERIA:
-        raise ConfigError("--criterion", f"{criterion} is none; {nearest(criterion, CRITERIA)}")
+        raise ConfigError("--criterion", f"{criterion} is none; {suggestion(criterion, CRITERIA)}")
     for option, value, least, most in (
         ("--duration", duration, 3.0, 3600.0),
         ("--rate", rate, 20.0, 20_000.0),

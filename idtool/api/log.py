@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import SIGNALS, make_log, write_log
 from idtool.data.logs import Log as Record
@@ -222,7 +222,7 @@ class Log:
         return len(self._record)
 
     def __repr__(self) -> str:
-        joints = f"{len(self.joints)} joint{'s' * (len(self.joints) != 1)} ({some(self.joints)})"
+        joints = f"{len(self.joints)} joint{'s' * (len(self.joints) != 1)} ({join_names(self.joints)})"
         gaps = f", {len(self.segments)} segments" if len(self.segments) > 1 else ""
         time = f"{self.seconds:.4g} s at {self.rate:.4g} Hz"
         return f"Log {self.path.name}: {joints}, {time}{gaps}: {', '.join(self.signals)}"

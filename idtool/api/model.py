@@ -11,7 +11,7 @@ from typing import Any
 
 from idtool.api.log import Log
 from idtool.common.exceptions import IdtoolError
-from idtool.common.names import some, stem
+from idtool.common.names import join_names, stem
 from idtool.data.description import robot_and_logs
 from idtool.data.logs import read_log
 from idtool.dynamics.effects import friction_types
@@ -198,9 +198,9 @@ class Model:
     def __repr__(self) -> str:
         title = f"Model {self.path.name}" + (f" with {self._origin}" if self._origin else "")
         try:
-            lines = [f"joints: {some(self.joints)}", f"bodies: {some(self.bodies)}"]
+            lines = [f"joints: {join_names(self.joints)}", f"bodies: {join_names(self.bodies)}"]
             everywhere = ((), self.joints)
-            effects = [e if on in everywhere else f"{e} on {some(on)}" for e, on in self.effects.items()]
+            effects = [e if on in everywhere else f"{e} on {join_names(on)}" for e, on in self.effects.items()]
             lines += [f"effects: {', '.join(effects)}"] if effects else []
         except IdtoolError as error:  # a prompt shows what is wrong, too
             lines = [f"cannot be used: {error}"]

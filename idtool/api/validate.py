@@ -13,7 +13,7 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest
+from idtool.common.names import suggestion
 from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
@@ -208,7 +208,7 @@ def _bounds(given: float | Mapping[str, float] | None, experiment: Experiment) -
     known = (*experiment.equation.joints, "overall")
     for name, bound in bounds.items():
         if name not in known:
-            raise ConfigError("--max-rms", f"{name} is no joint; {nearest(name, known)}")
+            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, known)}")
         if not 0 < bound < math.inf:
             raise ConfigError("--max-rms", f"{bound} is no bound; give a number above 0")
     return bounds

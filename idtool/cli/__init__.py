@@ -21,7 +21,7 @@ from idtool.cli import (  # noqa: F401  # each adds its command
 )
 from idtool.cli.app import app
 from idtool.common.exceptions import IdtoolError
-from idtool.common.interrupt import CODE, LINE
+from idtool.common.interrupt import EXIT_CODE, MESSAGE
 
 if TYPE_CHECKING:
     from typer.exceptions import TyperException
@@ -42,15 +42,15 @@ def main() -> None:
     except TyperException as error:
         code = _fail(_usage(error))
     except (Abort, KeyboardInterrupt):
-        code = CODE
+        code = EXIT_CODE
     except (BrokenPipeError, SystemExit):  # who reads the output has had enough; rich makes the latter of it
         code = _unread()
     except OSError as error:
         if error.filename is not None:
             raise
         code = _unread() or _fail(f"standard output: cannot be written to ({error.strerror})")
-    if code == CODE:  # typer may have made it of the interrupt
-        sys.stderr.write(LINE)
+    if code == EXIT_CODE:  # typer may have made it of the interrupt
+        sys.stderr.write(MESSAGE)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -139,7 +139,7 @@ def folder_for(urdf: Path, given: Path | None) -> Path:
 
 def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
     """Bounds by joint or ``overall`` from the options."""
-    from idtool.common.names import nearest
+    from idtool.common.names import suggestion
 
     bounds = {}
     for text in given:
@@ -147,7 +147,7 @@ def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
         name = name or "overall"
         known = (*experiment.equation.joints, "overall")
         if name not in known:
-            raise ConfigError("--max-rms", f"{name} is no joint; {nearest(name, known)}")
+            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, known)}")
         try:
             bounds[name] = float(number)
         except ValueError:

@@ -1,1 +1,1 @@
-"""Errors, names, files written whole, safe YAML, provenance and interrupts: what every room may use."""
+"""Errors, names, atomic file output, safe YAML, provenance and interrupts, for all rooms."""

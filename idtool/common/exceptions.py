@@ -23,7 +23,7 @@ class IdtoolError(Exception):
 
 
 def _one_line(text: str) -> str:
-    """The text, characters that cannot be printed escaped: names of files, keys and joints are a stranger's."""
+    """The text with unprintable characters escaped: names of files, keys and joints are untrusted."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -36,12 +36,12 @@ class LogError(IdtoolError):
 
 
 class ModelError(IdtoolError):
-    """A URDF, or a URDF and configuration together, that make no robot."""
+    """A URDF, or a URDF and configuration together, that do not make a robot."""
 
 
 class SolverError(IdtoolError):
-    """An optimization problem that is infeasible or was not solved to the accuracy promised."""
+    """An optimization problem that is infeasible or was not solved to the promised accuracy."""
 
 
 class InfeasibleError(SolverError):
-    """Constraints that no parameters fulfil."""
+    """Constraints that no parameters satisfy."""

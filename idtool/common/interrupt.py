@@ -1,4 +1,4 @@
-"""Ctrl-C: at once while libraries are loaded, not at all while files are put in their places, else as Python has it."""
+"""Ctrl-C: ends the process at once while libraries load, waits while files are moved; otherwise KeyboardInterrupt."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-CODE = 130  # of a process that was interrupted, as shells have it
-LINE = "stopped\n"
+EXIT_CODE = 130  # of an interrupted process, by the convention of shells
+MESSAGE = "stopped\n"
 
 
-def at_once() -> None:
+def exit_on_interrupt() -> None:
     """End the process on Ctrl-C without a KeyboardInterrupt, which libraries that are being loaded swallow."""
-    signal.signal(signal.SIGINT, _end)
+    signal.signal(signal.SIGINT, _exit)
 
 
-def as_python_has_it() -> None:
+def restore_keyboard_interrupt() -> None:
     """Let Ctrl-C raise KeyboardInterrupt again."""
-    if signal.getsignal(signal.SIGINT) is _end:
+    if signal.getsignal(signal.SIGINT) is _exit:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _end(number: int, frame: FrameType | None) -> None:
-    os.write(2, LINE.encode())
-    os._exit(CODE)
+def _exit(number: int, frame: FrameType | None) -> None:
+    os.write(2, MESSAGE.encode())
+    os._exit(EXIT_CODE)
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
-    """Ctrl-C takes effect after what is done here."""
-    if threading.current_thread() is not threading.main_thread():  # others are not interrupted
+def delay_interrupt() -> Iterator[None]:
+    """Delay Ctrl-C until the end of the block."""
+    if threading.current_thread() is not threading.main_thread():  # Python interrupts only this one
         yield
         return
-    came: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    received: list[int] = []
+    previous_handler = signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
+        signal.signal(signal.SIGINT, previous_handler)
+    if received:
         signal.raise_signal(signal.SIGINT)

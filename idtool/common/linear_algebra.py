@@ -1,4 +1,4 @@
-"""What numpy's linear algebra lacks."""
+"""Linear algebra that numpy lacks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from idtool.common.arrays import Array
 
 
 def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
-    """The singular value decomposition U diag(s) Vᵀ of a finite matrix, whatever its entries.
+    """Singular value decomposition U diag(s) Vᵀ of any finite matrix.
 
     LAPACK's fast routine, gesdd, gives up on some matrices with entries as small as rounding errors; its slow one,
     gesvd, does not.
@@ -20,7 +20,7 @@ def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
     matrix
         Shape (n, m).
     full
-        Whether U and Vᵀ are square.
+        True for square U and Vᵀ.
 
     Returns
     -------

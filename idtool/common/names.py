@@ -1,4 +1,4 @@
-"""Names in messages and of files. They are strangers', so in messages they are made to fit a line of a terminal."""
+"""Names in messages and of files. They are untrusted: in messages they are cut to fit a line of a terminal."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ _MAX_LENGTH = 60
 _MAX_LISTED = 6
 
 
-def shown(name: str) -> str:
+def printable(name: str) -> str:
     """The name, cut to a length that can be read, and without characters that cannot be printed."""
     short = name if len(name) <= _MAX_LENGTH else f"{name[:_MAX_LENGTH]}…"
     return short if short.isprintable() else ascii(short)[1:-1]
 
 
-def some(names: Collection[str]) -> str:
+def join_names(names: Collection[str]) -> str:
     """The first few of ``names``, and how many more there are."""
-    few = ", ".join(map(shown, list(names)[:_MAX_LISTED])) or "none"
+    few = ", ".join(map(printable, list(names)[:_MAX_LISTED])) or "none"
     more = len(names) - _MAX_LISTED
     return f"{few} and {more} more" if more > 0 else few
 
 
-def nearest(name: str, known: Collection[str]) -> str:
+def suggestion(name: str, known: Collection[str]) -> str:
     """What to write in place of ``name``: the name most like it, or those that there are."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {shown(close[0])}?" if close else f"there are: {some(known)}"
+    return f"did you mean {printable(close[0])}?" if close else f"there are: {join_names(known)}"
 
 
 def stem(path: Path) -> str:

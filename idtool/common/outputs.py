@@ -1,4 +1,4 @@
-"""Files: written whole or not at all."""
+"""Atomic file output: all of a command's files are written, or none."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from typing import Any
 import yaml
 
 from idtool.common.exceptions import IdtoolError
-from idtool.common.interrupt import held_back
+from idtool.common.interrupt import delay_interrupt
 
-LOG_ENDINGS = (".mcap", ".csv")
+LOG_SUFFIXES = (".mcap", ".csv")
 
 
 class OutputError(IdtoolError):
-    """A place that cannot be written to."""
+    """A file or folder that cannot be written to."""
 
 
 def as_json(data: Mapping[str, Any]) -> str:
-    """Plain data as JSON; numbers are not rounded, and one that is no number is an error."""
+    """Plain data as JSON; numbers are not rounded, and NaN or infinity is an error."""
     return json.dumps(data, indent=2, allow_nan=False) + "\n"
 
 
@@ -33,23 +33,23 @@ def as_yaml(data: Mapping[str, Any], header: str) -> str:
 
 
 def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write files into a folder: all beside their places first, then each moved into it.
+    """Write files into a folder: all into a temporary folder first, then each moved into place.
 
     Raises
     ------
     OutputError
-        If the folder cannot be made or written to; what was there is as it was.
+        If the folder cannot be made or written to; existing files are unchanged.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name in files:
-            if (folder / name).is_dir():  # before anything is moved into its place
+            if (folder / name).is_dir():  # before any file is moved
                 raise OutputError(folder / name, "is a folder; move it away, or give another --out")
         with tempfile.TemporaryDirectory(dir=folder, prefix=".idtool-") as scratch:
             for name, content in files.items():
                 data = content.encode() if isinstance(content, str) else content
                 Path(scratch, name).write_bytes(data)
-            with held_back():
+            with delay_interrupt():
                 for name in files:
                     os.replace(Path(scratch, name), folder / name)
     except OSError as error:
@@ -57,27 +57,28 @@ def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Before the work is done: whether files can be written into a folder.
+    """Check, before the work is done, that files can be written into a folder.
 
     Raises
     ------
     OutputError
-        If not.
+        If they can't.
     """
-    there = next((path for path in (folder, *folder.absolute().parents) if os.path.exists(path)), Path("/"))
-    if not there.is_dir():
-        raise OutputError(there, "is a file, where a folder is needed; give another --out")
-    if not os.access(there, os.W_OK | os.X_OK):
+    paths = (folder, *folder.absolute().parents)
+    existing = next((path for path in paths if os.path.exists(path)), Path("/"))
+    if not existing.is_dir():
+        raise OutputError(existing, "is a file, where a folder is needed; give another --out")
+    if not os.access(existing, os.W_OK | os.X_OK):
         raise OutputError(folder, "cannot be written to (Permission denied); give another --out")
 
 
 def check_file(file: Path, inputs: Iterable[Path]) -> None:
-    """Before the work is done: whether a file can be written and is none that is read.
+    """Check, before the work is done, that a file can be written and is not one of the inputs.
 
     Raises
     ------
     OutputError
-        If not.
+        If it can't, or is.
     """
     if any(file.resolve() == path.resolve() for path in inputs):
         raise OutputError(file, "is a file that is read; give another --out")
@@ -87,13 +88,13 @@ def check_file(file: Path, inputs: Iterable[Path]) -> None:
 
 
 def check_log(file: Path, inputs: Iterable[Path]) -> None:
-    """The same for a log.
+    """Check, before the work is done, that a log can be written and is not one of the inputs.
 
     Raises
     ------
     OutputError
-        Also if no log is written under its ending.
+        If it can't, or is, or if logs are not written with its suffix.
     """
-    if file.suffix.lower() not in LOG_ENDINGS:
-        raise OutputError(file, f"has an ending that no log is written under; use {' or '.join(LOG_ENDINGS)}")
+    if file.suffix.lower() not in LOG_SUFFIXES:
+        raise OutputError(file, f"has an ending that no log is written under; use {' or '.join(LOG_SUFFIXES)}")
     check_file(file, inputs)

@@ -1,4 +1,4 @@
-"""Where a result comes from: the files that were read, by their hashes, and the versions of what computed it."""
+"""Provenance of a result: the input files with their hashes, and the versions of idtool's libraries."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-_DECISIVE = ("numpy", "scipy", "clarabel", "pin")  # libraries that figures may depend on
+_NUMERICAL = ("numpy", "scipy", "clarabel", "pin")  # libraries that figures may depend on
 
 
 @dataclass(frozen=True)
-class Source:
-    """Something that was read.
+class InputFile:
+    """A file that was read.
 
     Attributes
     ----------
     kind
         ``URDF``, ``configuration`` or ``log``.
     path
-        The file, as it was named.
+        The path as given.
     sha256
-        Of its bytes, in hexadecimal; None where it is no file.
+        Hash of its bytes in hexadecimal; None where there is no file.
     """
 
     kind: str
@@ -32,20 +32,20 @@ class Source:
     sha256: str | None
 
 
-def source_of(kind: str, path: Path, data: bytes) -> Source:
-    """What was read of a file at once."""
-    return Source(kind, str(path), hashlib.sha256(data).hexdigest())
+def source_from_bytes(kind: str, path: Path, data: bytes) -> InputFile:
+    """A file whose bytes were read at once."""
+    return InputFile(kind, str(path), hashlib.sha256(data).hexdigest())
 
 
-def source_file(kind: str, path: Path) -> Source:
-    """A file that was read piece by piece; OSError if it can no longer be read."""
+def source_from_file(kind: str, path: Path) -> InputFile:
+    """A file that was read in blocks; OSError if it can no longer be read."""
     with path.open("rb") as file:
-        return Source(kind, str(path), hashlib.file_digest(file, "sha256").hexdigest())
+        return InputFile(kind, str(path), hashlib.file_digest(file, "sha256").hexdigest())
 
 
-def provenance(sources: Sequence[Source]) -> dict[str, Any]:
+def provenance(sources: Sequence[InputFile]) -> dict[str, Any]:
     """``versions`` and ``inputs`` of the JSON files."""
     return {
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in _DECISIVE}},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in _NUMERICAL}},
         "inputs": [asdict(source) for source in sources],
     }

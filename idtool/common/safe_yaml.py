@@ -1,4 +1,4 @@
-"""YAML from strangers: plain values only, and bounded."""
+"""Untrusted YAML: plain values only, of bounded size."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAX_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of 
 
 
 def read_yaml(path: Path) -> Any:
-    """The contents of a YAML file from a stranger; errors as in `yaml_bytes` and `parse_yaml`."""
+    """The contents of an untrusted YAML file; errors as in `yaml_bytes` and `parse_yaml`."""
     return parse_yaml(path, yaml_bytes(path))
 
 
@@ -43,7 +43,7 @@ def parse_yaml(path: Path, data: bytes) -> Any:
     Parameters
     ----------
     path
-        What errors name.
+        The file, for errors.
     data
         From `yaml_bytes`.
 
@@ -61,26 +61,26 @@ def parse_yaml(path: Path, data: bytes) -> Any:
         raise ConfigError(path, f"is not YAML{line}: {error.problem}") from None
     except ConfigError:
         raise
-    except Exception as error:  # the parser has no error of its own for a tag that belies its value
+    except Exception as error:  # the parser has no error of its own for a tag that does not fit its value
         raise ConfigError(path, f"is not YAML: {error}") from None
 
 
 def _check_nodes(path: Path, root: yaml.Node | None) -> None:
-    """Refuse repeated keys, values without end, and aliases that nest into more than they look."""
+    """Raise ConfigError for repeated keys, long values, and aliases that expand to too many values."""
     sizes: dict[int, int] = {}
 
     def size(node: yaml.Node) -> int:
         if id(node) in sizes:
             return sizes[id(node)]
-        sizes[id(node)] = _MAX_NODES  # an alias to a node that holds itself
+        sizes[id(node)] = _MAX_NODES  # for an alias within its own node
         children: list[yaml.Node] = []
         if isinstance(node, yaml.MappingNode):
-            seen: set[str] = set()
+            keys: set[str] = set()
             for key, value in node.value:
-                if key.value in seen if isinstance(key, yaml.ScalarNode) else False:
+                if isinstance(key, yaml.ScalarNode) and key.value in keys:
                     line = key.start_mark.line + 1
                     raise ConfigError(path, f"key '{key.value}' stands twice, again in line {line}; keep one")
-                seen.add(str(key.value))
+                keys.add(str(key.value))
                 children += [key, value]
         elif isinstance(node, yaml.SequenceNode):
             children = list(node.value)

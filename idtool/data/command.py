@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
@@ -103,7 +103,9 @@ def commanded(log: Log, controller: Controller | None) -> Log:
         return log
     tau = log.signals["tau"].copy()
     tau[:, empty] = np.nan
-    message = f"torque that never changes is none, the controller's is taken: {some([log.joints[i] for i in empty])}"
+    message = (
+        f"torque that never changes is none, the controller's is taken: {join_names([log.joints[i] for i in empty])}"
+    )
     notice = Notice("torque_from_command", "note", None, message)
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 

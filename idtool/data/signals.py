@@ -16,7 +16,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.command import Command
@@ -179,7 +179,7 @@ class Signals:
         """Add a notice about some of the joints, if any, with their names."""
         if which.any():
             names = [name for name, chosen in zip(self.joints, which, strict=True) if chosen]
-            self.notices.append(replace(notice, message=f"{notice.message}: {some(names)}"))
+            self.notices.append(replace(notice, message=f"{notice.message}: {join_names(names)}"))
 
     def _note_velocity_errors(self) -> None:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.validation import Evaluation
@@ -92,8 +92,8 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     if changes:
         masses = " and ".join(list(changes.values())[:2])
         message = (
-            f"{some(list(changes))}: over three times heavier or lighter than in the prior ({masses}): the mass stands "
-            f"in for what the model lacks, such as rotors, springs or larger bounding ellipsoids"
+            f"{join_names(list(changes))}: over three times heavier or lighter than in the prior ({masses}): the mass "
+            f"stands in for what the model lacks, such as rotors, springs or larger bounding ellipsoids"
         )
         yield Notice("implausible_mass", "warning", None, message, advice)
 
@@ -113,15 +113,15 @@ def _shape_notices(experiment: Experiment, identification: Identification) -> It
             thin.setdefault(_THIN_SHAPES[flat - 1], []).append(body.name)
     for shape, names in thin.items():
         unseen = "the motion does not show the inertia about every axis"
-        message = f"{some(names)}: nearly a {shape}, as no real link is: {unseen}"
+        message = f"{join_names(names)}: nearly a {shape}, as no real link is: {unseen}"
         yield Notice("implausible_shape", "warning", None, message, advice)
     at_rim = [
         body.name for body, pi in _bodies(identification) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)
     ]
     if at_rim:
         message = (
-            f"{some(at_rim)}: all mass lies at the rim of the bounding ellipsoid: it may be too small, or the mass "
-            "stands in for what the model lacks, such as rotors"
+            f"{join_names(at_rim)}: all mass lies at the rim of the bounding ellipsoid: it may be too small, or the "
+            "mass stands in for what the model lacks, such as rotors"
         )
         yield Notice("mass_at_rim", "warning", None, message)
 

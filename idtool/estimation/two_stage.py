@@ -23,7 +23,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.linear_algebra import svd
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -271,7 +271,7 @@ def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) ->
         )
         notices.append(Notice("instruments_from_motion", "note", None, message))
     if weak:
-        message = f"instruments are weak, some parameters may be as biased as by least squares: {some(weak)}"
+        message = f"instruments are weak, some parameters may be as biased as by least squares: {join_names(weak)}"
         notices.append(Notice("weak_instruments", "warning", None, message))
     if change > _NOT_CONVERGED:
         message = f"instruments have not settled: the last changed the torque by {change:.2g} of its noise"

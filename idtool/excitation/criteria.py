@@ -24,7 +24,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
-from idtool.common.names import nearest
+from idtool.common.names import suggestion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
@@ -248,7 +248,7 @@ def favoured_indices(names: Sequence[str], base: BaseParameters, equation: Linea
     is_favoured = np.zeros(len(base), dtype=bool)
     for name in names:
         if name not in coefficients_of:
-            hint = nearest(name, list(coefficients_of))
+            hint = suggestion(name, list(coefficients_of))
             raise ConfigError("--favour", f"{name} is no body, joint or coefficient; {hint}")
         indices = coefficients_of[name]
         matches = np.isin(base.own, indices)  # base parameters with that name

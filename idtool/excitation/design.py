@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest
+from idtool.common.names import suggestion
 from idtool.data.logs import Log, make_log
 from idtool.data.signals import Signals, default_cutoff
 from idtool.estimation.dataset.experiment import Progress
@@ -152,7 +152,9 @@ def design(
         If there is no such motion.
     """
     if options.pattern not in PATTERNS:
-        raise ConfigError("--pattern", f"{options.pattern} is no pattern; {nearest(options.pattern, list(PATTERNS))}")
+        raise ConfigError(
+            "--pattern", f"{options.pattern} is no pattern; {suggestion(options.pattern, list(PATTERNS))}"
+        )
     rng = np.random.default_rng(options.seed)
     frequency = options.max_frequency or max_frequency(task, config)
     home = home_pose(task, options.start, rng)

@@ -11,7 +11,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import nearest, some
+from idtool.common.names import join_names, suggestion
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.patterns import MotionSamples, Trajectory, TrajectorySegment
 from idtool.excitation.task import DesignTask
@@ -52,7 +52,7 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
     given = np.full(len(limits.joints), np.nan)
     for name, value in start.items():
         if name not in limits.joints:
-            raise ConfigError("--start", f"{name} is no moving joint; {nearest(name, limits.joints)}")
+            raise ConfigError("--start", f"{name} is no moving joint; {suggestion(name, limits.joints)}")
         given[limits.joints.index(name)] = value
     is_given = np.isfinite(given)
     home = np.where(is_given, given, limits.middle)
@@ -197,14 +197,14 @@ def limit_utilization(task: DesignTask, trajectory: Trajectory) -> Array:
     ModelError
         If it exceeds them.
     """
-    utilization = np.zeros((len(QUANTITIES), len(task.full.joints)))
+    utilization = np.zeros((len(QUANTITIES), len(task.robot_limits.joints)))
     distinct = {id(segment): segment for segment in trajectory.segments}
     for segment in distinct.values():
         for t, samples in segment.blocks(_interval(task)):
-            utilization = np.maximum(utilization, task.full.utilization(*samples, task.torque(samples, t)))
+            utilization = np.maximum(utilization, task.robot_limits.utilization(*samples, task.torque(samples, t)))
     if (utilization > 1).any():
-        exceeded = [f"{QUANTITIES[k]} of {task.full.joints[j]}" for k, j in np.argwhere(utilization > 1)]
-        what = f"the design leaves the limits: {some(exceeded)}; give a larger --margin"
+        exceeded = [f"{QUANTITIES[k]} of {task.robot_limits.joints[j]}" for k, j in np.argwhere(utilization > 1)]
+        what = f"the design leaves the limits: {join_names(exceeded)}; give a larger --margin"
         raise ModelError(task.model.robot.path, what)
     return utilization
 

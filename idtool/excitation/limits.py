@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest, some
+from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.robot.config import Config
 from idtool.robot.config.limits import JointLimits
@@ -119,7 +119,7 @@ def joint_limits(model: Model, config: Config) -> Limits:
     actuated = [j.name for j in model.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
     for name in config.limits:
         if name not in actuated:
-            raise ConfigError(f"limits: {name}", f"is no actuated joint of the URDF; {nearest(name, actuated)}")
+            raise ConfigError(f"limits: {name}", f"is no actuated joint of the URDF; {suggestion(name, actuated)}")
     assumed: dict[str, list[str]] = {}
     limits = np.empty((5, len(model.joints)))
     for j, joint in enumerate(model.joints):
@@ -132,7 +132,8 @@ def joint_limits(model: Model, config: Config) -> Limits:
             raise ConfigError(f"limits: {name}", what)
     advice = "give limits in the configuration"
     notices = tuple(
-        Notice("limit_assumed", "warning", None, f"{what}: {some(names)}", advice) for what, names in assumed.items()
+        Notice("limit_assumed", "warning", None, f"{what}: {join_names(names)}", advice)
+        for what, names in assumed.items()
     )
     return Limits(model.names, lower, upper, velocity, acceleration, effort, notices)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import nearest
+from idtool.common.names import suggestion
 from idtool.data.filters import LowPass
 from idtool.data.signals import Motion, default_cutoff
 from idtool.dynamics.regressor import LinearModel
@@ -42,7 +42,7 @@ class DesignTask:
         The robot, its torque equation, and the equality constraints between its coefficients.
     theta
         Coefficients that predict the torque, shape (p,).
-    full, limits
+    robot_limits, limits
         The joints' limits, and the tighter ones of the design.
     collision, clearance
         The robot's geometry, None without any, and the smallest distance that links may have [m].
@@ -60,7 +60,7 @@ class DesignTask:
     equation: LinearModel
     equalities: EqualityConstraints
     theta: Array
-    full: Limits
+    robot_limits: Limits
     limits: Limits
     collision: SelfCollision | None
     clearance: float
@@ -142,7 +142,7 @@ def make_design_task(
     """
     for name in noise:
         if name not in model.names:
-            raise ConfigError("--noise", f"{name} is no moving joint; {nearest(name, model.names)}")
+            raise ConfigError("--noise", f"{name} is no moving joint; {suggestion(name, model.names)}")
     full = joint_limits(model, config)
     limits = full.with_margin(margin)
     base = structural_base_parameters(model, equation, equalities)
@@ -154,7 +154,7 @@ def make_design_task(
         equation=equation,
         equalities=equalities,
         theta=equation.prior,
-        full=full,
+        robot_limits=full,
         limits=limits,
         collision=SelfCollision.from_model(model, config.locked_joints),
         clearance=clearance,

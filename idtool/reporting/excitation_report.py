@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.design import Design
 from idtool.excitation.limits import QUANTITIES
@@ -39,7 +39,7 @@ _LARGE = 1.0  # relative standard error from which a parameter is as good as unk
 
 
 def excitation_report(
-    design: Design, sources: Sequence[Source], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
+    design: Design, sources: Sequence[InputFile], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
 ) -> ExcitationReport:
     """What `idtool excite` prints as JSON.
 
@@ -151,7 +151,7 @@ def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
 
 
 def _limits(task: DesignTask, j: int) -> JointLimitsReport:
-    full = task.full
+    full = task.robot_limits
     return JointLimitsReport(
         position=[float(full.lower[j]), float(full.upper[j])],
         velocity=float(full.velocity[j]),
@@ -183,9 +183,9 @@ def _curves(design: Design) -> ExcitationCurves:
 def _notices(design: Design) -> list[Notice]:
     """Notices about a designed trajectory."""
     task = design.task
-    notices = [*task.model.notices, *task.full.notices]
+    notices = [*task.model.notices, *task.robot_limits.notices]
     if task.noise_assumed:
-        message = f"torque noise is not known; 1 % of the largest torque is taken: {some(task.noise_assumed)}"
+        message = f"torque noise is not known; 1 % of the largest torque is taken: {join_names(task.noise_assumed)}"
         notices.append(Notice("noise_assumed", "warning", None, message, "give --noise, or a log with --log"))
     if task.collision is None or not task.collision.pairs:
         message = "no geometry of links that could collide was found: self-collision was not checked"
@@ -194,7 +194,7 @@ def _notices(design: Design) -> list[Notice]:
         notices += task.collision.notices
     untold = untold_names(design, task.base)
     if untold:
-        message = f"as good as untold by this trajectory: {some(untold)}"
+        message = f"as good as untold by this trajectory: {join_names(untold)}"
         advice = "make it longer, or choose another pattern"
         notices.append(Notice("parameters_not_excited", "warning", None, message, advice))
     if design.interrupted:

@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.validation import Evaluation
@@ -314,7 +314,7 @@ def validation_report(
     band_hz: float,
     bounds: Mapping[str, float],
     simulation: Simulation | None = None,
-    sources: Sequence[Source] = (),
+    sources: Sequence[InputFile] = (),
     notices: Sequence[Notice] = (),
 ) -> ValidationReport:
     """The content of validation.json.

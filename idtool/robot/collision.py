@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.collision_geometry import ConvexPart, DistanceQueries, read_convex_parts
@@ -207,7 +207,7 @@ class SelfCollision:
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
-        message = f"links that touch by construction, not checked for collision: {some(names)}"
+        message = f"links that touch by construction, not checked for collision: {join_names(names)}"
         notice = Notice("links_touch", "note", None, message)
         pairs = tuple(pair for pair, out in zip(self.pairs, excluded, strict=True) if not out)
         new_index = np.cumsum(~excluded) - 1

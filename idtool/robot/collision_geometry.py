@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
@@ -122,7 +122,7 @@ def read_convex_parts(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[
     if not missing:
         return tuple(parts), ()
     why = next(iter(missing.values()))
-    message = f"geometry is left out of the check for self-collision, of {some(missing)}: {why}"
+    message = f"geometry is left out of the check for self-collision, of {join_names(missing)}: {why}"
     return tuple(parts), (Notice("geometry_not_read", "warning", None, message),)
 
 

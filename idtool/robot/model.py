@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import nearest, some
+from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.robot.body import Body, Frame, Member
 from idtool.robot.bounding import bounding_shape
@@ -132,9 +132,11 @@ class _Builder:
         if self.config.joints is not None:
             for name in self.config.joints:
                 if name not in actuated:
-                    raise ConfigError(f"joints: {name}", f"is no actuated joint of the URDF; {nearest(name, actuated)}")
+                    raise ConfigError(
+                        f"joints: {name}", f"is no actuated joint of the URDF; {suggestion(name, actuated)}"
+                    )
                 if name not in self.logged:
-                    raise ConfigError(f"joints: {name}", f"is not in every log; they have {some(self.logged)}")
+                    raise ConfigError(f"joints: {name}", f"is not in every log; they have {join_names(self.logged)}")
             chosen = list(dict.fromkeys(self.config.joints))
         else:
             chosen = [name for name in actuated if name in self.logged]
@@ -145,7 +147,7 @@ class _Builder:
             )
         strangers = [name for name in self.logged if name not in self.robot.joints]
         if strangers:
-            message = f"joints in the log that the URDF has not, ignored: {some(strangers)}"
+            message = f"joints in the log that the URDF has not, ignored: {join_names(strangers)}"
             advice = "nothing to do if they are not this robot's; else compare the names"
             self.notices.append(Notice("unknown_joints", "note", None, message, advice))
         locked = [name for name in actuated if name not in chosen]
@@ -170,12 +172,12 @@ class _Builder:
         for key, names in of_joints.items():
             for name in names:
                 if name not in actuated:
-                    hint = nearest(name, actuated)
+                    hint = suggestion(name, actuated)
                     raise ConfigError(f"{key}: {name}", f"is no actuated joint of the URDF; {hint}")
         for key, names in of_links.items():
             for name in names:
                 if name not in self.robot.links:
-                    hint = nearest(name, self.robot.links)
+                    hint = suggestion(name, self.robot.links)
                     raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {hint}")
         for name in self.config.locked_joints:
             if name in self.index:
@@ -238,7 +240,7 @@ class _Builder:
         not_fixed = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed"}
         for joint, gear_ratio in rotor.ratios.items():
             if joint not in not_fixed:
-                raise ConfigError(f"rotors.{name}", f"{joint} is no moving joint; {nearest(joint, not_fixed)}")
+                raise ConfigError(f"rotors.{name}", f"{joint} is no moving joint; {suggestion(joint, not_fixed)}")
             joint_ratios, joint_offset = self._motion(not_fixed[joint])
             ratios += gear_ratio * joint_ratios
             offset += gear_ratio * joint_offset
@@ -291,7 +293,7 @@ class _Builder:
                 )
             return self.frames[name]
         if rotor.parent is not None and rotor.parent not in links:
-            raise ConfigError(f"{key}.parent", f"{rotor.parent} is no link; {nearest(rotor.parent, links)}")
+            raise ConfigError(f"{key}.parent", f"{rotor.parent} is no link; {suggestion(rotor.parent, links)}")
         driven = self._driven_joint(rotor)
         stator = self.frames[rotor.parent or driven.parent]
         if rotor.origin is not None:
@@ -329,7 +331,7 @@ class _Builder:
         names = [body.name for body in bodies]
         for name in self.config.known_com:
             if name not in names:
-                hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
+                hint = f"is no body of the model (give what is fixed to it along with it); {suggestion(name, names)}"
                 raise ConfigError(f"known_com: {name}", hint)
         return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import Joint
 from idtool.data.logs import Log, read_log
@@ -141,7 +141,7 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
         return None, ()
     shared = [name for name in topics[several] if all(name in names for names in topics.values() if names)]
     if not shared:
-        raise LogError(several, f"has none of its topics in common with the other logs: {some(topics[several])}")
+        raise LogError(several, f"has none of its topics in common with the other logs: {join_names(topics[several])}")
 
     def worth(name: str) -> tuple[int, int]:
         try:

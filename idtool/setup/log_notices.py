@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.robot.urdf.reading import Joint, Robot
 from idtool.setup.loaded_log import LoadedLog
@@ -46,18 +46,18 @@ def _problems(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Noti
                 message = f"{finding.subject}: {finding.message}" if finding.subject else finding.message
                 alike.setdefault((name, finding.code, finding.advice), []).append(message)
     for (name, code, advice), messages in alike.items():
-        yield Notice(code, "problem", name, some(messages), advice)
+        yield Notice(code, "problem", name, join_names(messages), advice)
 
 
 def _wrongly_held(seen: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]) -> Iterator[Notice]:
     """Joints that are held still though they move, and the other way round."""
     moving = [name for name in locked if any(one.moves(name) for one in seen)]
     if moving:
-        message = f"held still though they move, which the other joints' torque does not fit: {some(moving)}"
+        message = f"held still though they move, which the other joints' torque does not fit: {join_names(moving)}"
         yield Notice("moving_joints_held_still", "warning", None, message)
     still = [name for name in joints if not any(one.moves(name) for one in seen)]
     if still:
-        message = f"wanted under joints though they do not move, so that nothing is learnt of them: {some(still)}"
+        message = f"wanted under joints though they do not move, so that nothing is learnt of them: {join_names(still)}"
         yield Notice("joint_at_rest", "warning", None, message)
 
 
@@ -66,7 +66,7 @@ def _unfilled(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Noti
         if names := [name for name in one.unfilled if name in joints]:
             what = "torque that never changes while the joint moves is none, and is taken as not logged"
             name = one.log.path.name
-            yield Notice("torque_from_command", "note", name, f"{what}: {some(names)}")
+            yield Notice("torque_from_command", "note", name, f"{what}: {join_names(names)}")
 
 
 def _beyond_limits(robot: Robot, seen: Sequence[LoadedLog]) -> Iterator[Notice]:
@@ -77,7 +77,7 @@ def _beyond_limits(robot: Robot, seen: Sequence[LoadedLog]) -> Iterator[Notice]:
             joint, q = robot.joints[far[0]], one.inspection.joints[far[0]].signals["q"]
             name = one.log.path.name
             limits = f"the first one's being {joint.lower:.4g} to {joint.upper:.4g}"
-            where = f"{some(far)} ({q.minimum:.4g} to {q.maximum:.4g}, {limits})"
+            where = f"{join_names(far)} ({q.minimum:.4g} to {q.maximum:.4g}, {limits})"
             message = f"q is far beyond the URDF's limits: {where}"
             advice = "degrees (then set log.scale of q and v to 0.0174533), another unit, or another joint's position"
             yield Notice("beyond_limits", "warning", name, message, advice)

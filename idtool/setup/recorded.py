@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown, some
+from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.data.inspection.channel_findings import BAND
 from idtool.data.logs import Log
@@ -160,7 +160,7 @@ def _why_not(joint: str, seen: Sequence[LoadedLog]) -> str | None:
     if not _moves(joint, seen):
         return "does not move"
     lacking = _lacking_torque(joint, seen)
-    return f"has neither torque nor position command in {some(lacking)}" if lacking else None
+    return f"has neither torque nor position command in {join_names(lacking)}" if lacking else None
 
 
 def _moves(joint: str, seen: Sequence[LoadedLog]) -> bool:
@@ -182,9 +182,9 @@ def _is_commanded(joint: str, seen: LoadedLog) -> bool:
 def _why_none(unfit: Mapping[str, str | None], untold: Mapping[str, str], seen: Sequence[LoadedLog]) -> str:
     """That no joint can be identified, and what would help."""
     reasons = {name: why or "left out of joints" for name, why in unfit.items()}
-    said = "; ".join(f"{why}: {some(_keys(reasons, why))}" for why in dict.fromkeys(reasons.values()))
+    said = "; ".join(f"{why}: {join_names(_keys(reasons, why))}" for why in dict.fromkeys(reasons.values()))
     if untold:
-        first = shown(next(iter(untold)))
+        first = printable(next(iter(untold)))
         said += f"; name the torque's column in log.columns, as tau_{first}, and N·m per its unit in log.scale"
         said += "".join(f"; {notice.text}" for one in seen for notice in one.inspection.reading)
     return f"no joint of the robot can be identified: {said}"

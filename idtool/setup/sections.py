@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config, Friction
 from idtool.setup.draft import Draft
@@ -30,9 +30,9 @@ def locked_joints(draft: Draft) -> Section:
         return Section("locked_joints", (f"{what} (default: none).",), {})
     if reasons:
         what += ": at the logs' median (logs), else at 0 or the limit next to it (URDF)"
-    why = [f"{why}: {some([n for n in reasons if reasons[n] == why])}" for why in sorted(set(reasons.values()))]
+    why = [f"{why}: {join_names([n for n in reasons if reasons[n] == why])}" for why in sorted(set(reasons.values()))]
     if given:
-        why.append(f"given in {draft.origin}: {some(given)}")
+        why.append(f"given in {draft.origin}: {join_names(given)}")
     return Section("locked_joints", (f"{what}.", *why), draft.locked)
 
 
@@ -49,7 +49,9 @@ def log(draft: Draft) -> Section:
     comments = [f"How the logs are read; their rate is {rates} Hz, from their time stamps (logs)."]
     value = None
     if seen.topic is not None:
-        comments.append(f"topic: of {some(seen.topics)}, the one with most of the URDF's joints and signals (logs).")
+        comments.append(
+            f"topic: of {join_names(seen.topics)}, the one with most of the URDF's joints and signals (logs)."
+        )
         value = {"topic": seen.topic}
     first = draft.joints[0]
     unit = draft.unit("torque", draft.joints)
@@ -70,7 +72,7 @@ def velocity(draft: Draft) -> Section:
     if not found.differentiated:
         chose = "the measured one of all joints"
     else:
-        chose = f"q, differentiated, of {some(found.differentiated)}"
+        chose = f"q, differentiated, of {join_names(found.differentiated)}"
         chose += "" if len(found.differentiated) == len(draft.joints) else ", the measured one of the others"
     return Section("velocity", (f"{what} (default): on these logs auto takes {chose} (logs).",), "auto")
 

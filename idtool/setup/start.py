@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from idtool.common.exceptions import IdtoolError
-from idtool.common.names import shown, some
+from idtool.common.names import join_names, printable
 from idtool.common.notice import unique
 from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.estimation.dataset.experiment import Progress
@@ -108,7 +108,7 @@ def _drafted(
 def _tried(draft: Draft, model: Model, progress: Progress) -> Draft:
     """The draft with what trials find, or why there are none."""
     if draft.ungained:
-        return replace(draft, untried=f"there is no torque without the gains of {some(draft.ungained)}")
+        return replace(draft, untried=f"there is no torque without the gains of {join_names(draft.ungained)}")
     parts = [_section(draft, key) for key in _FOR_TRIALS]
     data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
     shop = TrialRunner(draft.robot, data, draft.recorded.logs, progress)
@@ -150,7 +150,7 @@ def _given(draft: Draft, key: str, *comments: str) -> Section:
 
 
 def _header(draft: Draft) -> list[str]:
-    logs = some([path.name for path in draft.paths])
+    logs = join_names([path.name for path in draft.paths])
     return [
         f"First configuration for {draft.robot.path.name}, by idtool init from {logs}. SI units.",
         "Each key says what it is and, in brackets, where it came from. What is commented out is left to fill in.",
@@ -161,17 +161,19 @@ def _found(draft: Draft) -> list[str]:
     """What was found out, a line each."""
     seen, found = draft.recorded, draft.found
     count = len(seen.moving)
-    lines = [f"{count} joints that move: {some(seen.moving)}" if count > 1 else f"1 joint that moves: {seen.moving[0]}"]
+    lines = [
+        f"{count} joints that move: {join_names(seen.moving)}" if count > 1 else f"1 joint that moves: {seen.moving[0]}"
+    ]
     if draft.locked:
-        lines.append(f"held still: {some(draft.locked)}")
+        lines.append(f"held still: {join_names(draft.locked)}")
     if seen.topic is not None:
-        lines.append(f"topic {seen.topic}, of {some(seen.topics)}")
+        lines.append(f"topic {seen.topic}, of {join_names(seen.topics)}")
     if "filter" not in draft.given:
         lines.append(f"motion below {seen.motion_hz:.2g} Hz, hence filter.cutoff_hz {seen.cutoff_hz:g}")
     if draft.bounds.found:
-        lines.append(f"bounding ellipsoids of {some(draft.bounds.found)}")
+        lines.append(f"bounding ellipsoids of {join_names(draft.bounds.found)}")
     if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
-        lines.append(f"gear ratios of {some(geared)}")
+        lines.append(f"gear ratios of {join_names(geared)}")
     return lines if found is None else [*lines, *_found_effects(found)]
 
 
@@ -190,7 +192,7 @@ def _found_effects(found: Found) -> Iterator[str]:
         else:
             terms.setdefault(effect, []).append(f"{joint} {value:.3g}")
     for effect, names in (friction | terms).items():
-        yield f"{trial_of(effect).heading}: {some(names)}"
+        yield f"{trial_of(effect).heading}: {join_names(names)}"
     yield from whole
 
 
@@ -198,11 +200,11 @@ def _left(draft: Draft) -> list[TodoItem]:
     """What is left to fill in."""
     left = []
     if draft.ungained:
-        left.append(TodoItem("controller", f"kp and kd of {some(draft.ungained)}: no torque was logged", True))
+        left.append(TodoItem("controller", f"kp and kd of {join_names(draft.ungained)}: no torque was logged", True))
     elif draft.untried:
         left.append(TodoItem("friction, effects", f"nothing was tried, as {draft.untried}"))
     if untold := draft.recorded.untold:
-        named = some([f"tau_{name} (not in {log})" for name, log in untold.items()])
+        named = join_names([f"tau_{name} (not in {log})" for name, log in untold.items()])
         left.append(TodoItem("log.columns", f"the torque of joints that move, or log their command: {named}"))
     if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.found:
         left += _unbounded(draft)
@@ -217,10 +219,12 @@ def _unbounded(draft: Draft) -> list[TodoItem]:
     bounds = draft.bounds
     if not bounds.missing:
         return []
-    what = f"of {some(bounds.missing)}"
+    what = f"of {join_names(bounds.missing)}"
     if bounds.unread:
         first = bounds.unread[0]
-        which = "their meshes" if len(bounds.unread) == len(bounds.missing) else f"meshes of {some(bounds.unread)}"
-        what += f"; {which} could not be read ({shown(first)}: {one_line(bounds.missing[first])}); they were "
+        which = (
+            "their meshes" if len(bounds.unread) == len(bounds.missing) else f"meshes of {join_names(bounds.unread)}"
+        )
+        what += f"; {which} could not be read ({printable(first)}: {one_line(bounds.missing[first])}); they were "
         what += search_paths(draft.robot)
     return [TodoItem("bounding_ellipsoids", what)]

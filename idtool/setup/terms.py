@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.dynamics.effects import effect_types
 from idtool.setup.bounds import search_paths
 from idtool.setup.draft import Draft
@@ -23,13 +23,13 @@ def rotors(draft: Draft) -> Section:
         f"gear_ratio: {', '.join(told) or 'none there'} (URDF, <transmission>); inertial: about the com.",
     ]
     if len(told) < len(known):
-        one = some([name for name, ratio in known.items() if abs(ratio) == 1])
+        one = join_names([name for name, ratio in known.items() if abs(ratio) == 1])
         comments.append(f"A ratio of 1, which URDFs give where none is known, was not taken over: {one}.")
     if draft.rotors:
         comments.append(
             "A rotor with the name of a URDF link on a fixed joint is that link, with its place and inertia (URDF)."
         )
-    replaced = some([effect for effect, kind in effect_types().items() if kind.is_rotor_inertia])
+    replaced = join_names([effect for effect, kind in effect_types().items() if kind.is_rotor_inertia])
     comments.append(f"A rotor takes the place of its joint's {replaced} under effects: remove that one.")
     template = {}
     for name in draft.joints:
@@ -143,7 +143,7 @@ def known(draft: Draft) -> Section:
     links = [robot.joints[name].child for name in draft.joints]
     what = "Masses that were measured by other means, kg; with a standard error they are soft. To fill in where null."
     masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
-    prior = f"The URDF has {some(masses)}." if masses else "The URDF has none."
+    prior = f"The URDF has {join_names(masses)}." if masses else "The URDF has none."
     whole = "total_mass: of all that moves, rotors included; easily measured, and seldom told by torque."
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
     return Section("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import Log
 from idtool.dynamics.effects import JointTerm, effect_types
@@ -207,12 +207,12 @@ def _notices(
     left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (bench.torque(), base.held_out))
     odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
     if odd:
-        message = f"of the held-out torque, this share is left unexplained (rms): {some(odd)}"
+        message = f"of the held-out torque, this share is left unexplained (rms): {join_names(odd)}"
         advice = "check its sign and unit (log.scale), and that log and URDF name the joints alike"
         yield Notice("unexplained_torque", "warning", None, message, advice)
     worse = [name for name, x in zip(joints, grown, strict=True) if x > 1 + _WORTH]
     if worse:
-        message = f"what was found makes the held-out error larger of {some(worse)}"
+        message = f"what was found makes the held-out error larger of {join_names(worse)}"
         meaning = "one set of bodies is fitted to all joints, and the others gained more"
         yield Notice("joints_worse", "warning", None, message, meaning)
 

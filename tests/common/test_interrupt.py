@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from commands import LEG, TRAIN, idtool
 
-from idtool.common.interrupt import as_python_has_it, at_once, held_back
+from idtool.common.interrupt import delay_interrupt, exit_on_interrupt, restore_keyboard_interrupt
 from idtool.common.outputs import write_all
 
 IDTOOL = str(Path(sys.executable).with_name("idtool"))
@@ -60,8 +60,8 @@ def test_what_libraries_make_of_an_interrupt_while_they_are_loaded_does_not_matt
     """An import that swallows it does not keep the command going."""
     (tmp_path / "swallows.py").write_text(
         "import os, signal, time\n"
-        "from idtool.common.interrupt import at_once\n"
-        "at_once()\n"
+        "from idtool.common.interrupt import exit_on_interrupt\n"
+        "exit_on_interrupt()\n"
         "try:\n    os.kill(os.getpid(), signal.SIGINT); time.sleep(5)\nexcept BaseException: pass\n"
         "print('went on')\n"
     )
@@ -86,7 +86,7 @@ def test_only_the_main_thread_is_interrupted() -> None:
     done: list[str] = []
 
     def work() -> None:
-        with held_back():
+        with delay_interrupt():
             done.append("done")
 
     thread = threading.Thread(target=work)
@@ -99,10 +99,10 @@ def test_who_calls_idtool_as_a_library_keeps_his_own_handler() -> None:
     before = signal.getsignal(signal.SIGINT)
     try:
         signal.signal(signal.SIGINT, own := lambda number, frame: None)
-        as_python_has_it()
+        restore_keyboard_interrupt()
         assert signal.getsignal(signal.SIGINT) is own
-        at_once()
-        as_python_has_it()
+        exit_on_interrupt()
+        restore_keyboard_interrupt()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)

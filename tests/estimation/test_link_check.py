@@ -18,7 +18,7 @@ from triangles import triangle_margin
 from unreal_links import LINKS, WRONG, compiles, links_urdf, without_inertial
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.robot.config import Config, parse_config
 from idtool.robot.inertia import from_mass_com_inertia, mass_com_inertia, pseudo_inertia
@@ -146,7 +146,7 @@ def test_the_moments_move_least_in_the_pullback_metric(rng: np.random.Generator,
     axes, spread = rotation(rng), np.sort(rng.uniform(0.01, 0.1, 3) ** 2)
     sigma = axes @ np.diag([-share * spread[0], *spread[1:]]) @ axes.T
     pi = from_mass_com_inertia(1.2, rng.normal(size=3), 1.2 * (np.trace(sigma) * np.eye(3) - sigma))
-    robot = Robot(Path("r.urdf"), b"", "a", {"a": pi}, {}, Source("URDF", "r.urdf", None))
+    robot = Robot(Path("r.urdf"), b"", "a", {"a": pi}, {}, InputFile("URDF", "r.urdf", None))
     nearest = nearest_bodies(check_links(robot, Config()))["a"]
     inertia = mass_com_inertia(nearest)[2]
     mu = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia) / 1.2

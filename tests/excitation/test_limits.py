@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from exciting import arm, body, joint, robot
-from sentences import sentences
 
 from idtool.common.exceptions import ConfigError
 from idtool.excitation.limits import Limits, joint_limits
@@ -29,7 +28,7 @@ def test_the_urdfs_limits(tmp_path) -> None:  # type: ignore[no-untyped-def]
     assert (found.lower.tolist(), found.upper.tolist()) == ([-1.5, -1.5], [2, 2])
     assert (found.velocity.tolist(), found.effort.tolist()) == ([4, 4], [30, 30])
     assert found.acceleration.tolist() == [40, 40]
-    assert sentences(found.notices) == (
+    assert tuple(notice.message for notice in found.notices) == (
         "no acceleration limit, that which reaches the velocity limit in 0.1 s is taken: a 40 rad/s², b 40 rad/s²",
     )
 
@@ -63,7 +62,7 @@ def test_joints_without_limits(tmp_path) -> None:  # type: ignore[no-untyped-def
     assert (found.lower[0], found.upper[0]) == (-np.pi, np.pi)
     assert found.velocity[0] == 3
     assert np.isinf(found.effort[0])
-    assert [note.partition(":")[0].partition(",")[0] for note in sentences(found.notices)] == [
+    assert [notice.message.partition(":")[0].partition(",")[0] for notice in found.notices] == [
         "no position limit", "no velocity limit", "no acceleration limit", "no effort limit",
     ]  # fmt: skip
 

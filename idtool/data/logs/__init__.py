@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import nearest
-from idtool.common.provenance import source_file
+from idtool.common.names import suggestion
+from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, files_of, is_bag, not_mcap, of_ros1
 from idtool.data.logs.log import SIGNALS, Log, make_log
 
@@ -72,7 +72,7 @@ def read_log(
     path = Path(path)
     try:
         log = _read(path, topic, columns)
-        sources = tuple(source_file("log", file) for file in files_of(path))
+        sources = tuple(source_from_file("log", file) for file in files_of(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     return _scaled(replace(log, sources=sources), scale)
@@ -139,11 +139,11 @@ def _scaled(log: Log, scale: Mapping[str, Mapping[str, float]]) -> Log:
     """The log in SI units; its arrays are changed in place."""
     for signal, factors in scale.items():
         if factors and signal not in log.signals:
-            raise LogError(log.path, f"log.scale: the log has no {signal}; {nearest(signal, list(log.signals))}")
+            raise LogError(log.path, f"log.scale: the log has no {signal}; {suggestion(signal, list(log.signals))}")
         for joint, factor in factors.items():
             if joint not in log.joints:
                 raise LogError(
-                    log.path, f"log.scale: {signal}: the log has no joint {joint}; {nearest(joint, log.joints)}"
+                    log.path, f"log.scale: {signal}: the log has no joint {joint}; {suggestion(joint, log.joints)}"
                 )
             log.signals[signal][:, log.joints.index(joint)] *= factor
     return log

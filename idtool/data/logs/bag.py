@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown, stem
+from idtool.common.names import printable, stem
 
 METADATA = "metadata.yaml"
 MCAP, ZSTD, SQLITE, ROS1 = b"\x89MCAP", b"\x28\xb5\x2f\xfd", b"SQLite format 3\0", b"#ROSBAG V"  # files' beginnings
@@ -82,7 +82,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 def not_mcap(path: Path, storage: str) -> str:
     """What is wrong with a bag of another storage, and how to convert it."""
-    return f"is stored as {shown(storage)}, not mcap; {_conversion(path)}"
+    return f"is stored as {printable(storage)}, not mcap; {_conversion(path)}"
 
 
 def of_ros1(path: Path) -> str:
@@ -90,13 +90,13 @@ def of_ros1(path: Path) -> str:
     target = shlex.quote(f"{stem(path)}_mcap")
     return (
         f"is a bag of ROS 1; run 'rosbags-convert --src {shlex.quote(str(path))} --dst {target} --dst-storage mcap' "
-        f"(pip install rosbags) and give {shown(target)}"
+        f"(pip install rosbags) and give {printable(target)}"
     )
 
 
 def _conversion(path: Path) -> str:
     """How to write a bag anew as MCAP; as ``all`` has always been understood, while ``all_topics`` is new."""
-    target = shown(f"{stem(path)}_mcap")
+    target = printable(f"{stem(path)}_mcap")
     return (
         f"write 'output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]' to out.yaml, "
         f"run 'ros2 bag convert -i {shlex.quote(str(path))} -o out.yaml' and give {target}"
@@ -178,7 +178,7 @@ def _text(value: object) -> str:
 
 def _within(folder: Path, name: str) -> Path:
     """The file of that name, which is in the folder."""
-    outside = f"names {shown(name)}, which is not within the folder; only files there are read"
+    outside = f"names {printable(name)}, which is not within the folder; only files there are read"
     path = folder / name
     if Path(name).is_absolute() or ".." in Path(name).parts:
         raise LogError(folder / METADATA, outside)
@@ -192,5 +192,7 @@ def _within(folder: Path, name: str) -> Path:
     if there and not inside:
         raise LogError(folder / METADATA, outside)
     if not there:
-        raise LogError(folder / METADATA, f"names {shown(name)}, which is not in the folder; add it, or take it out")
+        raise LogError(
+            folder / METADATA, f"names {printable(name)}, which is not in the folder; add it, or take it out"
+        )
     return path

@@ -13,7 +13,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import nearest, shown, some
+from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.log import SIGNALS
 
 _TIMES = ("t", "time", "__time", "timestamp")
@@ -78,8 +78,8 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Ma
     if not signals:
         raise LogError(
             path,
-            f"is no log: its first line names no joint signal, but {some(header)}; name the columns t, q_<joint>, "
-            "v_<joint>, tau_<joint>, or map these to them in log.columns",
+            f"is no log: its first line names no joint signal, but {join_names(header)}; name the columns t, "
+            "q_<joint>, v_<joint>, tau_<joint>, or map these to them in log.columns",
         )
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")
@@ -100,16 +100,17 @@ def _canonical(path: Path, name: str) -> Signal | str:
     match = _CANONICAL.fullmatch(name)
     if not match and name != "t":
         raise LogError(
-            path, f"log.columns: {shown(name)} is no canonical name; use t or <signal>_<joint> ({some(SIGNALS)})"
+            path,
+            f"log.columns: {printable(name)} is no canonical name; use t or <signal>_<joint> ({join_names(SIGNALS)})",
         )
     return (match[1], match[2]) if match else name
 
 
 def _place(path: Path, header: Sequence[str], column: str) -> int:
     if column not in header:
-        raise LogError(path, f"has no column {shown(column)}; {nearest(column, header)}")
+        raise LogError(path, f"has no column {printable(column)}; {suggestion(column, header)}")
     if header.count(column) > 1:
-        raise LogError(path, f"has {header.count(column)} columns {shown(column)}; rename all but one")
+        raise LogError(path, f"has {header.count(column)} columns {printable(column)}; rename all but one")
     return header.index(column)
 
 
@@ -137,7 +138,7 @@ def _joints(path: Path, stems: set[str], topic: str | None) -> dict[str, str | N
     if topic is not None and rooted:
         before = f"/{topic.strip('/')}/"
         if not any(stem.startswith(before) for stem in rooted):
-            raise LogError(path, f"has no columns of topic {topic}; {nearest(topic, _topics(rooted))}")
+            raise LogError(path, f"has no columns of topic {topic}; {suggestion(topic, _topics(rooted))}")
         joints = {stem: stem.removeprefix(before) if stem.startswith(before) else None for stem in rooted}
     else:
         joints = {stem: stem.rpartition("/")[2] for stem in rooted}
@@ -153,9 +154,9 @@ def _topics(stems: set[str]) -> list[str]:
 
 def _clash(first: str, second: str, key: Signal) -> str:
     if first == second:
-        return f"has two columns {shown(first)}; rename or remove one"
-    both = f"columns {shown(first)} and {shown(second)}"
+        return f"has two columns {printable(first)}; rename or remove one"
+    both = f"columns {printable(first)} and {printable(second)}"
     if first.startswith("/") and second.startswith("/"):
         return f"{both} are of different topics; set log.topic to the one to read"
-    name = shown("_".join(key))
+    name = printable("_".join(key))
     return f"{both} both hold {name}; set log.columns: {{{name}: <one of them>}}"

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import log_of
@@ -63,7 +63,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     t, joints, arrays = series.arrays()
     notices: list[Notice] = []
     if found.unused:
-        message = f"columns that hold no joint signal were ignored: {some(found.unused)}"
+        message = f"columns that hold no joint signal were ignored: {join_names(found.unused)}"
         advice = "if one of them does, name it under log.columns in the configuration"
         notices.append(Notice("unused_columns", "note", None, message, advice))
     if others:

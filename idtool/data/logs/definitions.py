@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.records import RECORD, SCHEMA, Batch
 
 _MOST_BYTES = 1 << 26  # of a file's schemas and channels, which are kept as long as it is read
@@ -76,11 +76,11 @@ class Definitions:
 
 def kind_of(channel: Channel, schema: Schema | None) -> str:
     """What a channel's messages are, for people."""
-    return f"{shown(schema.name) if schema else 'no schema'}, {shown(channel.message_encoding)}"
+    return f"{printable(schema.name) if schema else 'no schema'}, {printable(channel.message_encoding)}"
 
 
 def listed(kinds: Mapping[str, str]) -> str:
     """The first few topics, each with the kind of its messages by `kind_of`, and how many more there are."""
-    few = [f"{shown(name)} ({kind})" for name, kind in list(kinds.items())[:_MOST_SHOWN]]
+    few = [f"{printable(name)} ({kind})" for name, kind in list(kinds.items())[:_MOST_SHOWN]]
     more = len(kinds) - len(few)
     return (", ".join(few) or "none") + (f" and {more} more" if more else "")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.bag import files_of, is_bag
 from idtool.data.logs.definitions import Definitions, kind_of, listed
 from idtool.data.logs.files import records
@@ -64,8 +64,12 @@ def robot_description(paths: Sequence[Path]) -> Description:
             if found is None:
                 found = other
             if found.text != other.text:
-                where = shown(found.topic) if found.path == path else f"{found.path.name}, topic {shown(found.topic)}"
-                what = f"topic {shown(other.topic)} holds another robot description than {where}"
+                where = (
+                    printable(found.topic)
+                    if found.path == path
+                    else f"{found.path.name}, topic {printable(found.topic)}"
+                )
+                what = f"topic {printable(other.topic)} holds another robot description than {where}"
                 raise LogError(path, f"{what}; give the URDF to use before the logs")
     if found is None:
         raise LogError(paths[0], f"{seen.missing()}; give a URDF before the log")
@@ -81,7 +85,7 @@ class _Seen:
 
     def missing(self) -> str:
         if self.possible:
-            return f"topic {shown(self.possible[0])} holds no message"
+            return f"topic {printable(self.possible[0])} holds no message"
         return f"no topic {_TOPIC} carries the robot's URDF ({_KIND}); there are: {listed(self.kinds)}"
 
 
@@ -117,7 +121,7 @@ def _texts(path: Path, file: Path, found: Records, seen: _Seen) -> Iterator[tupl
             try:
                 text = decode(message).strip()
             except ValueError as error:
-                raise LogError(path, f"a message of {shown(topic)} {error}") from None
+                raise LogError(path, f"a message of {printable(topic)} {error}") from None
             if text:
                 yield topic, text + b"\n"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.log import Log, make_log
 
@@ -45,7 +45,7 @@ def log_of(
     few = tuple(np.array(joints)[held].tolist())
     message = (
         "no two samples in a row hold every signal, as where several sources take turns; "
-        f"kept the {rows.sum()} samples of {some(few)}, left out {some(lost)}"
+        f"kept the {rows.sum()} samples of {join_names(few)}, left out {join_names(lost)}"
     )
     notices += (Notice("interleaved_signals", "warning", None, message, "log position and torque in the same message"),)
     fitting = {

@@ -15,7 +15,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.data.logs.times import doubtful_unit, wrong_time_unit
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
@@ -56,7 +56,7 @@ class Log:
     segments: tuple[slice, ...]
     dt: float
     notices: tuple[Notice, ...] = ()
-    sources: tuple[Source, ...] = ()
+    sources: tuple[InputFile, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t)

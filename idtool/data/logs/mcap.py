@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.bag import MCAP, ZSTD, files_of
 from idtool.data.logs.files import records
@@ -73,7 +73,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
             message = f"the commands were left out: {error}"
             notices.append(Notice("commands_left_out", "warning", None, message, advice))
     if columns:
-        message = f"log.columns names columns of CSV, of which MCAP has none; ignored: {some(columns)}"
+        message = f"log.columns names columns of CSV, of which MCAP has none; ignored: {join_names(columns)}"
         notices.append(Notice("columns_ignored", "note", None, message))
     return log_of(path, t, joints, signals, (*notices, *in_seconds(t)))
 

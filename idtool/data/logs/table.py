@@ -16,7 +16,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown
+from idtool.common.names import printable
 
 _PIECE_BYTES = 1 << 22
 _LONGEST_LINE = 1 << 20  # bytes
@@ -137,7 +137,9 @@ class Table:
                     raise LogError(self._path, f"{where} has {len(row)} cells; the first line names {len(self.header)}")
                 for name, cell in ((self.header[i], row[i]) for i in columns):
                     if not _is_number(cell):
-                        raise LogError(self._path, f"{where}, column {shown(name)}: '{shown(cell)}' is no number")
+                        raise LogError(
+                            self._path, f"{where}, column {printable(name)}: '{printable(cell)}' is no number"
+                        )
         except csv.Error as error:
             raise LogError(self._path, f"line {self._line + reader.line_num}: {error}") from None
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
-from idtool.common.names import nearest, shown, some
+from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions, kind_of, listed
 from idtool.data.logs.payloads import decoder_for
 from idtool.data.logs.payloads.base import Decoder, PayloadError
@@ -111,7 +111,9 @@ class Topics:
         name = self._wanted
         if name is None:
             if len(self.names) > 1:
-                several = f"{len(self.names)} topics carry joint states; set log.topic to one of {some(self.names)}"
+                several = (
+                    f"{len(self.names)} topics carry joint states; set log.topic to one of {join_names(self.names)}"
+                )
                 raise LogError(self._path, several)
             if not self.names:
                 raise LogError(self._path, self._none())
@@ -138,7 +140,7 @@ class Topics:
         ros1 = next((name for name, topic in topics.items() if topic.kind == _ROS1), None)
         if ros1 is not None:
             return (
-                f"topic {shown(ros1)} carries joint states as ROS 1 encodes them, which is not read; run 'rosbags-"
+                f"topic {printable(ros1)} carries joint states as ROS 1 encodes them, which is not read; run 'rosbags-"
                 "convert --src <the .bag they were recorded in> --dst <a new folder> --dst-storage mcap' (pip install "
                 "rosbags) and give that folder"
             )
@@ -147,10 +149,10 @@ class Topics:
 
     def _why_not(self, name: str) -> str:
         if name not in self._topics:
-            return f"has no topic {name}; {nearest(name, self.names or list(self._topics))}"
+            return f"has no topic {name}; {suggestion(name, self.names or list(self._topics))}"
         topic = self._topics[name]
         if not topic.joints:
-            return f"topic {name} carries {topic.kind}, not joint states; {nearest(name, self.names)}"
+            return f"topic {name} carries {topic.kind}, not joint states; {suggestion(name, self.names)}"
         return f"topic {name} holds no messages"
 
     def _keeps(self, name: str) -> bool:
@@ -186,7 +188,7 @@ class Topics:
             samples = decoder(batch.buffer, starts, heads["length"].astype(np.intp) - MESSAGE_FIELDS)
         except PayloadError as error:
             number = self._topics[name].messages + error.index + 1
-            raise LogError(self._path, f"message {number} of {shown(name)} {error}") from None
+            raise LogError(self._path, f"message {number} of {printable(name)} {error}") from None
         seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
         logged = seconds + nanoseconds / 1e9
         return [

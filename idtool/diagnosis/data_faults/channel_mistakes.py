@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.inspection import FaultKind
 from idtool.data.signals import Motion
@@ -65,7 +65,7 @@ class Mistake:
         shares = f"put right, bodies that can be leave {after:.1%} of the torque's power unexplained, else "
         shares += f"{before:.1%}" if before < 1 else "all of it"
         alternatives = [f"{names[other.joints[0]]}: {other.details[0][0]}" for other in self.others]
-        or_else = f"; the data can't tell it from {some(alternatives)}" if alternatives else ""
+        or_else = f"; the data can't tell it from {join_names(alternatives)}" if alternatives else ""
         for joint, (defect, advice) in zip(self.joints, self.details, strict=True):
             if names[joint] in computed:
                 advice = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"

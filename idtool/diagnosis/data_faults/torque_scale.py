@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.inspection import Joint
 from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
@@ -51,7 +51,7 @@ def torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Notice]:
     ratio = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
     cause = "if it is a motor's torque, a current, mN·m or the like"
     advice = f"{cause} set its `log.scale`; else the URDF's masses are wrong"
-    yield Notice("wrong_unit", "problem", None, f"{ratio} at {some(list(factors))}", advice)
+    yield Notice("wrong_unit", "problem", None, f"{ratio} at {join_names(list(factors))}", advice)
 
 
 def _place_holders(fit: ChannelFit) -> bool:

@@ -12,7 +12,7 @@ import pkgutil
 from functools import cache
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest, shown
+from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.entry_parameters import entry_location
 from idtool.dynamics.effects.joint_term import JointTerm
@@ -79,7 +79,7 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
         effect = effect_from_entry(entry, model)
         if effect.key in entry_keys:
             owner = entry.joint or entry.link
-            subject = f" for {shown(owner)}" if owner else ""
+            subject = f" for {printable(owner)}" if owner else ""
             raise ConfigError(entry_location(entry), f"is there twice{subject}; keep one entry")
         entry_keys.add(effect.key)
         effects[effect.key] = effect
@@ -96,7 +96,7 @@ def effect_from_entry(entry: EffectEntry, model: Model) -> NamedEffect:
     """
     types = effect_types()
     if entry.effect not in types:
-        raise ConfigError(entry_location(entry), f"is not an effect of this version; {nearest(entry.effect, types)}")
+        raise ConfigError(entry_location(entry), f"is not an effect of this version; {suggestion(entry.effect, types)}")
     return types[entry.effect].from_entry(entry, model)
 
 

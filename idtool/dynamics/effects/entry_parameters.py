@@ -8,7 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest, shown, some
+from idtool.common.names import join_names, printable, suggestion
 from idtool.robot.config import EffectEntry, UncertainValue
 from idtool.robot.model import Model
 
@@ -28,10 +28,10 @@ def check_parameter_names(entry: EffectEntry, names: tuple[str, ...]) -> None:
     """
     for given in entry.parameters:
         if given not in names:
-            raise ConfigError(entry_location(entry), f"has no parameter {shown(given)}; {nearest(given, names)}")
+            raise ConfigError(entry_location(entry), f"has no parameter {printable(given)}; {suggestion(given, names)}")
     missing = [name for name in names if name not in entry.parameters]
     if missing:
-        raise ConfigError(entry_location(entry), f"needs the parameters {some(names)}; add {some(missing)}")
+        raise ConfigError(entry_location(entry), f"needs the parameters {join_names(names)}; add {join_names(missing)}")
 
 
 def read_number(entry: EffectEntry, name: str) -> float:
@@ -97,6 +97,6 @@ def read_joint_index(entry: EffectEntry, name: Any, model: Model, parameter: str
         If the model has no such joint.
     """
     if name not in model.names:
-        subject = f"{parameter} {shown(str(name))}".strip()
-        raise ConfigError(entry_location(entry), f"{subject} is no moving joint; {nearest(str(name), model.names)}")
+        subject = f"{parameter} {printable(str(name))}".strip()
+        raise ConfigError(entry_location(entry), f"{subject} is no moving joint; {suggestion(str(name), model.names)}")
     return model.names.index(name)

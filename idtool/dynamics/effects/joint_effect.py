@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.entry_parameters import (
     check_parameter_names,
@@ -182,7 +182,7 @@ def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Mo
     if parameter.is_joint:
         index = read_joint_index(entry, entry.parameters[name], model, name)
         if index == joint:
-            own = shown(model.names[joint])
+            own = printable(model.names[joint])
             raise ConfigError(entry_location(entry), f"{name} {own} is the joint itself; name another")
         return float(index)
 

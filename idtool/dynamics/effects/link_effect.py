@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest, shown
+from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects.entry_parameters import check_parameter_names, entry_location
 from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.robot.body import Frame
@@ -57,7 +57,7 @@ class LinkEffect(FixedEffect):
             raise ConfigError(entry_location(entry), "acts on a link; give link, and no joint")
         links = model.robot.links
         if entry.link not in links:
-            message = f"{shown(entry.link)} is no link of the URDF; {nearest(entry.link, links)}"
+            message = f"{printable(entry.link)} is no link of the URDF; {suggestion(entry.link, links)}"
             raise ConfigError(entry_location(entry), message)
         check_parameter_names(entry, cls.parameter_names)
         return cls.from_checked_entry(entry, model, _link_frame(entry, entry.link, model))
@@ -82,11 +82,11 @@ def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
     ancestor = link
     while ancestor not in frames:
         if ancestor not in parent_joints:
-            raise ConfigError(entry_location(entry), f"link {shown(link)} moves with no joint; name one that does")
+            raise ConfigError(entry_location(entry), f"link {printable(link)} moves with no joint; name one that does")
         joint = parent_joints[ancestor]
         if joint.kind != "fixed":
-            reason = f"hangs on joint {shown(joint.name)}, which is held still"
-            raise ConfigError(entry_location(entry), f"link {shown(link)} {reason}; name the link before it")
+            reason = f"hangs on joint {printable(joint.name)}, which is held still"
+            raise ConfigError(entry_location(entry), f"link {printable(link)} {reason}; name the link before it")
         R, p = joint.R @ R, joint.p + joint.R @ p
         ancestor = joint.parent
     return frames[ancestor].compose(R, p)

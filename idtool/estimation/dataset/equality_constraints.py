@@ -14,7 +14,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest, some
+from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import Config, MeasuredValue, Mirror
@@ -131,7 +131,7 @@ def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
             overruled.append(own.name)
     notices = model.notices
     if overruled:
-        message = f"copies, bounded as what they are copies of and not as configured: {some(overruled)}"
+        message = f"copies, bounded as what they are copies of and not as configured: {join_names(overruled)}"
         notices = (*notices, Notice("copies_bounds_overruled", "warning", None, message))
     return replace(model, bodies=tuple(bodies), notices=notices)
 
@@ -168,7 +168,7 @@ def _copies(mirrors: Sequence[Mirror], names: list[str], kind: str) -> dict[int,
             continue
         for given in (name, entry.of):
             if given not in names:
-                raise ConfigError(f"mirror: {given}", f"is no moving {kind} of the model; {nearest(given, names)}")
+                raise ConfigError(f"mirror: {given}", f"is no moving {kind} of the model; {suggestion(given, names)}")
         if name in entries:
             raise ConfigError(f"mirror: {name}", "is the copy of two; keep one entry")
         entries[name] = entry
@@ -207,7 +207,7 @@ def _mass_constraints(config: Config, names: list[str], p: int) -> list[Constrai
     constraints = []
     for name, measured in config.known.mass.items():
         if name not in names:
-            hint = f"is no body of the model (give what is fixed to it along with it); {nearest(name, names)}"
+            hint = f"is no body of the model (give what is fixed to it along with it); {suggestion(name, names)}"
             raise ConfigError(f"known.mass: {name}", hint)
         row = np.zeros(p)
         row[PI_SIZE * names.index(name)] = 1.0

@@ -10,9 +10,9 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError, ModelError
-from idtool.common.names import shown, some
+from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.data.command import commanded
 from idtool.data.logs import Log, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
@@ -114,7 +114,7 @@ class Experiment:
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
                 unit = "m" if joint.kind == "prismatic" else "rad"
                 place = self.config.locked_joints.get(joint.name, 0.0)
-                moved.append(f"{shown(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
+                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
         if moved:
             message = (
                 f"taken as standing still, though they move in the log: {', '.join(moved)}; what their motion does to "
@@ -124,7 +124,7 @@ class Experiment:
             yield Notice("moving_joints_held_still", "warning", None, message, advice)
 
     @property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[InputFile, ...]:
         """Files of the experiment: the URDF, the configuration and the logs, each once."""
         return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
 
@@ -202,9 +202,9 @@ class Experiment:
         if still:
             what = "hardly moves in the part to fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
-                what += f", or only where one of the effects ({some(effects)}) is not defined"
+                what += f", or only where one of the effects ({join_names(effects)}) is not defined"
             what += "; log a motion, or lock it by leaving it out of joints"
-            raise LogError(self.runs[0].signals.log.path, f"joint {some(still)} {what}")
+            raise LogError(self.runs[0].signals.log.path, f"joint {join_names(still)} {what}")
         return data
 
 
@@ -217,11 +217,11 @@ def _travel(log: Log, joint: str) -> float:
     return float(high - low)
 
 
-def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[Source, ...]:
+def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[InputFile, ...]:
     """Files of a robot, a configuration and logs, each once; a log of arrays has no hash."""
     read = [robot.source, *([config.source] if config.source else [])]
     for log in logs:
-        read += log.sources or [Source("log", str(log.path), None)]
+        read += log.sources or [InputFile("log", str(log.path), None)]
     return tuple(dict.fromkeys(read))
 
 

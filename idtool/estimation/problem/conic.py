@@ -20,7 +20,7 @@ from scipy import sparse
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.estimation.problem.prior import LogDet
 from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import ConicInequality
@@ -109,7 +109,7 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
 
 def infeasible(problem: Problem) -> InfeasibleError:
     """The error that no parameters fulfil a problem's constraints."""
-    what = f" and what is known exactly ({some(problem.equality_labels)})" if problem.equality_labels else ""
+    what = f" and what is known exactly ({join_names(problem.equality_labels)})" if problem.equality_labels else ""
     return InfeasibleError(
         "solver", f"found no parameters that fulfil the constraints{what}; loosen one of them, or check its unit"
     )

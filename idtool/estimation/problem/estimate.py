@@ -11,7 +11,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
@@ -322,7 +322,7 @@ def _refine_and_check(problem: Problem, solution: Solution, name: str, started: 
 def _unsolved_error(problem: Problem, where: str, name: str, reason: str) -> SolverError:
     """The error that a solver found no good enough solution."""
     by = "" if name == "clarabel" else f" by {name}"
-    labels = f" of {some(problem.equality_labels)}" if problem.equality_labels else ""
+    labels = f" of {join_names(problem.equality_labels)}" if problem.equality_labels else ""
     return SolverError(where or "solver", f"not solved well enough{by}: {reason}; check units and magnitudes{labels}")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import nearest
+from idtool.common.names import suggestion
 from idtool.estimation.problem.projection import project
 from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.body import Body, Frame
@@ -54,7 +54,7 @@ def check_links(robot: Robot, config: Config) -> list[LinkCheck]:
     for key in ("bounding_ellipsoids", "bounding_shapes"):
         for name in getattr(config, key):
             if name not in robot.links:
-                raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {nearest(name, robot.links)}")
+                raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {suggestion(name, robot.links)}")
     checks = []
     for link, pi in robot.links.items():
         if pi is None or not pi.any():

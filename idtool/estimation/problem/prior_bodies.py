@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -111,8 +111,8 @@ def _placeholder_notice(reasons: Mapping[str, str], densities: Sequence[float], 
     lowest, highest = f"{min(densities):.0f}", f"{max(densities):.0f}"
     density = lowest if lowest == highest else f"{lowest} to {highest}"
     message = (
-        f"the URDF's inertia is a placeholder for {some(list(reasons))} ({first_reason}): the prior is an even density "
-        f"of {density} kg/m³, {source}"
+        f"the URDF's inertia is a placeholder for {join_names(list(reasons))} ({first_reason}): the prior is an even "
+        f"density of {density} kg/m³, {source}"
     )
     return Notice("placeholder_inertia", "warning", None, message)
 

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.names import some
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -229,7 +229,7 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
         return []
     notices = []
     if logs.duplicates:
-        advice = f"leave out {some(logs.duplicates)}"
+        advice = f"leave out {join_names(logs.duplicates)}"
         notices.append(
             Notice("duplicate_data", "warning", None, "data that are given twice make intervals too short", advice)
         )
@@ -252,7 +252,7 @@ def _mass_notices(parameters: Identifiability | None, experiment: Experiment) ->
     masses = parameters.sources[::PI_SIZE]
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
-        message = f"the torque does not tell the mass of {some(unknown)}"
+        message = f"the torque does not tell the mass of {join_names(unknown)}"
         yield Notice("mass_undetermined", "warning", None, message, "weigh what moves and give known.total_mass")
 
 
@@ -261,7 +261,7 @@ def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]
         return []
     notices = []
     if bias.weak and not is_instrumental:  # instrumental variables have said so before
-        message = f"instruments are weak, so that least squares is not checked for bias: {some(bias.weak)}"
+        message = f"instruments are weak, so that least squares is not checked for bias: {join_names(bias.weak)}"
         notices.append(Notice("weak_instruments", "note", None, message))
     if not bias.differs.any():
         return notices
@@ -279,4 +279,4 @@ def _prediction_notices(torque_errors: Prediction, joints: Sequence[str]) -> lis
     if not unknown:
         return []
     what = "moves as the fitted logs did not, in directions that their data do not determine"
-    return [Notice("new_motion_held_out", "warning", None, f"held-out motion of {some(unknown)} {what}")]
+    return [Notice("new_motion_held_out", "warning", None, f"held-out motion of {join_names(unknown)} {what}")]

@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import nearest
+from idtool.common.names import suggestion
 from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec, smooth_step
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.model import Model
@@ -148,7 +148,7 @@ class Shell(Pattern):
         """The tip asked for, or tips of limbs that have no joint in common, longest first."""
         robot = self.model.robot
         if tip is not None and tip not in robot.links:
-            raise ConfigError("--tip", f"{tip} is no link; {nearest(tip, robot.links)}")
+            raise ConfigError("--tip", f"{tip} is no link; {suggestion(tip, robot.links)}")
         if tip is not None:
             tips = [tip]
         else:

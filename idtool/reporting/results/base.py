@@ -12,7 +12,7 @@ from pydantic_core import core_schema
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice, Severity, unique
-from idtool.common.provenance import Source as ProvenanceSource
+from idtool.common.provenance import InputFile as ProvenanceSource
 from idtool.common.provenance import provenance
 from idtool.common.version import VERSION
 

@@ -13,7 +13,7 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.text import Text
 
-from idtool.common.interrupt import as_python_has_it
+from idtool.common.interrupt import restore_keyboard_interrupt
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.terminal.progress import progress_bar
 from idtool.reporting.terminal.tables import Column, Table, printable
@@ -66,7 +66,7 @@ class Terminal:
     @contextmanager
     def progress(self) -> Iterator[Callable[[str, float], None]]:
         """A function to be told the stage and its share done; shows a bar once that takes long."""
-        as_python_has_it()  # what is heavy is loaded
+        restore_keyboard_interrupt()  # what is heavy is loaded
         with progress_bar(self.errors) as tell:
             yield tell
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, PrivateAttr, Tag
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.provenance import Source, source_of
+from idtool.common.provenance import InputFile, source_from_bytes
 from idtool.common.safe_yaml import parse_yaml, yaml_bytes
 from idtool.robot.config.base import ConfigRecord, Finite, Vector, validate_record
 from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape
@@ -55,10 +55,10 @@ class Config(ConfigRecord):
     limits: dict[str, JointLimits] = Field(default_factory=dict)
     seed: int = 0
 
-    _source: Source | None = PrivateAttr(default=None)
+    _source: InputFile | None = PrivateAttr(default=None)
 
     @property
-    def source(self) -> Source | None:
+    def source(self) -> InputFile | None:
         """The file it was read from, if any."""
         return self._source
 
@@ -107,5 +107,5 @@ def read_config(path: Path) -> Config:
     """
     data = yaml_bytes(path)
     config = parse_config(parse_yaml(path, data), str(path))
-    config._source = source_of("configuration", path, data)
+    config._source = source_from_bytes("configuration", path, data)
     return config

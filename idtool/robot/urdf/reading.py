@@ -18,7 +18,7 @@ from lxml import etree
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
-from idtool.common.provenance import Source, source_of
+from idtool.common.provenance import InputFile, source_from_bytes
 from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 
 _MAX_BYTES = 64 << 20
@@ -100,7 +100,7 @@ class Robot:
     root: str
     links: dict[str, Array | None]
     joints: dict[str, Joint]
-    source: Source
+    source: InputFile
 
     def path_to_root(self, joint: str) -> list[str]:
         """Names of the joints from one to the root, itself first; empty for an unknown joint."""
@@ -172,7 +172,7 @@ def parse_robot(path: Path, data: bytes) -> Robot:
     if len(links) != len(urdf.links) or len({joint.name for joint in joints}) != len(joints):
         raise ModelError(path, "two links or two joints have the same name; rename one")
     root, ordered = _tree(path, links, joints)
-    return Robot(path, data, root, links, ordered, source_of("URDF", path, data))
+    return Robot(path, data, root, links, ordered, source_from_bytes("URDF", path, data))
 
 
 def parse_xml(path: Path, data: bytes) -> etree._Element:

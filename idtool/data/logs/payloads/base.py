@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.series import Samples
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -50,7 +50,7 @@ class State:
 def check_names(joints: Sequence[str]) -> None:
     """Raise ValueError for names of joints that cannot be told apart or printed."""
     if len(set(joints)) < len(joints):
-        raise ValueError(f"names joint {shown(next(name for name in joints if joints.count(name) > 1))} twice")
+        raise ValueError(f"names joint {printable(next(name for name in joints if joints.count(name) > 1))} twice")
     if not "".join(joints).isprintable():
         raise ValueError("names a joint in characters that cannot be printed")
 

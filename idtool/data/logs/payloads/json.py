@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from idtool.common.arrays import Indices
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.payloads.base import (
     NANOSECONDS,
     SECONDS,
@@ -100,7 +100,7 @@ def _seconds(i: int, message: Any) -> float:
             try:
                 return float(stamp if isinstance(stamp, int | float) else _sum(stamp))
             except (TypeError, OverflowError):
-                what = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}: {shown(str(stamp))}"
+                what = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}: {printable(str(stamp))}"
                 raise PayloadError(i, what) from None
     return 0.0
 
