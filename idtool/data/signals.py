@@ -52,7 +52,7 @@ class Motion:
     velocity_deadband
         Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
     dt
-        Sample time [s].
+        Sample time [s]; 0 for states that are no samples of a log.
     motor_minus_link
         By joint with a compliant transmission: q, v and a of the motor less those of the link, which are above;
         shape (3, N).
@@ -70,6 +70,11 @@ class Motion:
     dt: float
     motor_minus_link: Mapping[int, Array] = field(default_factory=dict)
     torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    @property
+    def is_log(self) -> bool:
+        """True for samples in the order of time; False for states that have nothing to do with each other."""
+        return self.dt > 0
 
 
 @dataclass(frozen=True)

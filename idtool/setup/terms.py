@@ -66,7 +66,7 @@ def effects(draft: Draft) -> Section:
             size = search_of(effect).shown(value)
         else:
             entry = term_type(effect).zero_entry(joint)
-            entry.parameters[term_type(effect).name] = _short(value)
+            entry.parameters[term_type(effect).coefficient_name] = _short(value)
             owner = joint
             size = sized(draft, effect, joint, value)
         comments.append(f"{owner}: {trial_of(effect).comment.format(value=size)}: {errors(trial)}")

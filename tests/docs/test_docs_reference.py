@@ -21,7 +21,7 @@ from pydantic.fields import FieldInfo
 import idtool as idtool_library
 from idtool.cli import app
 from idtool.common.exceptions import ConfigError
-from idtool.dynamics.effects import NamedEffect, effect_types
+from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.config import Config, EffectEntry
@@ -133,11 +133,11 @@ def test_an_effect_is_documented_with_its_parameters(effect: str) -> None:
     assert said["shows in"] == kind.excitation_hint
 
 
-def test_what_an_effect_may_say_of_itself_exists() -> None:
-    named, own = section("effects.md", "## Adding an effect").split("What else an effect may say")
+def test_the_classes_and_attributes_of_an_effect_exist() -> None:
+    named, own = section("effects.md", "## Adding an effect").split("These attributes and methods are optional")
     for row in rows(own):
         for name in codes(row[0]):
-            assert hasattr(NamedEffect, name), name
+            assert hasattr(JointTerm, name), name
     files = "".join(path.read_text() for path in (CHECKOUT / "idtool" / "dynamics" / "effects").glob("*.py"))
     for row in rows(named):
         for name in codes(row[0]):

@@ -161,7 +161,7 @@ class Cubic(JointTerm):
     """k q³."""
 
     id = "cubic_spring"
-    name = "cubic"
+    coefficient_name = "cubic"
     units = ("N·m/rad³", "N/m³")
 
     def column(self, motion):

@@ -12,8 +12,10 @@ import mujoco  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 from sentences import sentences
 
+import idtool
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Candidate, Diagnosis
 from idtool.diagnosis.words import superseded
@@ -153,3 +155,31 @@ def test_why_a_step_was_taken_out_is_said_in_known_words() -> None:
     found = superseded(spring, rounded)
     assert found.startswith(f"{text}where friction changes its direction")
     assert "rounded_friction" not in found
+
+
+def test_its_simulation_is_that_of_an_integrator(tmp_path: Path) -> None:
+    """A bar on a hinge under a known torque, against scipy's integrator."""
+    inertia, coulomb, velocity = 0.2, 0.5, 0.1
+    t = np.arange(0, 4, 2e-3)
+
+    def torque(time: Array | float) -> Array:
+        return np.asarray(1.5 * np.sin(2.0 * np.asarray(time)) + 0.4 * np.cos(7.0 * np.asarray(time)))
+
+    def derivative(time: float, state: Array) -> list[float]:
+        return [state[1], float(torque(time) - coulomb * np.tanh(state[1] / velocity)) / inertia]
+
+    found = solve_ivp(derivative, (0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10)
+    (tmp_path / "bar.urdf").write_text(
+        '<robot name="bar"><link name="base"/><link name="bar"><inertial><mass value="1"/>'
+        f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="hinge" type="continuous"><parent link="base"/><child link="bar"/>'
+        '<axis xyz="0 0 1"/></joint></robot>'
+    )
+    entry = {"effect": "rounded_friction", "joint": "hinge", "parameters": {"coulomb": coulomb, "velocity": velocity}}
+    config = {"effects": [entry], "friction": {"viscous": False, "coulomb": False}, "filter": {"cutoff_hz": 50}}
+    log = idtool.Log.from_arrays(
+        "run", t, ["hinge"], q=found.y[0][:, None], v=found.y[1][:, None], tau=torque(t)[:, None]
+    )
+    simulated = idtool.simulate(idtool.Model(tmp_path / "bar.urdf", config), log, window=0)
+    assert np.ptp(found.y[0]) > 1
+    assert simulated.rmse.position["hinge"] < 1e-3

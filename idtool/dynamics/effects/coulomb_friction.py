@@ -12,13 +12,13 @@ from idtool.dynamics.effects.simulator_element import FrictionLoss, SimulatorEle
 
 
 class CoulombFriction(DryFriction):
-    """c sign(v) (26)."""
+    """Coulomb friction c sign(v) (Wensing et al. 2018, Eq. 26)."""
 
     id = "coulomb_friction"
     label = "Coulomb friction"
-    description = "friction that does not depend on speed"
+    description = "friction opposes the motion at every speed alike"
     excitation_hint = "slow motion in both directions"
-    name = "coulomb"
+    coefficient_name = "coulomb"
     is_commonplace = True
     friction_key = "coulomb"
     urdf_attribute = "friction"

@@ -30,7 +30,7 @@ class Coefficient:
     owner
         The body or joint that it describes.
     name
-        Its name within the effect, as in the contract.
+        Its name within the effect, as in docs/pages/effects.md.
     unit
         SI.
     prior

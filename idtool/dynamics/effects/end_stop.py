@@ -32,7 +32,7 @@ class EndStop(JointTerm):
     description = "a stop pushes back beyond a position"
     excitation_hint = "slow motion into the region and out of it"
     generalizes = ("parallel_spring", "torque_offset")
-    name = "stiffness"
+    coefficient_name = "stiffness"
     units = ("N·m/rad", "N/m")
     even = False
     nonlinear_parameters = (

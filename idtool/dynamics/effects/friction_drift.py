@@ -25,7 +25,7 @@ def _completed_share(motion: Motion, time_constant: float | Array) -> Array:
 
 
 class _ViscousChange(JointTerm):
-    name = "viscous_change"
+    coefficient_name = "viscous_change"
     is_friction = True
     units = ("N·m·s/rad", "N·s/m")
     lower = -np.inf
@@ -37,7 +37,7 @@ class _ViscousChange(JointTerm):
 
 
 class _CoulombChange(DryFriction):
-    name = "coulomb_change"
+    coefficient_name = "coulomb_change"
     units = ("N·m", "N")
     lower = -np.inf
 
@@ -54,7 +54,7 @@ class FrictionDrift(JointTerms):
 
     id = "friction_drift"
     description = "friction changes over the log"
-    excitation_hint = "the same motion again, warm"
+    excitation_hint = "the same motion, repeated after warm-up"
     generalizes = ("viscous_friction", "coulomb_friction")
     is_friction = True
     requires = ("coulomb_friction", "presliding_hysteresis")

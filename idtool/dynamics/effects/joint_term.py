@@ -4,8 +4,10 @@ A subclass writes the column only. In the forward model it is the torque at the 
 level instead, and both follow from that: the column is the level times the direction of motion, and in the forward
 model the level is what a joint at rest can hold.
 
-A term may be evaluated for several joints at once: ``joint`` is then an array and the nonlinear values are columns.
-Indexing and elementwise arithmetic work for both.
+A column is evaluated in two ways. In a fit, for the N samples of a log in the order of time. In the forward model, for
+W rollouts that have nothing to do with each other, at one instant: `Motion.is_log` is then False, ``v`` stands in the
+place of the acceleration, and terms of k joints are evaluated at once: ``joint`` is an array and the nonlinear values
+are columns. Indexing and elementwise arithmetic work for both; what compares neighbouring samples must ask `is_log`.
 """
 
 from __future__ import annotations
@@ -38,14 +40,15 @@ class JointTerm(JointEffect):
 
     Attributes
     ----------
-    name
-        The coefficient's name (contract section 6).
+    coefficient_name
+        The coefficient's name: a noun or adjective that stands alone in a report, such as "viscous".
     units
-        For a revolute joint, and for a prismatic one.
+        Of the coefficient, on a revolute and on a prismatic joint, such as "N·m·s/rad"; half powers as "s^½".
     lower, upper
         Physical bounds.
     even
-        True if the coefficient's sign does not change when the joint's axis is reversed.
+        True if the coefficient keeps its sign when the joint's axis is reversed, as friction does; a torque offset
+        changes its sign.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ class JointTerm(JointEffect):
         Values of the nonlinear parameters.
     """
 
-    name: str
+    coefficient_name: str
     units: tuple[str, str]
     lower: float = 0.0
     upper: float = np.inf
@@ -72,7 +75,7 @@ class JointTerm(JointEffect):
         coefficient = Coefficient(
             effect=self.id,
             owner=self.owner,
-            name=self.name,
+            name=self.coefficient_name,
             unit=self.unit_on(model, joint),
             prior=prior,
             lower=self.lower,
@@ -86,19 +89,19 @@ class JointTerm(JointEffect):
     @classmethod
     @override
     def linear_parameters(cls) -> tuple[str, ...]:
-        return (cls.name,)
+        return (cls.coefficient_name,)
 
     @classmethod
     @override
     def with_values(
         cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
     ) -> Self:
-        return cls(model, joint, values[cls.name], nonlinear_values)
+        return cls(model, joint, values[cls.coefficient_name], nonlinear_values)
 
     @classmethod
     @override
     def probe(cls, summary: DataSummary, joint: int, nonlinear_values: Mapping[str, float]) -> Probe:
-        effect = cls.with_values(summary.model, joint, {cls.name: 0.0}, nonlinear_values)
+        effect = cls.with_values(summary.model, joint, {cls.coefficient_name: 0.0}, nonlinear_values)
         return linear_probe(effect, summary, joint, nonlinear_values)
 
     def unit_on(self, model: Model, joint: int) -> str:
@@ -116,11 +119,15 @@ class JointTerm(JointEffect):
 
     @abstractmethod
     def column(self, motion: Motion) -> Array:
-        """Torque per unit of the coefficient, shape (N,); (k, N) for k joints."""
+        """Torque per unit of the coefficient, shape (N,); in the forward model of k joints and W rollouts, (k, W)."""
 
 
 class DryFriction(JointTerm):
-    """One coefficient on one joint whose torque is a level times the direction of motion."""
+    """One coefficient on one joint whose torque is a level times the direction of motion.
+
+    The base class of every friction that jumps, or has an infinite slope, where the velocity changes its sign. The
+    forward model then finds exactly when a joint stops. Samples at rest are left out of a fit, see `invalid_mask`.
+    """
 
     is_friction = True
 
@@ -130,7 +137,7 @@ class DryFriction(JointTerm):
 
     @abstractmethod
     def level(self, motion: Motion) -> Array:
-        """Breakaway torque per unit of the coefficient, shape (N,); (k, N) for k joints."""
+        """Breakaway torque per unit of the coefficient, shape (N,); in the forward model (k, W)."""
 
     @override
     def column(self, motion: Motion) -> Array:
@@ -141,13 +148,13 @@ class DryFriction(JointTerm):
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples at rest, where friction can be anything up to its level."""
+        """Samples at rest, where friction can be anything up to its level; override it if the level is 0 there."""
         joint = int(self.joint)
         return {joint: np.abs(motion.v[joint]) < _SURE * motion.velocity_deadband[joint]}
 
 
 def sample_mean(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array:
-    """Mean of a function f(x) over the time from half a sample before to half a sample after each sample.
+    """Mean of a function f(x) over the time from half a sample before to half a sample after each sample of a log.
 
     Parameters
     ----------
@@ -213,7 +220,7 @@ class JointTerms(JointEffect):
     @classmethod
     @override
     def linear_parameters(cls) -> tuple[str, ...]:
-        return tuple(term_type.name for term_type in cls.term_types)
+        return tuple(term_type.coefficient_name for term_type in cls.term_types)
 
     @classmethod
     @override

@@ -18,7 +18,7 @@ class LoadDependentFriction(LoadDependentTerm, DryFriction):
     label = "load-dependent friction"
     description = "friction grows with the load"
     excitation_hint = "the same slow sweep with another load"
-    name = "coefficient"
+    coefficient_name = "coefficient"
     units = ("1", "1")
     upper = 0.6  # a transmission with more is self-locking
 

@@ -1,6 +1,6 @@
 """`NamedEffect`: an effect that a configuration can name under `effects`.
 
-Its parameters (contract section 6) are of two kinds: linear ones, which follow from its coefficients and are
+Its parameters (docs/pages/effects.md) are of two kinds: linear ones, which follow from its coefficients and are
 identified, and nonlinear ones, which a fit leaves as they are and on which its columns depend.
 """
 
@@ -30,7 +30,7 @@ class NonlinearParameter:
     Attributes
     ----------
     name
-        As in the contract.
+        As in docs/pages/effects.md.
     units
         On a revolute joint, and on a prismatic one; "1": without a unit.
     positive

@@ -26,7 +26,7 @@ class ParallelSpring(JointTerm):
     description = "a spring acts across the joint"
     excitation_hint = "slow motion over the whole travel"
     generalizes = ("torque_offset",)
-    name = "stiffness"
+    coefficient_name = "stiffness"
     is_commonplace = True
     units = ("N·m/rad", "N/m")
     nonlinear_parameters = (NonlinearParameter("rest_position", ("rad", "m")),)

@@ -60,7 +60,7 @@ class Payload(LinkEffect):
 
     id = "payload"
     is_countable = True
-    description = "the link carries what the model has not"
+    description = "the link carries a mass that the model does not have"
     excitation_hint = "quick and slow motion in many postures"
     parameter_names = ("mass", "com", "inertia")
 

@@ -37,7 +37,7 @@ class PreslidingHysteresis(JointTerm):
     description = "friction builds up over a displacement after each reversal"
     excitation_hint = "small reversals of several amplitudes"
     generalizes = ("coulomb_friction",)
-    name = "amplitude"
+    coefficient_name = "amplitude"
     is_friction = True
     units = ("N·m", "N")
     nonlinear_parameters = (

@@ -17,7 +17,7 @@ class QuadraticDrag(JointTerm):
     id = "quadratic_drag"
     description = "drag grows with the square of speed"
     excitation_hint = "steady motion at several high speeds"
-    name = "drag"
+    coefficient_name = "drag"
     is_friction = True
     units = ("N·m·s²/rad²", "N·s²/m²")
 

@@ -1,4 +1,4 @@
-"""Friction whose direction changes over a range of speeds, as in a simulator that rounds the sign off."""
+"""Friction whose direction changes over a range of speeds, as in a simulator that smooths sign(v)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _TRIALS = 6
 
 
 class RoundedFriction(JointTerm):
-    """c tanh(v / velocity), which takes over from Coulomb friction's c sign(v) as far as the data say."""
+    """c tanh(v / velocity), beside Coulomb friction, c sign(v): the data decide the share of each."""
 
     id = "rounded_friction"
     description = "friction changes its direction over a range of speeds"
     excitation_hint = "slow reversals"
     requires = ("coulomb_friction",)
-    name = "coulomb"
+    coefficient_name = "coulomb"
     is_friction = True
     reportable = False
     units = ("N·m", "N")
@@ -42,6 +42,8 @@ class RoundedFriction(JointTerm):
 
     @override
     def column(self, motion: Motion) -> Array:
-        """Mean of the rounded direction over a sample."""
+        """Rounded direction of motion; in a log, its mean over each sample."""
         x = motion.v[self.joint] / self.nonlinear_values["velocity"]
-        return sample_mean(np.tanh(x), x, log_cosh)
+        if motion.is_log:
+            return sample_mean(np.tanh(x), x, log_cosh)
+        return np.asarray(np.tanh(x))

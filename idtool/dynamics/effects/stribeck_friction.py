@@ -29,7 +29,7 @@ class StribeckFriction(DryFriction):
     excitation_hint = "slow sweeps at several speeds below that at which it rises"
     generalizes = ("coulomb_friction",)
     requires = ("coulomb_friction", "presliding_hysteresis")
-    name = "stribeck"
+    coefficient_name = "stribeck"
     units = ("N·m", "N")
     nonlinear_parameters = (NonlinearParameter("velocity", ("rad/s", "m/s"), positive=True),)
 

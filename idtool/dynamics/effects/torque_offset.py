@@ -13,13 +13,13 @@ from idtool.dynamics.effects.simulator_element import ConstantTorque, SimulatorE
 
 
 class TorqueOffset(JointTerm):
-    """A constant (26)."""
+    """A constant torque (Wensing et al. 2018, Eq. 26)."""
 
     id = "torque_offset"
     is_countable = True
-    description = "a constant torque, or friction that differs between the directions"
+    description = "a constant torque acts, or friction differs between the directions"
     excitation_hint = "standstill and slow motion in both directions at several positions"
-    name = "offset"
+    coefficient_name = "offset"
     is_commonplace = True
     friction_key = "offset"
     init_trial = InitTrial(name="an offset", heading="offset of the torque")

@@ -32,7 +32,7 @@ class _Wave(JointTerm):
 
 
 class _Sine(_Wave):
-    name = "sine"  # A cos φ
+    coefficient_name = "sine"  # A cos φ
 
     @override
     def column(self, motion: Motion) -> Array:
@@ -40,7 +40,7 @@ class _Sine(_Wave):
 
 
 class _Cosine(_Wave):
-    name = "cosine"  # A sin φ
+    coefficient_name = "cosine"  # A sin φ
 
     @override
     def column(self, motion: Motion) -> Array:

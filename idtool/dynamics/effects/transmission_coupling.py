@@ -28,7 +28,7 @@ class TransmissionCoupling(LoadDependentTerm):
     id = "transmission_coupling"
     description = "torque of another joint leaks into this one"
     excitation_hint = "motion of each joint alone"
-    name = "coefficient"
+    coefficient_name = "coefficient"
     lower = -np.inf
     even = False
     nonlinear_parameters = (NonlinearParameter("source", is_joint=True, distinguishes_instances=True),)

@@ -12,12 +12,12 @@ from idtool.dynamics.effects.simulator_element import Damping, SimulatorElement
 
 
 class ViscousFriction(JointTerm):
-    """b v (26)."""
+    """Viscous friction b v (Wensing et al. 2018, Eq. 26)."""
 
     id = "viscous_friction"
-    description = "friction that grows with speed"
+    description = "friction grows with speed"
     excitation_hint = "steady motion at several speeds"
-    name = "viscous"
+    coefficient_name = "viscous"
     is_friction = True
     is_commonplace = True
     friction_key = "viscous"

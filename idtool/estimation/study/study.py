@@ -1,4 +1,4 @@
-"""Every constraint set and every estimator side by side on the same data (contract, section 4).
+"""Every constraint set and every estimator side by side on the same data.
 
 The paper's sets with solve times and violations of realizability, its Fig. 5 and Remark 5. The logs are read once; all
 else are small problems on R-factors.

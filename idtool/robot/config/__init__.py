@@ -1,6 +1,6 @@
 """The configuration: YAML into frozen records. An unknown key is an error that names the nearest known one.
 
-Units as in the contract: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic joint takes the second of each pair.
+Units: rad or m, rad/s or m/s, N·m or N, kg, s; a prismatic joint takes the second of each pair.
 """
 
 from idtool.robot.config.base import ConfigRecord, Positive, validate_record
