@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 
 def by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
@@ -50,3 +50,23 @@ def metres(x: float) -> str:
 def percent(x: float | None) -> str:
     """A share in percent."""
     return "–" if x is None else f"{number(100 * x, 2)} %"
+
+
+def between(low: float | None, high: float | None) -> str:
+    """Two ends to two digits of the distance between them; None: no end."""
+    if low is None or high is None:
+        end = low if high is None else high
+        return "any" if end is None else f"{number(end, 2)} or {'more' if high is None else 'less'}"
+    width = high - low
+    if abs(low + high) < 0.01 * width:
+        return f"±{number(width / 2, 2)}"
+    size = math.floor(math.log10(width)) if width > 0 else -9
+    if not -5 < size < 6:
+        return f"{number(low, 2)} to {number(high, 2)}"
+    decimals = max(1 - size, 0)
+    return " to ".join(f"{round(x, decimals) + 0.0:.{decimals}f}" for x in (low, high))
+
+
+def interval_text(ends: Sequence[float | None] | None) -> str:
+    """An interval; a dash for none."""
+    return "–" if ends is None else between(*ends)

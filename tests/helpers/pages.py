@@ -269,6 +269,7 @@ def trust_of(bodies: Sequence[str], joints: Sequence[str]) -> dict[str, Any]:
     return {
         "units": dict.fromkeys(joints, "N·m"),
         "joints": list(joints),
+        "rms": {"train": _rms(joints, 0.9), "validation": _rms(joints, 1.0)},
         "bodies": {
             body: body_of(
                 standard_error=[0.02, *[None] * 9],

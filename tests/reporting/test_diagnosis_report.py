@@ -264,9 +264,9 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
     lines = said(found).splitlines()
     assert lines[0].startswith("The model lacks Stribeck friction on hip")
     (row,) = [line for line in lines if line.startswith("1 ")]
-    for cell in ("stribeck_friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"):
+    for cell in ("Stribeck friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"):
         assert cell in row
-    for cell in ("0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load_dependent_friction hip"):
+    for cell in ("0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"):
         assert cell in row
     assert "1. hip: friction rises below 0.15 rad/s" in lines
     (hip,) = [line.split() for line in lines if line.startswith("hip ")]

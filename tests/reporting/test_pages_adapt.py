@@ -11,9 +11,9 @@ from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete, notice_of
 from records import partial
 
 from idtool.reporting.pages import adapt_page
-from idtool.reporting.pages.adapt import settling_time
 from idtool.reporting.pages.charts import significant, thinned
 from idtool.reporting.results.adaptation import AdaptationReport
+from idtool.reporting.sections.adapt import settling_time
 
 JOINTS = (SCRIPT, SLIDE)
 BODIES = (BODY, "thigh", "shank")
@@ -67,6 +67,7 @@ def adapt_of(joints: Sequence[str], bodies: Sequence[str]) -> dict[str, Any]:
             },
             "friction": {joint: {"viscous": 0.3, "coulomb": 0.3, "offset": None} for joint in joints},
         },
+        "band_hz": 40.0,
         "samples": 20000,
         "update_hz": 166.7,
         "seconds": 3.1,
@@ -131,7 +132,7 @@ def test_late_stamps_keep_their_digits(report: dict[str, Any]) -> None:
 
 def test_when_a_mass_has_settled_is_said(report: dict[str, Any]) -> None:
     t = np.array(report["t"])
-    rows = page_of(report).table("last mass [kg]")
+    rows = page_of(report).table("mass [kg]")
     for i, body in enumerate(BODIES):
         last = 1 - np.exp(-20 / (i + 1))
         wanted = -(i + 1) * np.log(1 - 0.95 * last)  # 1 − exp(−t/T) = 0.95 of the last
@@ -171,16 +172,16 @@ def test_a_body_that_cannot_exist_is_named(report: dict[str, Any]) -> None:
     page = page_of(report)
     assert "1 of 3 bodies of the last estimate are not: shank." in page.plain
     assert page.levels[1] == "bad"
-    assert page.table("last mass [kg]")["shank"]["realizable"] == "NO"
+    assert page.table("mass [kg]")["shank"]["realizable"] == "NO"
 
 
 def test_tables_hold_the_reports_figures(report: dict[str, Any]) -> None:
     page = page_of(report)
-    assert page.table("prediction [N·m]")[SLIDE]["prediction [N·m]"] == "0.770"
-    assert page.table("prediction [N·m]")["overall"]["prediction [N·m]"] == "0.700"
-    assert page.table("offset [N·m]")[SCRIPT] == {
-        "joint": SCRIPT, "last viscous [N·m·s/rad]": "0.3000", "Coulomb [N·m]": "0.3000", "offset [N·m]": "–"
-    }  # fmt: skip
+    assert "RMS error of the torque predicted one sample ahead, N·m, below 40 Hz" in page.plain
+    assert page.table("rms")[SLIDE]["rms"] == "0.7700"
+    assert page.table("rms")["overall"]["rms"] == "0.7000"
+    assert "Friction at the end, viscous N·m·s/rad, else N·m" in page.plain
+    assert page.table("offset")[SCRIPT] == {"joint": SCRIPT, "viscous": "0.3000", "Coulomb": "0.3000", "offset": "–"}
 
 
 def test_what_a_page_holds_of_many_values() -> None:

@@ -17,7 +17,8 @@ from rollouts import experiment_of, rollouts_of
 from idtool.diagnosis.records import Diagnosis, Level, Where
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.pages import diagnosis_page, number
+from idtool.reporting.figures import figure
+from idtool.reporting.pages import diagnosis_page
 from idtool.reporting.pages.diagnosis import parameter_texts
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
@@ -134,9 +135,9 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
     page = page_of(found)
     hip = next(row for row in page.rows if row[0] == "hip" and len(row) == 8)
     assert hip == ["hip", "1.43", "0.605", "0.500", "89 %", "0.550", "0.0300", "0.0110"]
-    step = next(row for row in page.rows if row[0] == "1. Stribeck friction on hip")
-    assert step[1:3] == ["stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"]
-    assert step[3:] == ["0.0300 → 0.0120", "load-dependent friction on hip"]
+    step = next(row for row in page.rows if row[:3] == ["1", "Stribeck friction", "hip"])
+    assert step[3:5] == ["stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"]
+    assert step[5:] == ["0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"]
     words = {row[0]: row[1] for row in page.rows if len(row) == 2}
     assert words["where"] == "all joints"  # the last of equal heads: of the delay
     assert "64.0 ± 3.0 % of the disagreement's power" in page.plain
@@ -182,11 +183,11 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     wanted = found.first.simulation.traces[0].curves["identified"]
     np.testing.assert_allclose(*(np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted)), atol=1e-3)
     assert "Prior: the model given, fitted without them." in page.text
-    (hip,) = [row for row in page.rows if row[0] == "hip" and len(row) == 7]
-    for column, fitted in ((1, found.last), (2, found.first)):
+    hip = page.table("stays")["hip"]
+    for column, fitted in (("model", found.last), ("prior", found.first)):
         assert fitted.simulation is not None
-        assert hip[column] == number(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
-    assert hip[1] != hip[2]
+        assert hip[column] == figure(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
+    assert hip["model"] != hip["prior"]
 
 
 def test_a_page_without_rollouts_or_held_out_data(found: Diagnosis) -> None:

@@ -15,8 +15,9 @@ from robots import inertial, link
 from idtool.data.logs import make_log, write_log
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
+from idtool.reporting.figures import figure, with_error
 from idtool.reporting.fit_report import fit_report
-from idtool.reporting.pages import fit_page, number, with_error
+from idtool.reporting.pages import fit_page
 from idtool.reporting.results.fit import FitReport
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
@@ -100,15 +101,17 @@ def test_the_fit_page_draws_the_held_out_data(fitted: Fit, report: dict[str, Any
 
 def test_tables_hold_the_reports_figures(fitted: Fit, report: dict[str, Any]) -> None:
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
-    raw = page.table("held out")  # the last of equal headings: as logged
+    errors = page.table("held out")
     for name in (SCRIPT, SLIDE, "overall"):
-        assert raw[name]["held out"] == number(report["rms_raw"]["validation"][name])
-        assert number(report["rms"]["train"][name]) in next(row for row in page.rows if row[0] == name)
-    friction = page.table("viscous [N·m·s/rad]")[SCRIPT] | page.table("viscous [N·s/m]")[SLIDE]
-    assert friction["viscous [N·s/m]"] == with_error(*pair(report, SLIDE, "viscous"))[0]
-    assert friction["Coulomb [N]"] == "–"
-    assert friction["viscous [N·m·s/rad]"] == with_error(*pair(report, SCRIPT, "viscous"))[0]
-    bodies = page.table("prior mass [kg]")
+        assert errors[name]["held out, as logged"] == figure(report["rms_raw"]["validation"][name])
+        assert errors[name]["train"] == figure(report["rms"]["train"][name])
+    friction = page.table("viscous")
+    assert friction[SLIDE]["units"] == "N·s/m, N"
+    assert friction[SLIDE]["viscous"] == with_error(*pair(report, SLIDE, "viscous"))[0]
+    assert friction[SLIDE]["Coulomb"] == "–"
+    assert friction[SCRIPT]["units"] == "N·m·s/rad, N·m"
+    assert friction[SCRIPT]["viscous"] == with_error(*pair(report, SCRIPT, "viscous"))[0]
+    bodies = page.table("prior [kg]")
     assert list(bodies) == list(report["bodies"])
     last = report["bodies"]["l2"]
     assert bodies["l2"]["mass [kg]"] == with_error(last["mass"], last["standard_error"][0])[0]
@@ -123,10 +126,10 @@ def pair(report: dict[str, Any], joint: str, term: str) -> tuple[float, float]:
 def test_units_are_those_of_the_joints(fitted: Fit, report: dict[str, Any]) -> None:
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
     assert [joint["unit"] for joint in page.data["logs"][0]["joints"]] == ["N·m", "N"]
-    heads = [row[1] for row in page.rows if len(row) == 3 and "in the band" in row[1]]
-    assert [head.partition("[")[2] for head in heads] == ["N·m]", "N]", "N·m and N together]"]
-    heads = [row[1] for row in page.rows if len(row) == 3 and row[1].startswith("position")]
-    assert heads == ["position [rad]", "position [m]", "position [rad and m together]"]
+    for head, units in (("held out", ("N·m", "N")), ("model", ("rad", "m"))):
+        names = (SCRIPT, SLIDE, "overall")
+        wanted = dict(zip(names, (*units, f"{units[0]} and {units[1]} together"), strict=True))
+        assert {name: page.table(head)[name]["unit"] for name in names} == wanted
     assert [joint["unit"] for joint in page.data["simulation"]["logs"][0]["joints"]] == ["rad", "m"]
 
 
@@ -153,7 +156,7 @@ def test_an_unrealizable_body_is_named(fitted: Fit, report: dict[str, Any]) -> N
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
     assert f"1 of 2 bodies are not: {BODY}." in page.text
     assert "bad" in page.levels
-    assert page.table("prior mass [kg]")[BODY]["realizable"] == "NO"
+    assert page.table("prior [kg]")[BODY]["realizable"] == "NO"
 
 
 def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any]) -> None:
@@ -218,5 +221,5 @@ def test_a_quick_fit_has_no_such_sections(fitted: Fit, report: dict[str, Any]) -
 
 def test_a_mass_that_is_determined_has_its_interval(fitted: Fit, report: dict[str, Any]) -> None:
     report["bodies"]["l2"]["standard_error"][0], report["bodies"]["l2"]["interval"][0] = 0.021, [0.456, 0.544]
-    bodies = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).table("prior mass [kg]")
-    assert bodies["l2"]["±"] == "0.0210.456 to 0.544"  # one below the other
+    bodies = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).table("prior [kg]")
+    assert (bodies["l2"]["± se"], bodies["l2"]["95 % interval"]) == ("0.021", "0.456 to 0.544")

@@ -78,12 +78,14 @@ def test_a_joint_at_rest_has_a_range() -> None:
 
 def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion))
-    rows = [row for row in page.rows if row[0].strip() in UNITS and len(row) == 7]
-    assert [[cell.strip() for cell in row[1:]] for row in rows] == [
-        ["0.100", "0.200", "0.900", "0.200", "0.400", "1.80"]
-    ] * 2
-    heads = [row[1] for row in page.rows if row[-1].startswith("velocity")]
-    assert heads == ["position [rad]", "position [m]", "position [rad and m together]"]
+    models = ["model", "prior", "stays"]
+    heads = ["joint", "unit", *models, *(f"velocity, {name} [unit/s]" for name in models)]
+    start = page.rows.index(heads)
+    errors = ["0.1000", "0.2000", "0.9000", "0.2000", "0.4000", "1.800"]
+    assert page.rows[start + 1 :][:2] == [["j0", "rad", *errors], ["j1", "m", *errors]]
+    assert page.rows[start + 3][:2] == ["overall", "rad and m together"]
+    assert page.rows[start + 4] == ["after 10 ms", "rad and m together", "0.001000", "0.002000", "0.009000", "", "", ""]
+    assert "Simulated position, RMS error, rad or m: open loop, 0.5 s at a time" in page.plain
 
 
 def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: dict[str, Array]) -> None:
@@ -144,7 +146,7 @@ def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> Non
     rollouts = rollouts_of(motion, failed={"prior": "no inertia"})
     del rollouts.errors["prior"]  # type: ignore[attr-defined]
     page = page_of(rollouts)
-    assert [row for row in page.rows if len(row) == 5 and row[0] in UNITS]
+    assert [row for row in page.rows if len(row) == 6 and row[0] in UNITS and row[1] in ("rad", "m")]
     assert "simulated-prior" not in {attrs.get("id") for _, attrs in page.tags}
     assert "prior" not in page.data["simulation"]["logs"][0]["joints"][0]
     assert [line["name"] for line in page.data["charts"]["horizon"]["panels"][0]["lines"]] == [

@@ -11,12 +11,13 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, basis_of, trust_of
 from records import partial
 
-from idtool.reporting.pages import by_unit
+from idtool.reporting.figures import between, by_unit
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, between, trust_view, with_trust
+from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
 from idtool.reporting.results.fit import FitReport
+from idtool.reporting.sections.fit import FrictionSection
 
-JOINTS = "Joints", "friction.html"
+JOINTS = FrictionSection()
 SECTIONS = (("Found", "trust_findings.html"), JOINTS, RESTS, BASE, LOGS, BIAS)
 
 
@@ -123,20 +124,18 @@ def test_base_parameters_that_are_held_come_first(report: dict[str, Any]) -> Non
     base["parameters"][2]["pull"], base["parameters"][3]["pull"] = 4.0, 7.25
     base |= {"held_away": 2, "determined": 3}
     page = page_of(report)
-    start = page.rows.index(["base parameter", "unit", "value", "±", "95 % interval", "pull"])
-    assert page.rows[start + 1 :][:7] == [
-        ["Held more than 3 standard errors away from what the data say: 2"],
-        ["knee coulomb", "N·m", "1.23", "0.10", "1.00 to 1.40", "7.2"],
-        ["knee viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "4.0"],
-        ["Not determined by these logs: 1"],
-        ["hip coulomb", "N·m", "1.234", "not determined", "–", "–"],
-        ["As the data say: 1"],
-        ["hip viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "0.0"],
+    start = page.rows.index(["base parameter", "unit", "value", "± se", "95 % interval", "pull", "estimate"])
+    assert page.rows[start + 1 :][:4] == [
+        ["knee coulomb", "N·m", "1.23", "0.10", "1.00 to 1.40", "7.2", "held away"],
+        ["knee viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "4.0", "held away"],
+        ["hip coulomb", "N·m", "1.234", "–", "–", "–", "not determined"],
+        ["hip viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "0.0", "as the data say"],
     ]
+    assert "2 held away, 1 not determined, 1 as the data say" in page.plain
     assert "These logs determine 3 of the 4. Prior or constraints hold 2 of them" in page.plain
     assert "32 blocks of 0.250 s" in page.plain
     assert "errors 1.07 times as large." in page.plain
-    assert ["hip", "512", "0.0123", "0.0456", "12 %"] in page.rows
+    assert ["hip", "512", "0.01230", "0.04560", "12 %"] in page.rows
 
 
 def test_errors_without_blocks_are_called_so(report: dict[str, Any]) -> None:
@@ -167,7 +166,7 @@ def test_logs_are_drawn_around_their_weighted_mean(report: dict[str, Any]) -> No
         f"--x:{round(50 + 50 * p[0] / widest, 1)};--w:{round(50 * p[1] / widest, 1)}" if p else "none" for p in places
     ]
     assert dots(page) == wanted
-    assert ["p1 [kg·m]", "1.00", "", "0.0 ± 2.0", "4.0 ± 1.0", "–"] in page.rows
+    assert ["p1", "kg·m", "0.0", "2.0", "4.0", "1.0", "–", "–", "1.000", ""] in page.rows
     assert "Yes: no base parameter differs" in page.plain
 
 
@@ -177,12 +176,12 @@ def test_what_does_not_repeat_comes_first(report: dict[str, Any]) -> None:
     logs["parameters"][2]["agrees"] = False
     logs |= {"agree": False, "odd_one_out": "log 1", "cross_rms": [[1.0, 1.9], [1.6, 1.2]]}
     page = page_of(report | {"repeatability": logs})
-    assert [row[:2] for row in page.rows if re.match(r"p\d ", row[0])] == [
-        ["p2 [kg·m]", "2.00, differs"], ["p0 [kg·m]", "3.00"], ["p1 [kg·m]", "1.00"]
+    assert [(row[0], *row[-2:]) for row in page.rows if re.match(r"p\d", row[0]) and len(row) > 2] == [
+        ("p2", "2.000", "yes"), ("p0", "3.000", ""), ("p1", "1.000", "")
     ]  # fmt: skip
     assert "1 are determined by fewer than two logs." in page.plain
     assert "The odd log is log 1" in page.plain
-    assert page.rows[-2:] == [["log 0", "1.00", "1.90"], ["log 1", "1.60", "1.20"]]
+    assert page.rows[-2:] == [["log 0", "1.000", "1.900"], ["log 1", "1.600", "1.200"]]
     errors = [attrs.get("class") for tag, attrs in page.tags if tag == "td"][-4:]
     assert errors == [None, "bad", "bad", None]
     assert "note" in page.levels
@@ -211,7 +210,7 @@ def test_reflected_inertia_has_the_unit_of_its_joint(report: dict[str, Any]) -> 
     report["units"]["knee"] = "N"
     page = page_of(report)
     assert ["hip", "r1", "0.0857", "0.0026", "0.081 to 0.091", "kg·m²"] in page.rows
-    assert ["knee", "r1", "0.05400", "not determined", "–", "kg"] in page.rows
+    assert ["knee", "r1", "0.05400", "–", "–", "kg"] in page.rows
     assert "They determine 2 of 3 rotors' reflected inertias" in page.plain
     report["rotors"] = {}
     assert "eflected inertia" not in page_of(report).plain

@@ -103,7 +103,7 @@ def test_joints_of_two_kinds_have_two_units(noisy: dict[str, Array]) -> None:
 def test_bounds_pass_or_fail(noisy: dict[str, Array]) -> None:
     page = validated(evaluation_of(noisy))
     results = {name: (row["bound"], row["result"]) for name, row in page.table("bound").items()}
-    assert results == {"j0": ("0.500", "pass"), "j1": ("–", ""), "j2": ("–", ""), "overall": ("0.300", "FAIL")}
+    assert results == {"j0": ("0.5", "ok"), "j1": ("–", ""), "j2": ("–", ""), "overall": ("0.3", "NOT MET")}
     assert "Not met: overall." in page.text
     assert page.levels == ["good", "bad"]
 

@@ -8,7 +8,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,18 @@ import pytest
 from commands import LEG, csv_text, idtool, sample_table
 from diagnoses import candidate, diagnosis_of, faulty, fits, step_of
 from records import partial
-from rich.text import Text
 
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.setup import InitReport
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.results.validation import RegressionReport
+from idtool.reporting.sections import Cell, Column, Table
 from idtool.reporting.terminal import Terminal
-from idtool.reporting.terminal.base import new_table
 from idtool.reporting.terminal.diagnosis import show_diagnosis
 from idtool.reporting.terminal.init import show_start
+from idtool.reporting.terminal.layout import table_lines
 from idtool.reporting.terminal.study import show_study
-from idtool.reporting.terminal.tables import Table, Words
 from idtool.reporting.terminal.validation import show_regression
 
 NAMES = {"abad": "left_shoulder_pitch_joint", "hip": "panda_joint3", "knee": "FL_calf_joint"}
@@ -40,19 +39,26 @@ def renamed(text: str) -> str:
     return re.sub("|".join(NAMES), lambda found: NAMES[found[0]], text)
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A table that a command showed, and what was put into it."""
+def lines_of(table: Table, width: int) -> list[str]:
+    """What the terminal shows of a table."""
+    return [line.plain for line in table_lines(table.in_terminal(), width)]
 
-    table: Table
-    rows: list[tuple[str, ...]]
 
-    def lines(self, width: int) -> list[str]:
-        return [line.plain for line in self.table.lines(width)]
+def rows_of(table: Table) -> list[list[str]]:
+    """The texts of the cells that the terminal has to show."""
+    return [[cell.text for cell in row] for row in table.in_terminal().rows]
+
+
+def table_of(columns: list[Column], *rows: tuple[str, ...]) -> Table:
+    return Table("Title", columns, [[Cell(text) for text in row] for row in rows])
+
+
+def name(heading: str = "joint") -> Column:
+    return Column(heading, kind="name")
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Shown]]:
+def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Table]]:
     """The tables of each command, of a leg with long names."""
     folder = tmp_path_factory.mktemp("long")
     for name in ("leg.urdf", "leg.yaml"):
@@ -64,19 +70,11 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Shown]]:
         return {name: noted(patch, show) for name, show in shows(folder).items()}
 
 
-def noted(patch: pytest.MonkeyPatch, show: Callable[[], object]) -> list[Shown]:
+def noted(patch: pytest.MonkeyPatch, show: Callable[[], object]) -> list[Table]:
     """The tables that are shown on the way."""
-    rows: dict[int, list[tuple[str, ...]]] = {}
-    tables: list[Shown] = []
-    add = Table.add_row
-
-    def add_row(table: Table, *cells: str | Text) -> None:
-        rows.setdefault(id(table), []).append(tuple(str(cell) for cell in cells))
-        add(table, *cells)
-
+    tables: list[Table] = []
     with patch.context() as noting:
-        noting.setattr(Table, "add_row", add_row)
-        noting.setattr(Terminal, "show", lambda _, table: tables.append(Shown(table, rows.pop(id(table), []))))
+        noting.setattr(Terminal, "show", lambda _, table: tables.append(table))
         show()
     return tables
 
@@ -150,11 +148,11 @@ COMMANDS = ("inspect", "init", "fit", "validate", "regression", "diagnose", "ada
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_nothing_in_a_commands_tables_is_cut(shown: dict[str, list[Shown]], command: str, width: int) -> None:
+def test_nothing_in_a_commands_tables_is_cut(shown: dict[str, list[Table]], command: str, width: int) -> None:
     assert shown[command]
     for one in shown[command]:
-        lines = one.lines(width)
-        assert not Counter(word for row in one.rows for cell in row for word in cell.split()) - Counter(
+        lines = lines_of(one, width)
+        assert not Counter(word for row in rows_of(one) for cell in row for word in cell.split()) - Counter(
             word for line in lines for word in line.split()
         )
         assert max(map(len, lines)) <= width, lines
@@ -162,15 +160,15 @@ def test_nothing_in_a_commands_tables_is_cut(shown: dict[str, list[Shown]], comm
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_in_a_pipe_a_row_is_a_line(shown: dict[str, list[Shown]], command: str) -> None:
+def test_in_a_pipe_a_row_is_a_line(shown: dict[str, list[Table]], command: str) -> None:
     for one in shown[command]:
-        _, *lines = one.lines(100_000)
-        assert [line.split() for line in lines] == [" ".join(row).split() for row in one.rows]
+        _, *lines = lines_of(one, 100_000)
+        assert [line.split() for line in lines] == [" ".join(row).split() for row in rows_of(one)]
 
 
 def test_in_a_pipe_a_table_is_as_wide_as_it_needs() -> None:
-    table = new_table("Title", "joint", *(f"column {i}" for i in range(100)))
-    table.add_row("left_shoulder_pitch_joint", *(f"{i}.123" for i in range(100)))
+    columns = [name(), *(Column(f"column {i}") for i in range(100))]
+    table = table_of(columns, ("left_shoulder_pitch_joint", *(f"{i}.123" for i in range(100))))
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         Terminal(quiet=False, as_json=False).show(table)
@@ -193,21 +191,23 @@ def values(lines: list[str]) -> Iterator[tuple[str, str, str]]:
 @pytest.mark.parametrize("width", range(12, 90, 3))
 def test_parts_of_a_table_hold_each_cell_once_beside_its_name(width: int) -> None:
     heads = ["a", "second", "c", "the_fourth", "e", "f"]
-    table = new_table("Title", "joint", *heads[:2], heads[2:5], heads[5])
+    columns = [name(), *(Column(head, attached=head in ("the_fourth", "e")) for head in heads)]
+    rows = []
     wanted = []
-    for i, name in enumerate(("hip", "knee", "neck")):
+    for i, joint in enumerate(("hip", "knee", "neck")):
         cells = [f"{(i + 1) * 10.0 ** (-k):.{k}f}" for k in range(len(heads))]
-        table.add_row(name, *cells)
-        wanted += [(head, name, cell) for head, cell in zip(heads, cells, strict=True)]
-    lines = [line.plain for line in table.lines(width)]
+        rows.append((joint, *cells))
+        wanted += [(head, joint, cell) for head, cell in zip(heads, cells, strict=True)]
+    lines = lines_of(table_of(columns, *rows), width)
     assert sorted(values(lines)) == sorted(wanted)
     assert max(map(len, lines)) <= max(width, len("joint  the_fourth"))
 
 
 def test_what_stays_side_by_side_does() -> None:
-    table = new_table("Title", "joint", "a", ("viscous", "± se"), ("Coulomb", "± se"))
-    table.add_row("hip", "1", "22.22", "3.333", "44.44", "5.555")
-    assert [line.plain for line in table.lines(24)] == [
+    error = Column("± se", attached=True)
+    columns = [name(), Column("a"), Column("viscous"), error, Column("Coulomb"), error]
+    table = table_of(columns, ("hip", "1", "22.22", "3.333", "44.44", "5.555"))
+    assert lines_of(table, 24) == [
         "joint  a  viscous   ± se",
         "hip    1    22.22  3.333",
         "",
@@ -217,52 +217,55 @@ def test_what_stays_side_by_side_does() -> None:
 
 
 def test_headings_are_broken_before_a_table_is_taken_apart_and_so_are_words() -> None:
-    table = new_table("Title", "joint", "noise floor", Words("why not"))
-    table.add_row("hip", "0.1", "it explains no more, it seems, than chance would")
-    assert [line.plain for line in table.lines(38)] == [
+    columns = [name(), Column("noise floor"), Column("why not", kind="words")]
+    table = table_of(columns, ("hip", "0.1", "it explains no more, it seems, than chance would"))
+    assert lines_of(table, 38) == [
         "       noise",
         "joint  floor  why not",
-        "hip      0.1  it explains no more,",
-        "              it seems,",
-        "              than chance would",
+        "hip      0.1  it explains no more, it",
+        "              seems, than chance would",
     ]
-    sums = new_table("Title", Words("base parameter"), "prior")
-    sums.add_row("link1 I_zz + 0.25 link2 mass − 0.5 link3 mass", "1.5")
-    assert [line.plain for line in sums.lines(31)][1:] == [
-        "link1 I_zz                  1.5",
-        "+ 0.25 link2 mass",
-        "− 0.5 link3 mass",
+    sums = [Column("base parameter", kind="words"), Column("prior")]
+    assert lines_of(table_of(sums, ("link1 I_zz + 0.25 link2 mass − 0.5 link3 mass", "1.5")), 31)[1:] == [
+        "link1 I_zz + 0.25 link2     1.5",
+        "mass − 0.5 link3 mass",
     ]
 
 
 def test_columns_without_content_give_way() -> None:
-    table = new_table("Title", "joint", "rms", "bound")
-    table.add_row("left_shoulder_pitch_joint", "0.1234", "")
-    assert "bound" in next(table.lines(200)).plain
-    assert [line.plain for line in table.lines(33)] == [
+    table = table_of([name(), Column("rms"), Column("bound")], ("left_shoulder_pitch_joint", "0.1234", ""))
+    assert "bound" in lines_of(table, 200)[0]
+    assert lines_of(table, 33) == [
         "joint                         rms",
         "left_shoulder_pitch_joint  0.1234",
     ]
 
 
+def test_columns_of_the_page_and_rows_beyond_the_most_are_left_out() -> None:
+    columns = [name(), Column("mass", "kg"), Column("margin", "kg", page_only=True)]
+    table = replace(table_of(columns, ("hip", "1", "2"), ("knee", "3", "4")), most_rows=1)
+    assert lines_of(table, 80) == ["joint  mass kg", "hip          1"]
+
+
+def test_a_row_has_a_cell_for_each_column() -> None:
+    with pytest.raises(ValueError, match="Title"):
+        table_of([name(), Column("rms")], ("hip",))
+
+
 def test_a_name_wider_than_the_terminal_stays_whole() -> None:
-    name = "a" * 70
-    table = new_table("Title", "joint", "rms", "bound")
-    table.add_row(name, "0.1234", "0.5")
-    lines = [line.plain for line in table.lines(60)]
-    parts = [["joint", "rms"], [name, "0.1234"], ["joint", "bound"], [name, "0.5"]]
-    assert [line.split() for line in lines if line] == parts
+    joint = "a" * 70
+    table = table_of([name(), Column("rms"), Column("bound")], (joint, "0.1234", "0.5"))
+    parts = [["joint", "rms"], [joint, "0.1234"], ["joint", "bound"], [joint, "0.5"]]
+    assert [line.split() for line in lines_of(table, 60) if line] == parts
 
 
 def test_names_cannot_steer_the_terminal_and_wide_letters_count_twice() -> None:
-    table = new_table("Title", "joint", "rms")
-    table.add_row("[b]\x1b[2J\n", "1")
-    table.add_row("関節", Text("2", "bold red"))
-    lines = list(table.lines(80))
+    rows = [[Cell("[b]\x1b[2J\n"), Cell("1")], [Cell("関節"), Cell("2", emphasis="bad")]]
+    lines = list(table_lines(Table("Title", [name(), Column("rms")], rows), 80))
     assert [line.plain.split() for line in lines[1:]] == [["[b]\\x1b[2J\\n", "1"], ["関節", "2"]]
     assert lines[1].cell_len == lines[2].cell_len
     assert [str(span.style) for span in lines[2].spans] == ["bold red"]
 
 
 def test_an_empty_table_has_its_headings() -> None:
-    assert [line.plain for line in new_table("Title", "joint", "rms").lines(80)] == ["joint  rms"]
+    assert lines_of(table_of([name(), Column("rms")]), 80) == ["joint  rms"]

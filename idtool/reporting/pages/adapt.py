@@ -12,18 +12,24 @@ from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.charts import line, over_time, panel, thinned
 from idtool.reporting.results.adaptation import AdaptationReport
+from idtool.reporting.sections.adapt import (
+    FinalBodiesSection,
+    FinalFrictionSection,
+    PredictionErrorsSection,
+    history,
+    settling_times,
+)
 
 _SECTIONS = (
     ("What was found", "adapt_findings.html"),
-    ("Masses", "adapt_masses.html"),
+    FinalBodiesSection(),
     ("Centres of mass", "adapt_centers.html"),
-    ("Friction", "adapt_friction.html"),
-    ("Torque error", "adapt_errors.html"),
+    FinalFrictionSection(),
+    PredictionErrorsSection(),
     ("How this was made", "origin.html"),
 )
 _MOST_VALUES = 80_000  # that all curves hold together
 _MOST_TIMES = 1500
-_SETTLED = 0.05  # of the last value
 _MOMENTS = ("mc_x", "mc_y", "mc_z")
 
 
@@ -38,8 +44,6 @@ def adapt_page(report: AdaptationReport, command: str) -> str:
         The command line that made it.
     """
     t, theta = history(report)
-    columns = {(c.owner, c.name): i for i, c in enumerate(report.coefficients)}
-    masses = {body: theta[:, columns[body, "m"]] for body in report.bodies if (body, "m") in columns}
     return render(
         f"{Path(report.urdf).stem}: online identification",
         _SECTIONS,
@@ -47,32 +51,9 @@ def adapt_page(report: AdaptationReport, command: str) -> str:
         {"charts": charts(report, t, theta)},
         report=report,
         groups=by_unit(report.units),
-        settled={body: settling_time(t - t[0], mass) for body, mass in masses.items()},
+        settled=settling_times(report),
         command=command,
     )
-
-
-def history(report: AdaptationReport) -> tuple[Array, Array]:
-    """Times [s], shape (T,), and coefficients, shape (T, p), NaN where there is none."""
-    p = len(report.coefficients)
-    return np.array(report.t, dtype=float), np.array(report.theta, dtype=float).reshape(-1, p)
-
-
-def settling_time(t: Array, values: Array) -> float | None:
-    """From when on values stay within a twentieth of the last one [s]; None if only at the end.
-
-    Parameters
-    ----------
-    t
-        Times [s], shape (T,).
-    values
-        Values, shape (T,).
-    """
-    if not len(values):
-        return None
-    out = np.flatnonzero(~(np.abs(values - values[-1]) <= _SETTLED * abs(values[-1])))
-    first = int(out[-1]) + 1 if len(out) else 0
-    return float(t[first]) if first < len(values) - 1 else None
 
 
 def charts(report: AdaptationReport, t: Array, theta: Array) -> dict[str, Any]:

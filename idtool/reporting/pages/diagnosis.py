@@ -11,7 +11,7 @@ from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units
-from idtool.reporting.figures import by_unit, number, with_error
+from idtool.reporting.figures import by_unit, number
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.curves import drawn
@@ -19,19 +19,22 @@ from idtool.reporting.pages.residuals import gap_views, residual_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import simulation_text, simulation_view
 from idtool.reporting.pages.trust import trust_view
-from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
+from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
+from idtool.reporting.sections.diagnosis import CandidatesSection, ErrorsBeforeAfterSection, parameter_texts
+from idtool.reporting.sections.fit import BodiesSection, FrictionSection
+from idtool.reporting.sections.simulation import SimulationErrorsSection
 from idtool.reporting.simulation_report import simulation_report
 
-_STEPS, _SIMULATION = ("The steps", "diagnosis_steps.html"), ("Simulation", "diagnosis_simulation.html")
+_STEPS, _SIMULATION = ("The steps", "diagnosis_steps.html"), SimulationErrorsSection("diagnosis_simulation.html")
 _SECTIONS = (
     ("What was found", "diagnosis_findings.html"),
-    ("The gap, step by step", "diagnosis_gap.html"),
+    ErrorsBeforeAfterSection(),
     _STEPS,
     ("Where the torque error lives", "residuals.html"),
     ("Measured and predicted torque", "diagnosis_torques.html"),
     _SIMULATION,
-    ("Friction", "friction.html"),
-    ("Bodies", "bodies.html"),
+    FrictionSection(),
+    BodiesSection(),
     ROBOT,
     ("How this was made", "origin.html"),
 )
@@ -86,6 +89,8 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         cards=[_card(i, step) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         worst=_worst(report),
+        near=CandidatesSection("Came near"),
+        others=CandidatesSection("What else was tried"),
         **{"position_groups": by_unit(position_units(units)), **simulation_text(simulation), **trust_view(report)},
         where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
         command=command,
@@ -96,29 +101,6 @@ def _worst(report: DiagnosisReport) -> str | None:
     """The joint that is the farthest from the noise floor before, in units of that."""
     before, floor = report.before.validation or report.before.train, report.noise_floor
     return max(report.joints, key=lambda joint: (before[joint] or 0.0) / (floor[joint] or 1.0), default=None)
-
-
-def parameter_texts(step: StepReport) -> list[str]:
-    """An effect's parameters, each with its standard error and unit.
-
-    Parameters
-    ----------
-    step
-        An entry of ``steps`` of diagnosis.json.
-    """
-    errors, units = step.standard_error, step.units
-    texts = {name: _value(value, errors.get(name)) for name, value in step.parameters.items()}
-    return [f"{name} {text} {units.get(name) or ''}".rstrip() for name, text in texts.items()]
-
-
-def _value(value: Any, error: Any) -> str:
-    """A parameter; one of several numbers has them in brackets."""
-    if isinstance(value, list | tuple):
-        errors = error if isinstance(error, list | tuple) and len(error) == len(value) else [None] * len(value)
-        return f"[{', '.join(_value(x, e) for x, e in zip(value, errors, strict=True))}]"
-    if isinstance(value, bool | str) or value is None:
-        return "–" if value is None else str(value)
-    return number(value, 4) if error is None else " ± ".join(with_error(value, error))
 
 
 def _card(index: int, step: StepReport) -> dict[str, Any]:
@@ -133,8 +115,8 @@ def _card(index: int, step: StepReport) -> dict[str, Any]:
         "separate": _closed(step.evidence.separate),
         "texts": parameter_texts(step),
         "windows": [f"{number(a, 4)} to {number(b, 4)} s" for a, b in step.where.windows],
-        "near": _rows(step.alternatives),
-        "others": _rows(step.rejected[:_MOST_ROWS]),
+        "near": [(effect_name(found.effect), on(found)) for found in step.alternatives],
+        "others": step.rejected[:_MOST_ROWS],
         "hidden": max(len(step.rejected) - _MOST_ROWS, 0),
     }
 
@@ -147,26 +129,6 @@ def _closed(sentence: str) -> str:
 def _title(effect: str) -> str:
     name = effect_name(effect)
     return name[:1].upper() + name[1:]
-
-
-def _rows(candidates: Sequence[CandidateReport]) -> list[tuple[str, str, str, int, str]]:
-    return [
-        (
-            effect_name(found.effect),
-            on(found),
-            score_text(found.score, found.standard_error),
-            found.parameters,
-            found.reason,
-        )
-        for found in candidates
-    ]
-
-
-def score_text(score: float | None, error: float | None) -> str:
-    """A share of the disagreement in percent, with its standard error."""
-    if score is None:
-        return "–"
-    return f"{100 * score:.1f} %" if error is None else f"{100 * score:.1f} ± {100 * error:.1f} %"
 
 
 def _torques(last: Sequence[Trace], first: Sequence[Trace], units: Mapping[str, str]) -> dict[str, Any]:

@@ -8,12 +8,14 @@ from typing import Any
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.charts import line, over_time, panel
 from idtool.reporting.results.excitation import ExcitationReport
+from idtool.reporting.sections.excite import CriteriaSection, ExpectedErrorsSection, LimitsSection
 
 _SECTIONS = (
     ("What to expect", "excite_findings.html"),
     ("Trajectory", "excite_trajectory.html"),
-    ("Limits", "excite_limits.html"),
-    ("Expected standard errors", "excite_errors.html"),
+    LimitsSection(),
+    ExpectedErrorsSection(),
+    CriteriaSection(),
     ("How this was made", "origin.html"),
 )
 _SIGNALS = (("q", "position"), ("v", "velocity"), ("a", "acceleration"), ("tau", "effort"))

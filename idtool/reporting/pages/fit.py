@@ -9,7 +9,7 @@ from idtool.diagnosis.records import Residual
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.figures import by_unit
-from idtool.reporting.pages.base import render
+from idtool.reporting.pages.base import Sections, render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.curves import curves
 from idtool.reporting.pages.prior import PRIOR, prior_view
@@ -18,6 +18,7 @@ from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
 from idtool.reporting.results.fit import FitReport
+from idtool.reporting.sections.fit import BodiesSection, FrictionSection, TorqueErrorsSection
 
 Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]
 
@@ -25,12 +26,12 @@ _RESIDUALS = ("Where the torque error lives", "residuals.html")
 _NAMES, _MODELS = ("prior", "identified"), "the URDF given and of the identified model"
 _SECTIONS = (
     ("What was found", "fit_findings.html"),
-    ("Torque error", "fit_errors.html"),
+    TorqueErrorsSection(),
     ("Measured and predicted torque", "torques.html"),
     _RESIDUALS,
     SIMULATION,
-    ("Friction", "friction.html"),
-    ("Bodies", "bodies.html"),
+    FrictionSection(),
+    BodiesSection(),
     PRIOR,
     RESTS,
     BASE,
@@ -65,7 +66,7 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
     left = {"residuals": residual_views(*maps, units, _NAMES, _MODELS)} if maps else {}
     prior_chosen = report.regularization.automatic is not None
     shown_if = {_RESIDUALS: bool(maps), PRIOR: prior_chosen}
-    sections = [section for section in _SECTIONS if shown_if.get(section, True)]
+    sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     path = prior_view(report) if prior_chosen else {}
     return render(
         f"{Path(report.urdf).stem}: identified dynamics",

@@ -6,8 +6,9 @@ from typing import Any
 
 from idtool.reporting.pages.charts import chart, line, panel
 from idtool.reporting.results.fit import FitReport, PathPointReport
+from idtool.reporting.sections.fit import PriorWeightsSection
 
-PRIOR = ("How firmly the prior holds", "prior.html")
+PRIOR = PriorWeightsSection()
 
 
 def prior_view(report: FitReport) -> dict[str, Any]:

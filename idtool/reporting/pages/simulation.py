@@ -13,8 +13,9 @@ from idtool.reporting.pages.base import Sections
 from idtool.reporting.pages.charts import chart, line, numbers, panel
 from idtool.reporting.pages.curves import drawn
 from idtool.reporting.results.rollouts import Simulation
+from idtool.reporting.sections.simulation import SimulationErrorsSection
 
-SIMULATION = ("Simulation", "simulation.html")
+SIMULATION = SimulationErrorsSection()
 
 _MOST_VALUES = 40_000  # that all curves hold together: some 300 kB of text
 _BEYOND = 0.5  # of the measured range, by which a curve that leaves it is shown to either side

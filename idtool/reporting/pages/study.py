@@ -17,15 +17,21 @@ from idtool.reporting.pages.charts import chart, line, over_time, panel, thinned
 from idtool.reporting.pages.curves import curves
 from idtool.reporting.results.study import Advantage, Convergence, LearningCurve, StudyReport
 from idtool.reporting.results.study import Learning as LearningReport
+from idtool.reporting.sections.study import (
+    ConstraintSetsSection,
+    EstimatorsSection,
+    LearningCurvesSection,
+    OnlineSection,
+)
 
 _SECTIONS = (
     ("What was found", "study_findings.html"),
-    ("Constraint sets", "study_sets.html"),
-    ("Error against the number of samples", "study_learning.html"),
+    ConstraintSetsSection(),
+    LearningCurvesSection(),
     ("Realizability against the number of samples", "study_violation.html"),
     ("Measured and predicted torque", "torques.html"),
-    ("Estimators", "study_estimators.html"),
-    ("Online", "study_online.html"),
+    EstimatorsSection(),
+    OnlineSection(),
     ("How this was made", "origin.html"),
 )
 # A set has one colour in all charts; the rest follow.

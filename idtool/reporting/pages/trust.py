@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from idtool.reporting.figures import number, with_error
+from idtool.reporting.figures import between, interval_text, number
 from idtool.reporting.pages.base import Sections
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import (
-    BaseParameter,
-    BaseParameters,
-    BiasParameter,
     BiasReport,
     BodyReport,
     FitReport,
@@ -24,19 +21,24 @@ from idtool.reporting.results.fit import (
     RepeatabilityReport,
     RepeatedParameter,
 )
-from idtool.reporting.uncertainty_report import PULLED
+from idtool.reporting.sections.uncertainty import (
+    MOST_COMPARED,
+    MOST_ROWS,
+    BaseParametersSection,
+    BiasSection,
+    RepeatabilitySection,
+    compared_parameters,
+    shown_logs,
+)
 from idtool.robot.inertia import PARAMETER_NAMES
 
 RESTS = ("What each number rests on", "trust.html")
-BASE = ("Base parameters", "base_parameters.html")
-LOGS = ("Do the logs agree?", "repeatability.html")
-BIAS = ("Least squares and instruments", "bias.html")
+BASE = BaseParametersSection()
+LOGS = RepeatabilitySection()
+BIAS = BiasSection()
 
 _PARAMETERS = ("mass", *(name.replace("mc_", "m·c_") for name in PARAMETER_NAMES[1:]))
 _MOST_BODIES = 80  # in words
-_MOST_ROWS = 60  # of a table of base parameters
-_MOST_LOGS = 8  # side by side; as many colours there are
-_MOST_COMPARED = 20  # parameters
 _WIDEST = 10.0  # standard errors that a dot is drawn away from the middle
 _REACH = 2.0  # standard errors that a bar reaches to either side of its dot
 _NOTHING = 1e-4  # of a value
@@ -64,11 +66,9 @@ def trust_view(report: FitReport | DiagnosisReport) -> View:
         base, logs, bias = report.base_parameters, report.repeatability, report.bias
     return {
         "rests": _rests(report.bodies) if base else None,
-        "base": _base(base) if base else None,
         "compared": _compared(logs) if logs else None,
         "bias": _bias(bias) if bias else None,
-        "rotors": _rotors(report.rotors, report.units),
-        "mass_interval": _mass_intervals(report.bodies),
+        "rotors": _rotors(report.rotors),
         "undetermined": [
             f"{joint} {'Coulomb' if term == 'coulomb' else term}"
             for joint, friction in report.friction.items()
@@ -76,31 +76,6 @@ def trust_view(report: FitReport | DiagnosisReport) -> View:
             if getattr(friction, term) is not None and getattr(friction.standard_error, term) is None
         ],
     }
-
-
-def between(low: float | None, high: float | None) -> str:
-    """Two ends to two digits of the distance between them; None: no end."""
-    if low is None or high is None:
-        end = low if high is None else high
-        return "any" if end is None else f"{number(end, 2)} or {'more' if high is None else 'less'}"
-    width = high - low
-    if abs(low + high) < 0.01 * width:
-        return f"±{number(width / 2, 2)}"
-    size = math.floor(math.log10(width)) if width > 0 else -9
-    if not -5 < size < 6:
-        return f"{number(low, 2)} to {number(high, 2)}"
-    decimals = max(1 - size, 0)
-    return " to ".join(f"{round(x, decimals) + 0.0:.{decimals}f}" for x in (low, high))
-
-
-def _pair(ends: Sequence[float | None] | None) -> str:
-    return "–" if ends is None else between(*ends)
-
-
-def _mass_intervals(bodies: Mapping[str, BodyReport]) -> dict[str, str]:
-    """The 95 % interval of each mass that the data determine."""
-    found = {name: body.interval[0] for name, body in bodies.items()}
-    return {name: _pair(ends) for name, ends in found.items() if ends is not None}
 
 
 def _rests(bodies: Mapping[str, BodyReport]) -> View:
@@ -126,7 +101,7 @@ def _body(name: str, body: BodyReport) -> View:
         if words == _ALONE and k and body.interval[k] is None:
             alone.append(f"{parameter} {value} ({ends})")
         else:
-            rows.append((parameter, value, _pair(body.interval[k]), ends, words))
+            rows.append((parameter, value, interval_text(body.interval[k]), ends, words))
     cells = [
         (round(100 * source.data), round(100 * source.constraints), sees)
         for source, sees in zip(sources, body.identifiable, strict=True)
@@ -144,70 +119,20 @@ def _words(text: str, body: str, parameter: str) -> str:
     return text.removeprefix(f"{body} {parameter}: ")
 
 
-def _base(base: BaseParameters) -> View:
-    """Base parameters: those held away from the data first, then those that these logs do not determine."""
-    undetermined = [p for p in base.parameters if p.pull is None]
-    pulled = [(p.pull, p) for p in base.parameters if p.pull is not None and p.pull > PULLED]
-    groups = {
-        f"Held more than {PULLED:g} standard errors away from what the data say": [
-            p for _, p in sorted(pulled, key=lambda pair: -pair[0])
-        ],
-        "Not determined by these logs": undetermined,
-        "As the data say": [p for p in base.parameters if p.pull is not None and p.pull <= PULLED],
-    }
-    left, tables = _MOST_ROWS, []
-    for title, parameters in groups.items():
-        if rows := [_base_row(p) for p in parameters[:left]]:
-            tables.append((title, len(parameters), rows))
-        left -= len(rows)
-    return {"groups": tables, "hidden": len(base.parameters) - _MOST_ROWS + left}
-
-
-def _base_row(p: BaseParameter) -> tuple[str, ...]:
-    value, error = with_error(p.value, p.standard_error)
-    return p.name, p.unit, value, error, _pair(p.interval), _tenths(p.pull)
-
-
-def _tenths(x: float | None) -> str:
-    return "–" if x is None else f"{x:.1f}"
-
-
-def _rotors(rotors: Mapping[str, Mapping[str, ReflectedInertia]], units: Mapping[str, str]) -> View:
-    """Reflected inertia: a row a rotor and joint, and how many the data determine."""
-    rows = [
-        (
-            joint,
-            rotor,
-            *with_error(found.reflected_inertia, found.standard_error),
-            _pair(found.interval),
-            "kg" if units.get(joint) == "N" else "kg·m²",
-        )
-        for rotor, joints in rotors.items()
-        for joint, found in joints.items()
-    ]
+def _rotors(rotors: Mapping[str, Mapping[str, ReflectedInertia]]) -> View:
+    """The number of reflected inertias, and how many of them the data determine."""
     determined = [found.interval is not None for joints in rotors.values() for found in joints.values()]
-    return {"rows": rows, "determined": sum(determined)}
+    return {"of": len(determined), "determined": sum(determined)}
 
 
 def _compared(logs: RepeatabilityReport) -> View:
     """Logs side by side: those parameters first that do not agree, then by how far they scatter."""
-    shown = _shown_logs(logs)
-    order = sorted(logs.parameters, key=lambda p: (p.agrees, -(p.ratio or 0.0)))
-    told = [p for p in order if sum(error is not None for error in p.standard_error) > 1]
-    dots = [_dots(p, shown) for p in told[:_MOST_COMPARED]]
+    shown = shown_logs(logs)
+    told = compared_parameters(logs)
+    dots = [_dots(p, shown) for p in told[:MOST_COMPARED]]
     far = max((abs(x) + half for row in dots for x, half in filter(None, row)), default=0.0)
     widest = min(max(math.ceil(far), math.ceil(_REACH) + 1), _WIDEST)
-    rows = [
-        {
-            "name": p.name,
-            "unit": p.unit,
-            "agrees": p.agrees,
-            "ratio": p.ratio,
-            "dots": [_place(dot, widest) for dot in row],
-            "values": [with_error(p.value[k], p.standard_error[k]) for k in shown],
-        }
-        for p, row in zip(told, dots, strict=False)
-    ]
+    rows = [{"name": p.name, "dots": [_place(dot, widest) for dot in row]} for p, row in zip(told, dots, strict=False)]
     return {
         "logs": [logs.logs[k] for k in shown],
         "hidden_logs": len(logs.logs) - len(shown),
@@ -218,16 +143,7 @@ def _compared(logs: RepeatabilityReport) -> View:
         "of": len(logs.parameters),
         "widest": widest,
         "middle": round(100 * _REACH / widest, 1),
-        "cross": [(logs.logs[i], [_cross(logs.cross_rms, i, k) for k in shown]) for i in shown],
     }
-
-
-def _shown_logs(logs: RepeatabilityReport) -> list[int]:
-    """The first logs, and the odd one among them."""
-    shown = list(range(len(logs.logs)))[:_MOST_LOGS]
-    odd = logs.odd_one_out
-    place = logs.logs.index(odd) if odd is not None else 0
-    return shown if place in shown else [*shown[:-1], place]
 
 
 def _dots(p: RepeatedParameter, shown: Iterable[int]) -> list[tuple[float, float] | None]:
@@ -253,18 +169,7 @@ def _place(dot: tuple[float, float] | None, widest: float) -> tuple[float, float
     return round(50 + 50 * min(max(x / widest, -1), 1), 1), round(50 * half / widest, 1)
 
 
-def _cross(errors: Sequence[Sequence[float]], fitted: int, on: int) -> tuple[str, bool]:
-    """A model's error on a log, and whether it is half as much again as that of the log's own."""
-    return number(errors[fitted][on]), errors[fitted][on] > 1.5 * errors[on][on]
-
-
 def _bias(bias: BiasReport) -> View:
-    """Both estimates: those that differ first, the most standard errors first."""
-
-    def apart(p: BiasParameter) -> float:
-        return abs(p.iv - p.ls) / p.standard_error if p.standard_error else 0.0
-
-    order = sorted(bias.parameters, key=lambda p: (not p.differs, -apart(p)))
-    rows = [{**p.model_dump(), "apart": with_error(p.iv - p.ls, p.standard_error)} for p in order[:_MOST_ROWS]]
-    differ = sum(p.differs for p in order)
-    return {"rows": rows, "hidden": len(order) - len(rows), "differ": differ, "of": len(order)}
+    """How many of the estimates differ, and how many are not shown."""
+    of = len(bias.parameters)
+    return {"hidden": max(of - MOST_ROWS, 0), "differ": sum(p.differs for p in bias.parameters), "of": of}

@@ -15,11 +15,12 @@ from idtool.reporting.pages.curves import curves
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
 from idtool.reporting.results.validation import ValidationReport
+from idtool.reporting.sections.validation import ModelErrorsSection
 from idtool.robot.model import Model
 
 _SECTIONS = (
     ("What was found", "validation_findings.html"),
-    ("Torque error", "validation_errors.html"),
+    ModelErrorsSection(),
     ("Measured and predicted torque", "torques.html"),
     SIMULATION,
     ROBOT,

@@ -8,18 +8,21 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 from rich.console import Console
 from rich.text import Text
 
 from idtool.common.interrupt import restore_keyboard_interrupt
 from idtool.reporting.results.base import NoticeReport
+from idtool.reporting.sections.base import Section, Table
+from idtool.reporting.terminal.layout import STYLE, printable, table_lines
 from idtool.reporting.terminal.progress import progress_bar
-from idtool.reporting.terminal.tables import Column, Table, printable
 
 _ANY_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
-STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim"}
+__all__ = ["STYLE", "Terminal"]
+
+R = TypeVar("R")
 
 
 class Terminal:
@@ -46,9 +49,16 @@ class Terminal:
     def show(self, table: Table) -> None:
         """A table under its title, which may be wider than the table."""
         self.say(table.title, "bold")
-        for line in table.lines(self.console.width):
+        for line in table_lines(table.in_terminal(), self.console.width):
             self.console.print(line, soft_wrap=True)
         self.say("")
+
+    def sections(self, sections: Sequence[Section[R]], report: R) -> None:
+        """The tables of sections, of those that the report holds something of."""
+        for section in sections:
+            table = section.table(report)
+            if table is not None:
+                self.show(table)
 
     def notices(self, notices: Sequence[NoticeReport]) -> None:
         """Print notices, and below those with the same advice, the advice."""
@@ -76,25 +86,3 @@ def _console(quiet: bool, file: TextIO) -> Console:
     if isinstance(file, io.TextIOWrapper):
         file.reconfigure(errors="replace")
     return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _ANY_WIDTH)
-
-
-def new_table(title: str, names: str | Sequence[str], *groups: str | Sequence[str]) -> Table:
-    """An empty table.
-
-    Parameters
-    ----------
-    title
-        What the figures are, with their unit.
-    names
-        The heading or headings of the columns that tell one row from another, flush left.
-    groups
-        The headings of the other columns: figures, unless they are `Words`. Those given together stay side by side.
-    """
-    kept, *others = ([group] if isinstance(group, str) else group for group in (names, *groups))
-    columns = [[Column(heading) for heading in group] for group in others]
-    return Table(title, [Column(heading, left=True) for heading in kept], columns)
-
-
-def units_of(units: Mapping[str, str]) -> str:
-    """The units of the joints' torques, each once."""
-    return " or ".join(dict.fromkeys(units.values()))

@@ -1,0 +1,199 @@
+"""The sections of a diagnosis that tell the steps, the errors before and after, and what else was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from typing_extensions import override
+
+from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
+from idtool.reporting.figures import number, with_error
+from idtool.reporting.results.base import ByJointOrNone
+from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
+from idtool.reporting.sections.base import (
+    NONE,
+    Cell,
+    Column,
+    Emphasis,
+    Section,
+    Table,
+    name_column,
+    number_cell,
+    percent_cell,
+)
+
+_WORSE = 1.02  # times the torque error before
+
+
+class StepsSection(Section[DiagnosisReport]):
+    """The effects that were added to the model, in order."""
+
+    title = "What the model lacks, step by step"
+
+    @override
+    def table(self, report: DiagnosisReport) -> Table | None:
+        steps = [(i, step) for i, step in enumerate(report.steps, 1) if step.effect != UNKNOWN]
+        if not steps:
+            return None
+        data = "held-out torque" if report.before.validation else "torque"
+        columns = [
+            name_column("step"),
+            Column("effect", kind="words"),
+            Column("on", kind="words", attached=True),
+            Column("parameters", kind="words"),
+            Column(f"{data} RMS, {together(report.units)}"),
+            Column(f"rollout, {together(position_units(report.units))}"),
+            Column("explains", help="Share of the disagreement's power on data not used for fitting"),
+            Column("in se", help="Gain in standard errors", attached=True),
+            Column("or", kind="words", help="What the data cannot tell it from"),
+        ]
+        rows = []
+        for i, step in steps:
+            evidence = step.evidence
+            rival = step.alternatives[0] if evidence.pair and step.alternatives else None
+            worse: Emphasis | None = "bad" if evidence.rollout_worse else None
+            row = [
+                Cell(str(i)),
+                Cell(effect_name(step.effect)),
+                Cell(on(step)),
+                Cell(", ".join(parameter_texts(step))),
+                Cell(change_text(step.validation_rms_before, step.validation_rms_after)),
+                Cell(change_text(evidence.simulation_before, evidence.simulation_after), None, worse),
+                Cell(score_text(evidence.score, evidence.standard_error), evidence.score),
+                number_cell(evidence.significance, 2),
+                Cell(f"{effect_name(rival.effect)} on {on(rival)}" if rival else ""),
+            ]
+            rows.append(row)
+        return Table(self.title, columns, rows)
+
+
+class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
+    """Errors by joint, before, after and at the noise floor."""
+
+    title = "The gap, step by step"
+    template = "diagnosis_gap.html"
+    parts = (StepsSection(),)
+
+    @override
+    def table(self, report: DiagnosisReport) -> Table:
+        is_held_out = report.before.validation is not None
+        before = report.before.validation or report.before.train
+        after = report.after.validation or report.after.train
+        rollouts: tuple[ByJointOrNone, ByJointOrNone] | None = None
+        if report.before.simulation and report.after.simulation:
+            rollouts = report.before.simulation, report.after.simulation
+        lengths = position_units(report.units)
+        is_mixed = len(set(report.units.values())) > 1
+        columns = [name_column("joint")]
+        if is_mixed:
+            columns.append(name_column("units"))
+        columns += [
+            Column("before"),
+            Column("after", attached=True),
+            Column("noise floor", attached=True),
+            Column("gap closed", attached=True),
+            Column("after, training data", page_only=True),
+        ]
+        if rollouts:
+            columns += [Column("rollout before"), Column("rollout after", attached=True)]
+        rows = []
+        for name in (*report.joints, "overall"):
+            row = [Cell(name)]
+            if is_mixed:
+                torque = report.units.get(name) or together(report.units)
+                row.append(Cell(f"{torque}, {lengths.get(name) or together(lengths)}"))
+            first, last = before[name], after[name]
+            is_worse = first is not None and last is not None and last > _WORSE * first
+            row += [number_cell(first, 3), number_cell(last, 3, "bad" if is_worse else None)]
+            row += [number_cell(report.noise_floor[name], 3), percent_cell(report.gap_closed[name])]
+            row.append(number_cell(report.after.train[name], 3))
+            if rollouts:
+                row += [number_cell(rollouts[0][name], 3), _rollout_cell(report, rollouts[1][name], name)]
+            rows.append(row)
+        title = f"RMS torque error{' on held-out data' if is_held_out else ''}, {together(report.units)}"
+        if rollouts:
+            title += f"; rollouts' position error, {together(lengths)}"
+        return Table(title, columns, rows, keys=1 + is_mixed)
+
+    @override
+    def text(self, report: DiagnosisReport) -> str:
+        fixed = " with the URDF's inertia" if report.inertia == "fixed" else ""
+        return (
+            f"Root mean square, the torque's in the band up to {report.band_hz:g} Hz. Before: the model given, "
+            f"fitted{fixed}, without the effects found. Noise floor: what no model could come below on these data. Gap "
+            "closed: the share of what was above the floor that is gone; –: there was next to nothing."
+        )
+
+
+def _rollout_cell(report: DiagnosisReport, error: float | None, name: str) -> Cell:
+    """The rollouts' error in the end, marked where it is worse than before."""
+    is_worse = name in report.rollout_worse
+    return Cell(f"{number(error)} worse", error, "bad") if is_worse else number_cell(error, 3)
+
+
+@dataclass(frozen=True)
+class CandidatesSection(Section[Sequence[CandidateReport]]):
+    """Candidates of a step that were not chosen, and why.
+
+    Attributes
+    ----------
+    title
+        Its heading.
+    """
+
+    title: str
+
+    @override
+    def table(self, report: Sequence[CandidateReport]) -> Table | None:
+        if not report:
+            return None
+        columns = [
+            Column("effect", kind="words"),
+            Column("on", kind="words"),
+            Column("explains"),
+            Column("parameters"),
+            Column("why not", kind="words"),
+        ]
+        rows = []
+        for candidate in report:
+            score = Cell(score_text(candidate.score, candidate.standard_error), candidate.score)
+            names = [Cell(effect_name(candidate.effect)), Cell(on(candidate))]
+            rows.append([*names, score, Cell(str(candidate.parameters)), Cell(candidate.reason)])
+        return Table(self.title, columns, rows, keys=2)
+
+
+def parameter_texts(step: StepReport) -> list[str]:
+    """An effect's parameters, each with its standard error and unit.
+
+    Parameters
+    ----------
+    step
+        An entry of ``steps`` of diagnosis.json.
+    """
+    errors, units = step.standard_error, step.units
+    texts = {name: _value(value, errors.get(name)) for name, value in step.parameters.items()}
+    return [f"{name} {text} {units.get(name) or ''}".rstrip() for name, text in texts.items()]
+
+
+def _value(value: Any, error: Any) -> str:
+    """A parameter; one of several numbers has them in brackets."""
+    if isinstance(value, list | tuple):
+        errors = error if isinstance(error, list | tuple) and len(error) == len(value) else [None] * len(value)
+        return f"[{', '.join(_value(x, e) for x, e in zip(value, errors, strict=True))}]"
+    if isinstance(value, bool | str) or value is None:
+        return NONE if value is None else str(value)
+    return number(value, 4) if error is None else " ± ".join(with_error(value, error))
+
+
+def score_text(score: float | None, error: float | None) -> str:
+    """A share of the disagreement in percent, with its standard error."""
+    if score is None:
+        return NONE
+    return f"{100 * score:.1f} %" if error is None else f"{100 * score:.1f} ± {100 * error:.1f} %"
+
+
+def change_text(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None, name: str = "overall") -> str:
+    """An error before and after."""
+    return f"{number(before[name])} → {number(after[name])}" if before and after else NONE

@@ -1,0 +1,105 @@
+"""The sections of a designed trajectory: the errors to expect, the limits, the criteria."""
+
+from __future__ import annotations
+
+from typing_extensions import override
+
+from idtool.reporting.results.excitation import ExcitationReport, LimitUtilization
+from idtool.reporting.sections.base import (
+    Cell,
+    Column,
+    Section,
+    Table,
+    error_column,
+    name_column,
+    number_cell,
+    percent_cell,
+)
+
+
+class ExpectedErrorsSection(Section[ExcitationReport]):
+    """Standard errors to expect of the base parameters."""
+
+    title = "Expected standard errors"
+
+    @override
+    def table(self, report: ExcitationReport) -> Table:
+        is_logged = "logged" in report.criteria
+        columns = [
+            Column("base parameter", kind="words"),
+            Column("prior"),
+            error_column(),
+            Column("of it", help="Standard error over the prior", attached=True),
+            Column("unit", kind="words", attached=True),
+        ]
+        if is_logged:
+            columns.append(Column("so far ±", help="Standard error with only what is logged already"))
+        rows = []
+        for p in report.base_parameters:
+            row = [Cell(p.name + (" *" if p.favoured else "")), number_cell(p.prior), number_cell(p.standard_error)]
+            row += [percent_cell(p.relative), Cell(p.unit)]
+            if is_logged:
+                row.append(number_cell(p.logged_standard_error))
+            rows.append(row)
+        return Table("Standard errors to expect", columns, rows)
+
+    @override
+    def text(self, report: ExcitationReport) -> str:
+        noise = [f"{number_cell(x, 3).text} {report.units[joint]} ({joint})" for joint, x in report.noise.items()]
+        favoured = " *: favoured." if any(p.favoured for p in report.base_parameters) else ""
+        return (
+            "The combinations of parameters that the torque depends on, and what a fit to this trajectory's log will "
+            f"be off by, if the torque's noise in the band is {', '.join(noise)}.{favoured}"
+        )
+
+
+class LimitsSection(Section[ExcitationReport]):
+    """Limits of the motion, and the largest share of each that it uses."""
+
+    title = "Limits"
+
+    @override
+    def table(self, report: ExcitationReport) -> Table:
+        limits = ("lower limit", "upper limit", "velocity limit", "acceleration limit", "effort limit")
+        quantities = tuple(LimitUtilization.model_fields)
+        columns = [
+            name_column("joint"),
+            *(Column(heading, "SI", page_only=True) for heading in limits),
+            *(Column(quantity) for quantity in quantities),
+        ]
+        rows = []
+        for joint in report.joints:
+            limit, use = report.limits[joint], report.use[joint]
+            values = (*limit.position, limit.velocity, limit.acceleration, limit.effort)
+            shares = [percent_cell(getattr(use, quantity)) for quantity in quantities]
+            rows.append([Cell(joint), *map(number_cell, values), *shares])
+        return Table("Largest share of each limit", columns, rows)
+
+    @override
+    def text(self, report: ExcitationReport) -> str:
+        return (
+            "Limits are the URDF's, tightened by the configuration. Of the position, the share is that of half the "
+            "range, from its middle."
+        )
+
+
+class CriteriaSection(Section[ExcitationReport]):
+    """All criteria of a random motion, of the design and of what is logged."""
+
+    title = "Criteria"
+
+    @override
+    def table(self, report: ExcitationReport) -> Table:
+        columns = [name_column("of"), Column("D"), Column("A"), Column("E"), Column("condition")]
+        rows = []
+        for name, criteria in report.criteria.items():
+            values = (criteria.d, criteria.a, criteria.e, criteria.condition)
+            rows.append([Cell(name), *map(number_cell, values)])
+        return Table("Criteria", columns, rows)
+
+    @override
+    def text(self, report: ExcitationReport) -> str:
+        return (
+            "D: geometric mean of the relative standard errors; A: their mean; E: the largest one; condition: "
+            "condition number."
+        )

@@ -1,0 +1,269 @@
+"""The sections of a fit that tell its errors and its parameters; bodies, friction and rotors also of a diagnosis."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from typing_extensions import override
+
+from idtool.reporting.diagnosis_words import position_units
+from idtool.reporting.figures import interval_text, metres
+from idtool.reporting.results.diagnosis import DiagnosisReport
+from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
+from idtool.reporting.sections.base import (
+    Cell,
+    Column,
+    Section,
+    Table,
+    error_cells,
+    error_column,
+    name_column,
+    number_cell,
+    percent_cell,
+    realizable_cell,
+    unit_cells,
+    unit_columns,
+    units_text,
+)
+
+_SOURCES = ("data", "combination", "constraints", "prior")  # that a parameter may rest on
+
+
+class TorqueErrorsSection(Section[FitReport]):
+    """Torque errors of the prior and of the identified model, by joint."""
+
+    title = "Torque error"
+
+    @override
+    def table(self, report: FitReport) -> Table:
+        units = unit_columns(report.units)
+        columns = [
+            name_column("joint"),
+            *units,
+            Column("prior", help="The URDF given, on the held-out data"),
+            Column("train", help="The identified model, on the data that it was fitted to"),
+            Column("held out", help="The identified model, on the held-out data"),
+            Column("of torque", help="Error over the measured torque's standard deviation", page_only=True),
+            Column("prior, as logged", page_only=True),
+            Column("train, as logged", page_only=True),
+            Column("held out, as logged", page_only=True),
+        ]
+        rows = []
+        for name in (*report.joints, "overall"):
+            errors = []
+            for rms in (report.rms, report.rms_raw):
+                of_parts = (rms.prior_validation, rms.train, rms.validation)
+                errors += [number_cell(of[name] if of else None) for of in of_parts]
+            share = percent_cell(report.nrms.get(name))
+            rows.append([Cell(name), *unit_cells(report.units, name), *errors[:3], share, *errors[3:]])
+        title = f"RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
+        return Table(title, columns, rows, keys=1 + len(units))
+
+    @override
+    def text(self, report: FitReport) -> str:
+        return (
+            "Root mean square of predicted less measured torque, both through the same zero-phase filter; as logged, "
+            "the measured torque's noise above the band counts as error too. Prior: the URDF given, on the held-out "
+            "data. Of torque: the error as a share of the measured torque's standard deviation."
+        )
+
+
+class KnownValuesSection(Section[FitReport | DiagnosisReport]):
+    """What was known of the robot by other means, and what was identified."""
+
+    title = "Known by other means"
+
+    @override
+    def table(self, report: FitReport | DiagnosisReport) -> Table | None:
+        if not report.known:
+            return None
+        columns = [
+            Column("what", kind="words"),
+            Column("known"),
+            error_column(),
+            Column("identified"),
+        ]
+        rows = []
+        for known in report.known:
+            exact = known.standard_error is None
+            error = Cell("exact") if exact else number_cell(known.standard_error, 2)
+            rows.append([Cell(known.what), number_cell(known.value, 5), error, number_cell(known.identified, 5)])
+        return Table(self.title, columns, rows)
+
+
+class BodiesSection(Section[FitReport | DiagnosisReport]):
+    """Masses and centres of mass, and how many of a body's ten parameters rest on what."""
+
+    title = "Bodies"
+    parts = (KnownValuesSection(),)
+
+    @override
+    def table(self, report: FitReport | DiagnosisReport) -> Table:
+        bodies = report.bodies
+        analyzed = any(body.rests_on for body in bodies.values())
+        remarks = {name: _remark(body) for name, body in bodies.items()}
+        columns = [
+            name_column("body"),
+            Column("prior", "kg", help="Mass of the prior"),
+            Column("mass", "kg"),
+            error_column(),
+            Column("95 % interval", page_only=True, attached=True),
+            Column("centre of mass", "m", help="In the link's frame", page_only=True),
+            Column("margin", "kg", help="Tr(J Q)", page_only=True),
+            Column("determined", help="Parameters that the data determine", page_only=analyzed),
+        ]
+        if analyzed:
+            columns += [Column(source, attached=source != "data") for source in _SOURCES]
+        columns += [Column("realizable"), Column("constraint set", kind="words", page_only=True)]
+        if any(remarks.values()):
+            columns.append(Column("remark", kind="words", page_only=True))
+        rows = []
+        for name, body in bodies.items():
+            determined = sum(body.identifiable)
+            row = [
+                Cell(name),
+                number_cell(float(body.prior[0])),
+                *error_cells(body.mass, float(body.standard_error[0])),
+                Cell(interval_text(body.interval[0])),
+                Cell(", ".join(map(metres, body.com.tolist()))),
+                number_cell(body.ellipsoid_margin),
+                Cell(f"{determined}/{len(body.identifiable)}", determined),
+            ]
+            if analyzed:
+                count = Counter[str](source.on for source in body.rests_on or ())
+                row += [Cell(str(count[source]), count[source]) for source in _SOURCES]
+            row += [realizable_cell(body.realizable), Cell(body.constraints)]
+            if any(remarks.values()):
+                row.append(Cell(remarks[name]))
+            rows.append(row)
+        return Table("Bodies", columns, rows)
+
+    @override
+    def text(self, report: FitReport | DiagnosisReport) -> str:
+        counts = "Data, combination, constraints, prior: how many of the ten parameters rest on what. "
+        analyzed = any(body.rests_on for body in report.bodies.values())
+        return (
+            "± se: one standard error, from the data without the prior; –: the data do not determine the mass, so that "
+            f"prior and constraints chose it. {counts if analyzed else ''}Centre of mass: in the link's frame. Margin: "
+            "Tr(J Q), 0 where the mass distribution only just fits its bounding ellipsoid; –: no ellipsoid. With: "
+            "links fixed to this one, whose mass is counted here."
+        )
+
+
+def _remark(body: BodyReport) -> str:
+    """The links that a body holds beside its own, and the body of which it is a copy."""
+    parts = []
+    if body.lumped:
+        parts.append(f"with {', '.join(body.lumped)}")
+    if body.copy_of:
+        parts.append(f"a copy of {body.copy_of}")
+    return "; ".join(parts)
+
+
+class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
+    """Rotors' inertia as the joints feel it."""
+
+    title = "Rotors' reflected inertia"
+
+    @override
+    def table(self, report: FitReport | DiagnosisReport) -> Table | None:
+        columns = [
+            name_column("joint"),
+            name_column("rotor"),
+            Column("reflected inertia"),
+            error_column(),
+            Column("95 % interval", attached=True),
+            Column("unit", kind="words", attached=True),
+        ]
+        rows = []
+        for rotor, joints in report.rotors.items():
+            for joint, inertia in joints.items():
+                unit = "kg" if report.units.get(joint) == "N" else "kg·m²"
+                errors = error_cells(inertia.reflected_inertia, inertia.standard_error)
+                rows.append([Cell(joint), Cell(rotor), *errors, Cell(interval_text(inertia.interval)), Cell(unit)])
+        return Table(self.title, columns, rows, keys=2) if rows else None
+
+    @override
+    def text(self, report: FitReport | DiagnosisReport) -> str:
+        return (
+            "The rotor's inertia about its axis times the square of the gear ratio. –: not determined, only in a sum "
+            "with the inertia of what turns with it. The interval reaches from what the data say to the value where "
+            "prior or constraints hold it elsewhere."
+        )
+
+
+class FrictionSection(Section[FitReport | DiagnosisReport]):
+    """Friction of each joint with standard errors."""
+
+    title = "Friction"
+    parts = (ReflectedInertiasSection(),)
+
+    @override
+    def table(self, report: FitReport | DiagnosisReport) -> Table:
+        kinds = {torque: _friction_units(torque) for torque in dict.fromkeys(report.units.values())}
+        is_mixed = len(kinds) > 1
+        columns = [name_column("joint")]
+        if is_mixed:
+            columns.append(name_column("units"))
+        title = "Friction, with standard errors"
+        if not is_mixed:
+            viscous, dry = next(iter(kinds.values()))
+            title = f"Friction, {viscous} and {dry}, with standard errors"
+        for heading in ("viscous", "Coulomb", "offset"):
+            columns += [Column(heading), error_column()]
+        rows = []
+        for joint, friction in report.friction.items():
+            row = [Cell(joint)]
+            if is_mixed:
+                row.append(Cell(", ".join(kinds[report.units[joint]])))
+            row += _friction_cells(friction)
+            rows.append(row)
+        return Table(title, columns, rows, keys=1 + is_mixed)
+
+    @override
+    def text(self, report: FitReport | DiagnosisReport) -> str:
+        return (
+            "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error; –: the data do not determine "
+            "it. – for the value: not part of the model."
+        )
+
+
+def _friction_units(torque: str) -> tuple[str, str]:
+    """Units of viscous and of dry friction, by that of torque."""
+    position = position_units({"": torque})[""]
+    return f"{torque}·s/{position}", torque
+
+
+def _friction_cells(friction: FrictionReport) -> list[Cell]:
+    cells: list[Cell] = []
+    for term in FrictionErrors.model_fields:
+        cells += error_cells(getattr(friction, term), getattr(friction.standard_error, term))
+    return cells
+
+
+class PriorWeightsSection(Section[FitReport]):
+    """Fits with other weights of the prior."""
+
+    title = "How firmly the prior holds"
+    template = "prior.html"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        automatic = report.regularization.automatic
+        if automatic is None:
+            return None
+        columns = [
+            name_column("fit"),
+            Column("weight"),
+            Column("error, fitted data"),
+            Column("error, left out"),
+            Column("total mass", "kg"),
+            Column("distance from the prior"),
+        ]
+        points = {"a tenth": automatic.weaker, "chosen": automatic.chosen, "ten times": automatic.stronger}
+        rows = []
+        for name, point in points.items():
+            errors = [number_cell(point.train_error), number_cell(point.validation_error)]
+            others = [number_cell(point.total_mass), number_cell(point.distance)]
+            rows.append([Cell(name), number_cell(point.weight, 2), *errors, *others])
+        return Table("Errors in units of each joint's noise", columns, rows)

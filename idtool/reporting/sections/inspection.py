@@ -1,0 +1,46 @@
+"""The section of an inspection: the joints of a log."""
+
+from __future__ import annotations
+
+from typing_extensions import override
+
+from idtool.reporting.results.inspection import InspectionReport
+from idtool.reporting.sections.base import NONE, Cell, Column, Section, Table, name_column, number_cell, percent_cell
+
+
+class JointsSection(Section[InspectionReport]):
+    """What a log holds of each joint."""
+
+    title = "Joints"
+
+    @override
+    def table(self, report: InspectionReport) -> Table:
+        columns = [
+            name_column("joint"),
+            Column("signals", kind="words"),
+            Column("from"),
+            Column("to", attached=True),
+            Column("v rms"),
+            Column("tau rms"),
+            Column("band", "Hz"),
+            Column("at rest"),
+            Column("v lag", "ms"),
+            Column("tau", kind="words", help="Whether the torque seems to be measured or commanded"),
+        ]
+        rows = []
+        for name, joint in report.joints.items():
+            q, tau, velocity = joint.signals.get("q"), joint.signals.get("tau"), joint.velocity
+            row = [
+                Cell(name),
+                Cell(" ".join(joint.signals)),
+                number_cell(q.minimum if q else None),
+                number_cell(q.maximum if q else None),
+                number_cell(joint.speed_rms),
+                number_cell(tau.rms if tau else None),
+                number_cell(joint.band_hz),
+                percent_cell(joint.standstill),
+                number_cell(velocity.lag_ms if velocity else None),
+                Cell(joint.torque.kind if joint.torque else NONE),
+            ]
+            rows.append(row)
+        return Table(self.title, columns, rows)

@@ -1,0 +1,96 @@
+"""The section on a model run forwards, of a fit, a validation and a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from typing_extensions import override
+
+from idtool.reporting.results.base import ByJointOrNone
+from idtool.reporting.results.rollouts import Simulation
+from idtool.reporting.sections.base import (
+    Cell,
+    Column,
+    Section,
+    Table,
+    name_column,
+    number_cell,
+    unit_cells,
+    unit_columns,
+    units_text,
+)
+
+Errors = ByJointOrNone | None
+
+
+@dataclass(frozen=True)
+class SimulationErrorsSection(Section[Simulation]):
+    """Errors of a model run forwards, by joint and by time since the restart.
+
+    Attributes
+    ----------
+    template
+        The file under ``templates/`` that shows it on the page.
+    """
+
+    title = "Simulation"
+    template: str = "simulation.html"
+
+    @override
+    def table(self, report: Simulation) -> Table:
+        names = _models(report)
+        units = unit_columns(report.units)
+        unit = next(iter(report.units.values())) if not units else ""
+        velocity_unit = f"{unit}/s" if unit else "unit/s"
+        columns = [
+            name_column("joint"),
+            *units,
+            *(Column(name) for name in names),
+            *(Column(f"velocity, {name}", velocity_unit, page_only=True) for name in names),
+        ]
+        prior = report.prior
+        positions = [report.position, prior.position if prior else None, report.baseline.position]
+        velocities = [report.velocity, prior.velocity if prior else None, report.baseline.velocity]
+        rows = []
+        for joint in report.position:
+            errors = [*_cells(positions, joint), *_cells(velocities, joint)]
+            rows.append([Cell(joint), *unit_cells(report.units, joint), *errors])
+        for horizon in report.horizon:
+            after = Cell(f"after {1000 * horizon.seconds:g} ms")
+            errors = [number_cell(_overall(horizon.position))]
+            if prior:
+                errors.append(number_cell(_overall(horizon.prior)))
+            errors.append(number_cell(_overall(horizon.baseline)))
+            errors += [Cell("")] * len(names)
+            rows.append([after, *unit_cells(report.units, "overall"), *errors])
+        closed = report.kind == "closed_loop"
+        loop = "closed loop under the controller" if closed else "open loop"
+        title = f"Simulated position, RMS error, {units_text(report.units)}: {loop}, {restarts_text(report)}"
+        return Table(title, columns, rows, keys=1 + len(units))
+
+
+def baseline_name(simulation: Simulation) -> str:
+    """The motion that a model is compared with, as a column's heading."""
+    return "q = qcmd" if simulation.kind == "closed_loop" else "stays"
+
+
+def restarts_text(simulation: Simulation) -> str:
+    """How long a model runs before it is restarted."""
+    if simulation.window:
+        return f"{simulation.window:g} s at a time"
+    return f"{simulation.seconds:.3g} s, never restarted"
+
+
+def _models(simulation: Simulation) -> list[str]:
+    prior = ["prior"] if simulation.prior else []
+    return ["model", *prior, baseline_name(simulation)]
+
+
+def _cells(errors: Sequence[Errors], joint: str) -> list[Cell]:
+    """A joint's errors of the models that there are."""
+    return [number_cell(of.get(joint)) for of in errors if of is not None]
+
+
+def _overall(errors: Errors) -> float | None:
+    return errors["overall"] if errors else None

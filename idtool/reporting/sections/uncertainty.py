@@ -1,0 +1,251 @@
+"""The sections of a fit that tell how far to trust it: base parameters, the logs side by side, bias."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from typing_extensions import override
+
+from idtool.reporting.figures import interval_text
+from idtool.reporting.results.fit import (
+    BaseParameter,
+    BiasParameter,
+    FitReport,
+    RepeatabilityReport,
+    RepeatedParameter,
+)
+from idtool.reporting.sections.base import (
+    NONE,
+    Cell,
+    Column,
+    Emphasis,
+    Section,
+    Table,
+    error_cells,
+    error_column,
+    name_column,
+    number_cell,
+    percent_cell,
+    unit_cells,
+    unit_columns,
+    units_text,
+)
+from idtool.reporting.uncertainty_report import PULLED
+
+MOST_ROWS = 60  # of a table of base parameters
+MOST_COMPARED = 20  # parameters of which the logs are compared
+MOST_LOGS = 8  # side by side; as many colours there are
+_MOST_IN_TERMINAL = 8  # parameters
+_SIDE_BY_SIDE = 4  # logs in the terminal
+_FAR = 1.5  # times the error of the model fitted to the log itself
+
+
+class TorqueStandardErrorsSection(Section[FitReport]):
+    """Standard errors of the predicted torque, by joint."""
+
+    title = "Standard error of the predicted torque"
+
+    @override
+    def table(self, report: FitReport) -> Table:
+        errors = report.uncertainty
+        units = unit_columns(report.units)
+        columns = [
+            name_column("joint"),
+            *units,
+            Column("independent samples"),
+            Column("rms"),
+            Column("largest"),
+            Column("not known"),
+        ]
+        rows = []
+        for joint in report.joints:
+            samples = errors.independent_samples[joint]
+            row = [Cell(joint), *unit_cells(report.units, joint), Cell(f"{samples:.0f}", samples)]
+            row.append(number_cell(errors.torque_standard_error[joint]))
+            row.append(number_cell(errors.torque_standard_error_largest[joint]))
+            row.append(percent_cell(errors.torque_undetermined[joint]))
+            rows.append(row)
+        title = f"Standard error of the predicted torque, {units_text(report.units)}"
+        return Table(title, columns, rows, keys=1 + len(units))
+
+    @override
+    def text(self, report: FitReport) -> str:
+        data = (
+            "On the held-out data" if report.rms.validation is not None else "On the data that the model was fitted to"
+        )
+        return (
+            "Independent samples: as many as would say as much as the residual's correlated ones. "
+            f"{data}, from the parameters' errors alone, so without what the model lacks. Not known: share of the "
+            "samples that depend on what the fitted data do not determine."
+        )
+
+
+class BaseParametersSection(Section[FitReport]):
+    """The base parameters: those held away from the data first, then those that the logs do not determine."""
+
+    title = "Base parameters"
+    template = "base_parameters.html"
+    parts = (TorqueStandardErrorsSection(),)
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        base = report.base_parameters
+        if base is None:
+            return None
+        pulled = [p for p in base.parameters if p.pull is not None and p.pull > PULLED]
+        groups: dict[str, list[BaseParameter]] = {
+            "held away": sorted(pulled, key=lambda p: -(p.pull or 0.0)),
+            "not determined": [p for p in base.parameters if p.pull is None],
+            "as the data say": [p for p in base.parameters if p.pull is not None and p.pull <= PULLED],
+        }
+        columns = [
+            Column("base parameter", kind="words"),
+            Column("unit", kind="words"),
+            Column("value"),
+            error_column(),
+            Column("95 % interval", attached=True),
+            Column("pull"),
+            Column("estimate", kind="words"),
+        ]
+        rows = []
+        for group, parameters in groups.items():
+            emphasis: Emphasis | None = "note" if group == "held away" else None
+            for p in parameters:
+                pull = Cell(NONE) if p.pull is None else Cell(f"{p.pull:.1f}", p.pull, emphasis)
+                values = error_cells(p.value, p.standard_error)
+                rows.append(
+                    [
+                        Cell(p.name),
+                        Cell(p.unit),
+                        *values,
+                        Cell(interval_text(p.interval)),
+                        pull,
+                        Cell(group, None, emphasis),
+                    ]
+                )
+        counts = ", ".join(f"{len(parameters)} {group}" for group, parameters in groups.items() if parameters)
+        return Table(f"Base parameters: {counts}", columns, rows[:MOST_ROWS])
+
+    @override
+    def text(self, report: FitReport) -> str:
+        return (
+            "± se: one standard error; –: these logs do not determine it. Pull: how far prior and constraints hold the "
+            f"value away from what the data alone say, in standard errors; held away: more than {PULLED:g}. The "
+            "interval is around both. …: terms that weigh less; report.json has all."
+        )
+
+
+class CrossValidationSection(Section[FitReport]):
+    """Errors of the model of one log on another."""
+
+    title = "Fitted to one log, tried on another"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        repeatability = report.repeatability
+        if repeatability is None:
+            return None
+        shown = shown_logs(repeatability)
+        errors = repeatability.cross_rms
+        columns = [name_column("fitted to"), *(Column(f"error on {repeatability.logs[k]}") for k in shown)]
+        rows = []
+        for fitted in shown:
+            row = [Cell(repeatability.logs[fitted])]
+            for on in shown:
+                is_far = errors[fitted][on] > _FAR * errors[on][on]
+                row.append(number_cell(errors[fitted][on], emphasis="bad" if is_far else None))
+            rows.append(row)
+        return Table("RMS torque error over all joints, in units of each joint's noise", columns, rows)
+
+    @override
+    def text(self, report: FitReport) -> str:
+        return "Red and bold: more than 1.5 times that of the model fitted to the log itself."
+
+
+class RepeatabilitySection(Section[FitReport]):
+    """The base parameters that scatter most between the logs: by log, and of many logs the extremes."""
+
+    title = "Do the logs agree?"
+    template = "repeatability.html"
+    parts = (CrossValidationSection(),)
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        repeatability = report.repeatability
+        if repeatability is None:
+            return None
+        shown = shown_logs(repeatability)
+        is_long = len(repeatability.logs) > _SIDE_BY_SIDE
+        columns = [Column("parameter", kind="words"), Column("unit", kind="words", page_only=True)]
+        for k in shown:
+            columns += [Column(repeatability.logs[k], page_only=is_long), error_column(page_only=True)]
+        if is_long:
+            columns += [Column("least"), Column("in", kind="name", attached=True)]
+            columns += [Column("greatest"), Column("in", kind="name", attached=True)]
+        columns += [Column("times expected"), Column("beyond chance", attached=True)]
+        rows = []
+        for p in compared_parameters(repeatability)[:MOST_COMPARED]:
+            row = [Cell(p.name), Cell(p.unit)]
+            for k in shown:
+                row += error_cells(p.value[k], p.standard_error[k])
+            if is_long:
+                row += _extremes(p.value, repeatability.logs)
+            emphasis: Emphasis | None = None if p.agrees else "bad"
+            row += [number_cell(p.ratio, emphasis=emphasis), Cell("" if p.agrees else "yes", None, emphasis)]
+            rows.append(row)
+        return Table("Least repeatable between the logs", columns, rows, most_rows=_MOST_IN_TERMINAL)
+
+
+class BiasSection(Section[FitReport]):
+    """Estimates by least squares and by instruments: those that differ first."""
+
+    title = "Least squares and instruments"
+    template = "bias.html"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        if report.bias is None:
+            return None
+        columns = [
+            Column("base parameter", kind="words"),
+            Column("unit", kind="words"),
+            Column("least squares"),
+            Column("instruments"),
+            Column("difference", help="Instruments less least squares"),
+            error_column(),
+            Column("differs"),
+        ]
+        rows = []
+        for p in sorted(report.bias.parameters, key=lambda p: (not p.differs, -_distance(p)))[:MOST_ROWS]:
+            differs = Cell("yes", emphasis="bad") if p.differs else Cell("no")
+            estimates = [number_cell(p.ls), number_cell(p.iv), *error_cells(p.iv - p.ls, p.standard_error)]
+            rows.append([Cell(p.name), Cell(p.unit), *estimates, differs])
+        return Table("Both estimates", columns, rows)
+
+
+def shown_logs(repeatability: RepeatabilityReport) -> list[int]:
+    """The first logs, and the odd one among them."""
+    shown = list(range(len(repeatability.logs)))[:MOST_LOGS]
+    odd = repeatability.odd_one_out
+    place = repeatability.logs.index(odd) if odd is not None else 0
+    return shown if place in shown else [*shown[:-1], place]
+
+
+def compared_parameters(repeatability: RepeatabilityReport) -> list[RepeatedParameter]:
+    """Those that more than one log determines: first those that do not agree, then by how far they scatter."""
+    order = sorted(repeatability.parameters, key=lambda p: (p.agrees, -(p.ratio or 0.0)))
+    return [p for p in order if sum(error is not None for error in p.standard_error) > 1]
+
+
+def _extremes(values: Iterable[float | None], logs: Sequence[str]) -> list[Cell]:
+    """The least and the greatest value, each with its log."""
+    known = [(value, name) for value, name in zip(values, logs, strict=True) if value is not None]
+    if not known:
+        return [Cell(NONE)] * 4
+    least, greatest = min(known), max(known)
+    return [number_cell(least[0]), Cell(least[1]), number_cell(greatest[0]), Cell(greatest[1])]
+
+
+def _distance(p: BiasParameter) -> float:
+    """Distance of the two estimates in standard errors."""
+    return abs(p.iv - p.ls) / p.standard_error if p.standard_error else 0.0

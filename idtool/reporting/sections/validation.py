@@ -1,0 +1,96 @@
+"""The sections of a validation, and of the regression."""
+
+from __future__ import annotations
+
+from typing_extensions import override
+
+from idtool.reporting.results.validation import RegressionReport, ValidationReport
+from idtool.reporting.sections.base import (
+    NONE,
+    Cell,
+    Column,
+    Section,
+    Table,
+    name_column,
+    number_cell,
+    percent_cell,
+    unit_cells,
+    unit_columns,
+    units_text,
+)
+
+
+class ModelErrorsSection(Section[ValidationReport]):
+    """Torque errors of a model and, where one was given, of the prior, by joint; and their bounds."""
+
+    title = "Torque error"
+
+    @override
+    def table(self, report: ValidationReport) -> Table:
+        units = unit_columns(report.units)
+        has_prior = report.rms.prior is not None
+        columns = [name_column("joint"), *units, Column("model")]
+        if has_prior:
+            columns.append(Column("prior"))
+        columns.append(Column("of torque", help="Error over the measured torque's standard deviation"))
+        columns.append(Column("as logged", help="Of the model, against the torque as logged"))
+        if has_prior:
+            columns.append(Column("prior, as logged", page_only=True))
+        if report.bound:
+            columns += [Column("bound"), Column("result", kind="name", attached=True)]
+        rows = []
+        for name in (*report.joints, "overall"):
+            row = [Cell(name), *unit_cells(report.units, name), number_cell(report.rms.model[name])]
+            if report.rms.prior:
+                row.append(number_cell(report.rms.prior[name]))
+            row.append(percent_cell(report.nrms.get(name)))
+            row.append(number_cell(report.rms_raw.model[name]))
+            if has_prior:
+                row.append(number_cell(report.rms_raw.prior[name] if report.rms_raw.prior else None))
+            if report.bound:
+                row += _bound_cells(report, name)
+            rows.append(row)
+        title = f"RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
+        return Table(title, columns, rows, keys=1 + len(units))
+
+    @override
+    def text(self, report: ValidationReport) -> str:
+        return (
+            "Root mean square of predicted less measured torque, both through the same zero-phase filter; as logged, "
+            "the measured torque's noise above the band counts as error too. Of torque: the model's error as a share "
+            "of the measured torque's standard deviation."
+        )
+
+
+class RegressionCasesSection(Section[RegressionReport]):
+    """Every case of the regression against its bound."""
+
+    title = "Regression"
+
+    @override
+    def table(self, report: RegressionReport) -> Table:
+        columns = [
+            Column("case", kind="words"),
+            name_column("joint"),
+            Column("prior"),
+            Column("fit"),
+            Column("bound"),
+            Column("result", kind="name", attached=True),
+        ]
+        rows = []
+        for case in report.cases:
+            errors = [number_cell(case.prior), number_cell(case.rms), number_cell(case.bound)]
+            rows.append([Cell(case.case), Cell(case.joint), *errors, result_cell(case.ok)])
+        return Table("Regression: RMS torque error in the band, N·m or N", columns, rows, keys=2)
+
+
+def result_cell(ok: bool) -> Cell:
+    """Whether a bound is met."""
+    return Cell("ok") if ok else Cell("NOT MET", emphasis="bad")
+
+
+def _bound_cells(report: ValidationReport, name: str) -> list[Cell]:
+    bound = report.bound.get(name)
+    if bound is None:
+        return [Cell(NONE), Cell("")]
+    return [Cell(f"{bound:g}", bound), result_cell(report.ok[name])]
