@@ -58,7 +58,7 @@ def simulation_text(simulation: Simulation | None) -> dict[str, Any]:
     """What the template says of a simulation beside its record."""
     if simulation is None:
         return {}
-    return {"position_groups": by_unit(simulation.units), "baseline": _BASELINES[simulation.kind]}
+    return {"position_groups": by_unit(simulation.units)}
 
 
 def _shown(measured: Array, simulated: Array) -> list[float]:

@@ -60,7 +60,7 @@ class FinalBodiesSection(Section[AdaptationReport]):
             Column("within 5 % of it after", "s", page_only=True),
             Column("centre of mass", "m", page_only=True),
             Column("realizable"),
-            Column("constraint set", kind="words", page_only=True),
+            Column("constraint set", kind="name", page_only=True),
         ]
         rows = []
         for name, body in report.final.bodies.items():

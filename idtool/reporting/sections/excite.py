@@ -30,7 +30,7 @@ class ExpectedErrorsSection(Section[ExcitationReport]):
             Column("prior"),
             error_column(),
             Column("of it", help="Standard error over the prior", attached=True),
-            Column("unit", kind="words", attached=True),
+            Column("unit", kind="name", attached=True),
         ]
         if is_logged:
             columns.append(Column("so far ±", help="Standard error with only what is logged already"))

@@ -108,31 +108,39 @@ class BodiesSection(Section[FitReport | DiagnosisReport]):
             Column("mass", "kg"),
             error_column(),
             Column("95 % interval", page_only=True, attached=True),
-            Column("centre of mass", "m", help="In the link's frame", page_only=True),
-            Column("margin", "kg", help="Tr(J Q)", page_only=True),
-            Column("determined", help="Parameters that the data determine", page_only=analyzed),
         ]
         if analyzed:
             columns += [Column(source, attached=source != "data") for source in _SOURCES]
-        columns += [Column("realizable"), Column("constraint set", kind="words", page_only=True)]
+        else:
+            columns.append(Column("determined", help="Parameters that the data determine"))
+        columns += [
+            Column("realizable"),
+            Column("centre of mass", "m", help="In the link's frame", page_only=True),
+            Column("margin", "kg", help="Tr(J Q)", page_only=True),
+            Column("constraint set", kind="name", page_only=True),
+        ]
         if any(remarks.values()):
             columns.append(Column("remark", kind="words", page_only=True))
         rows = []
         for name, body in bodies.items():
-            determined = sum(body.identifiable)
             row = [
                 Cell(name),
                 number_cell(float(body.prior[0])),
                 *error_cells(body.mass, float(body.standard_error[0])),
                 Cell(interval_text(body.interval[0])),
-                Cell(", ".join(map(metres, body.com.tolist()))),
-                number_cell(body.ellipsoid_margin),
-                Cell(f"{determined}/{len(body.identifiable)}", determined),
             ]
             if analyzed:
                 count = Counter[str](source.on for source in body.rests_on or ())
                 row += [Cell(str(count[source]), count[source]) for source in _SOURCES]
-            row += [realizable_cell(body.realizable), Cell(body.constraints)]
+            else:
+                determined = sum(body.identifiable)
+                row.append(Cell(f"{determined}/{len(body.identifiable)}", determined))
+            row += [
+                realizable_cell(body.realizable),
+                Cell(", ".join(map(metres, body.com.tolist()))),
+                number_cell(body.ellipsoid_margin),
+                Cell(body.constraints),
+            ]
             if any(remarks.values()):
                 row.append(Cell(remarks[name]))
             rows.append(row)
@@ -173,7 +181,7 @@ class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
             Column("reflected inertia"),
             error_column(),
             Column("95 % interval", attached=True),
-            Column("unit", kind="words", attached=True),
+            Column("unit", kind="name", attached=True),
         ]
         rows = []
         for rotor, joints in report.rotors.items():

@@ -100,12 +100,12 @@ class BaseParametersSection(Section[FitReport]):
         }
         columns = [
             Column("base parameter", kind="words"),
-            Column("unit", kind="words"),
+            Column("unit", kind="name"),
             Column("value"),
             error_column(),
             Column("95 % interval", attached=True),
             Column("pull"),
-            Column("estimate", kind="words"),
+            Column("estimate", kind="name"),
         ]
         rows = []
         for group, parameters in groups.items():
@@ -176,7 +176,7 @@ class RepeatabilitySection(Section[FitReport]):
             return None
         shown = shown_logs(repeatability)
         is_long = len(repeatability.logs) > _SIDE_BY_SIDE
-        columns = [Column("parameter", kind="words"), Column("unit", kind="words", page_only=True)]
+        columns = [Column("parameter", kind="words"), Column("unit", kind="name", page_only=True)]
         for k in shown:
             columns += [Column(repeatability.logs[k], page_only=is_long), error_column(page_only=True)]
         if is_long:
@@ -208,7 +208,7 @@ class BiasSection(Section[FitReport]):
             return None
         columns = [
             Column("base parameter", kind="words"),
-            Column("unit", kind="words"),
+            Column("unit", kind="name"),
             Column("least squares"),
             Column("instruments"),
             Column("difference", help="Instruments less least squares"),
