@@ -281,9 +281,9 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
             yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
     if search.reversal_joints:
         message = (
-            f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals friction on {', '.join(search.reversal_joints)} is "
-            "not what its level and direction give, as where a simulator rounds it off: such moments were left aside "
-            "in the end"
+            f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction on {', '.join(search.reversal_joints)} "
+            "does not follow its level and direction, as when a simulator rounds it off; these samples were excluded "
+            "in the last rounds"
         )
         yield Notice("reversals_left_aside", "warning", None, message)
 

@@ -136,7 +136,7 @@ class EffectSearch:
         """
         selection = fit_assumed_effect(self.current, self.progress, effect, target, self._bursts())
         if selection.winner is None or self._add(selection, selection.winner):
-            what = f"{effect}:{target or 'any joint'} cannot be there"
+            what = f"{effect}:{target or 'any joint'} cannot be added"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
 
     def run(self) -> None:

@@ -279,13 +279,13 @@ def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflat
     """Record of a candidate that the screening rejected."""
     share = explained_share(candidate.gain, base, _joints_reached(candidate.probe, base))
     if not candidate.probe.is_feasible(candidate.c):
-        reason = "comes out with a sign or size that physics does not allow"
+        reason = "its parameters have a sign or size that is physically impossible"
     elif candidate.entry is None:
-        reason = "comes out beyond what such an effect can be"
+        reason = "its parameters are out of range"
     elif candidate.gain < MIN_SIGNIFICANCE**2 * inflation:
-        reason = "explains no more of data it was not fitted to than chance would"
+        reason = "explains no more of data not used for fitting than chance does"
     else:
-        reason = f"explains {100 * share:.2g} % of what is left on its joint, less than another"
+        reason = f"explains {100 * share:.2g} % of the residual on its joint, less than another effect"
     return screened_record(candidate, base, reason)
 
 

@@ -201,7 +201,7 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
 def _fit_candidate(base: LinearizedFit, candidate: ScreenedProbe, progress: Progress) -> FittedCandidate:
     """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect."""
     if candidate.entry is None:
-        raise ConfigError("effects", "it is beyond what such an effect can be")
+        raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
     trial = fit_trial(base, entries, [len(entries) - 1], progress)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
@@ -216,16 +216,16 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
     """Reason why a fitted candidate is no explanation; empty if it may be one."""
     fit = candidate.trial.linearized
     if not _is_within_bounds(fit, base):
-        return "is held at its bound, or beyond what it can be, the rest of the model being fitted with it"
+        return "reaches its bounds when fitted with the rest of the model"
     if parameter := _undetermined_parameter(candidate.trial):
         return f"its {parameter} is not determined by the data"
     loss = -np.minimum(candidate.gains, 0).sum()
     if loss > _MAX_LOSS * np.maximum(candidate.gains, 0).sum():
-        return "helps in some stretches of the log and harms in others"
+        return "reduces the error in some parts of the log and increases it in others"
     if _worsens_validation(candidate, base):
-        return "makes the held-out data worse"
+        return "increases the error on the held-out data"
     if not _is_relevant(fit, base, initial):
-        return "explains less than what was found before is uncertain by, or next to nothing of the torque"
+        return "explains less than the uncertainty of the effects found before, or a negligible part of the torque"
     return ""
 
 

@@ -27,7 +27,7 @@ def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     region = step.location.region
     if step.entry is None:
         where = f" ({region})" if region else ""
-        return f"{chosen.target}: what is left has structure{where} that none of the effects explains"
+        return f"{chosen.target}: the residual has structure{where} that no effect explains"
     description = effect_types()[chosen.effect].description
     shown = list(step.parameters.items())[:_MAX_PARAMETERS]
     parameters = ", ".join(_parameter(name, value, step.standard_error.get(name)) for name, value in shown)
@@ -75,14 +75,14 @@ def fitted_along_sentence(entry: EffectEntry) -> str:
     """Message about an effect that was fitted but is not reported."""
     description = effect_types()[entry.effect].description
     parameters = ", ".join(_parameter(name, value, None) for name, value in entry.parameters.items())
-    return f"{description} ({parameters}); that was fitted along, and is not in the model"
+    return f"{description} ({parameters}); it was fitted along, but is not part of the model"
 
 
 def removal_sentence(removed: Candidate, by: Candidate) -> str:
     """Reason why an effect was removed again."""
     kind = effect_types()[by.effect]
     why = f"with {by.effect} on {by.target}" if kind.reportable else f"where {kind.description}, as on {by.target},"
-    return f"{removed.effect} on {removed.target} was taken out again: {why} it pays no more"
+    return f"{removed.effect} on {removed.target} was removed again: {why} it no longer explains enough"
 
 
 def distinguishing_experiment(first: Candidate, second: Candidate) -> str:

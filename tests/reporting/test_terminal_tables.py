@@ -218,13 +218,13 @@ def test_what_stays_side_by_side_does() -> None:
 
 def test_headings_are_broken_before_a_table_is_taken_apart_and_so_are_words() -> None:
     table = new_table("Title", "joint", "noise floor", Words("why not"))
-    table.add_row("hip", "0.1", "it explains no more, it seems, than chance would")
+    table.add_row("hip", "0.1", "it explains no more, it seems, than chance does")
     assert [line.plain for line in table.lines(38)] == [
         "       noise",
         "joint  floor  why not",
         "hip      0.1  it explains no more,",
         "              it seems,",
-        "              than chance would",
+        "              than chance does",
     ]
     sums = new_table("Title", Words("base parameter"), "prior")
     sums.add_row("link1 I_zz + 0.25 link2 mass − 0.5 link3 mass", "1.5")

@@ -62,10 +62,10 @@ class Mistake:
         computed
             Names of joints whose torque is computed from the command.
         """
-        shares = f"put right, bodies that can be leave {after:.1%} of the torque's power unexplained, else "
+        shares = f"once corrected, realizable bodies leave {after:.1%} of the torque's power unexplained, else "
         shares += f"{before:.1%}" if before < 1 else "all of it"
         alternatives = [f"{names[other.joints[0]]}: {other.details[0][0]}" for other in self.others]
-        or_else = f"; the data can't tell it from {join_names(alternatives)}" if alternatives else ""
+        or_else = f"; the data can't distinguish it from {join_names(alternatives)}" if alternatives else ""
         for joint, (defect, advice) in zip(self.joints, self.details, strict=True):
             if names[joint] in computed:
                 advice = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"
@@ -126,7 +126,7 @@ def torque_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
         Of all joints.
     """
     moved = tuple(j for j, k in enumerate(order) if j != k)
-    details = tuple((f"its torque stands under {names[order[j]]}", "put the order of tau right") for j in moved)
+    details = tuple((f"its torque is recorded under {names[order[j]]}", "correct the order of tau") for j in moved)
     return Mistake("wrong_joint_order", details, moved, np.eye(len(names))[list(order)])
 
 
@@ -136,14 +136,14 @@ def _inverted_torque(subset: tuple[int, ...], nv: int) -> Mistake:
 
 
 def _inverted_position(j: int, nv: int) -> Mistake:
-    detail = "q runs against the direction in which tau acts", "set its `log.scale` to -1"
+    detail = "q has the opposite sign of the motion that tau causes", "set its `log.scale` to -1"
     return Mistake("wrong_sign", (detail,), (j,), np.eye(nv), _scaled((j,), -1.0))
 
 
 def _inverted_joint(j: int, nv: int) -> Mistake:
     detail = (
-        "q, v and tau all run against the joint's axis in the URDF",
-        "set their `log.scale` to -1, or turn the axis",
+        "q, v and tau all have the opposite sign of the joint's axis in the URDF",
+        "set their `log.scale` to -1, or reverse the axis",
     )
     return Mistake("wrong_sign", (detail,), (j,), _diagonal((j,), -1.0, nv), _scaled((j,), -1.0))
 
@@ -159,7 +159,7 @@ def _position_unit(subset: tuple[int, ...], joints: Sequence[Joint]) -> Mistake:
 
 def _torque_unit(j: int, factor: float, nv: int) -> Mistake:
     unit = "thousandths" if factor < 1 else "thousands"
-    detail = f"tau is in {unit} of the unit of the other joints'", f"set its `log.scale` to {factor:g}"
+    detail = f"tau is in {unit} of the other joints' unit", f"set its `log.scale` to {factor:g}"
     return Mistake("wrong_unit", (detail,), (j,), _diagonal((j,), factor, nv))
 
 
@@ -168,7 +168,7 @@ def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
     torques = torque_order(order, names)
     details = []
     for j in torques.joints:
-        details.append((f"q, v and tau of it stand under {names[order[j]]}", "put the names right"))
+        details.append((f"its q, v and tau are recorded under {names[order[j]]}", "correct the names"))
 
     def change(motion: Motion) -> Motion:
         return replace(

@@ -220,7 +220,7 @@ class ChannelSearch:
             is_far = 0 < limit_range < np.inf and high - low > max(_FAR_BEYOND * limit_range, np.pi)
             if j not in known and (is_far or spoils_torque):
                 travel = f"q goes from {low:.4g} to {high:.4g}, by the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
-                message = f"{travel}, as degrees, mm or counts do"
+                message = f"{travel}, as if in degrees, mm or counts"
                 yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
     def _velocity_faults(self) -> Iterator[Notice]:

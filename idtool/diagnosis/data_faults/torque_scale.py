@@ -58,8 +58,8 @@ def wrong_torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Not
         return
     factor = float(np.exp(np.median(logs)))
     ratio = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
-    cause = "if it is a motor's torque, a current, mN·m or the like"
-    advice = f"{cause} set its `log.scale`; else the URDF's masses are wrong"
+    cause = "if it is a motor torque, a current, in mN·m or similar,"
+    advice = f"{cause} set its `log.scale`; otherwise the URDF's masses are wrong"
     yield Notice("wrong_unit", "problem", None, f"{ratio} at {join_names(list(factors))}", advice)
 
 
@@ -135,9 +135,9 @@ def clipped_torque(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Notice]:
     level = max(abs(tau.minimum), abs(tau.maximum))
     if missing > max(_MIN_SIGNIFICANCE * error, _MIN_EXCESS * level):
         extremes = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
-        beyond = f"where by the motion it goes on for {missing:.2g} in the mean"
+        beyond = f"where the motion requires {missing:.2g} more on average"
         name = fit.equation.joints[j]
-        yield Notice("clipped", "problem", name, f"{extremes}, {beyond}", "excite less, or raise the limit")
+        yield Notice("clipped", "problem", name, f"{extremes}, {beyond}", "reduce the excitation, or raise the limit")
 
 
 def _missing_torque(factor: Factor) -> tuple[float, float]:
