@@ -13,8 +13,8 @@ from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_tex
 from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.data_faults import find_data_faults
-from idtool.diagnosis.maps import residual_maps
-from idtool.diagnosis.records import Residual
+from idtool.diagnosis.records import ResidualProfile
+from idtool.diagnosis.residual_maps import residual_maps
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as run_fit
@@ -23,7 +23,7 @@ from idtool.reporting.figures import figure
 from idtool.reporting.fit_report import fit_report, model_config
 from idtool.reporting.results.fit import FitReport
 
-Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]  # what the prior and the identified model leave
+Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]  # of the prior and the identified model
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

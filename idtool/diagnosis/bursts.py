@@ -1,10 +1,10 @@
-"""Stretches of time in which something acts on the robot that does not otherwise.
+"""Bursts: time intervals in which something acts on the robot that does not otherwise, such as a contact.
 
-A model fitted to data with a contact is bent by it, and leaves something everywhere; so what is left is that of a fit
-which does not heed the contact. A contact is told from friction, gears and the rest by its shape: its torque comes
-and goes within milliseconds, between these it is never small and changes only as slowly as the pose.
+A model fitted to data with a contact is biased by it and leaves a residual everywhere. So the residual is that of a
+robust fit, which ignores the contact. A contact is distinguished from friction, gears and the rest by its shape: its
+torque appears and vanishes within milliseconds, is never small in between, and changes only as slowly as the pose.
 
-Letters: nv joints, n samples.
+Letters: nv joints, n samples. The level is the rms over the joints of the residual, in units of each joint's noise.
 """
 
 from __future__ import annotations
@@ -17,29 +17,31 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.diagnosis.residual_series import pieces
-from idtool.diagnosis.robust import robust
+from idtool.diagnosis.residual_series import residual_chunks
+from idtool.diagnosis.robust_fit import robust_coefficients
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
-_SMOOTH = 9  # samples, four or more of which make a period of the band: a level is their median
-_NEAR = 10  # samples around an edge in which it is looked for, and on each side of which it is judged
-_SIDE = 3  # samples of each side that a jump is the difference of
+_SMOOTHING = 9  # samples of the median filter; four or more make a period of the band
+_EDGE_REACH = 10  # samples to each side in which an edge is looked for and evaluated
+_EDGE_MEAN = 3  # samples of each side whose means differ by the jump
 _RAISED = 3.0  # times the usual level
-_BURST = 4.0  # times it, in the middle
-_APART, _SHORTEST = 0.15, 0.25  # s
-_OUTERMOST = (0.0, 0.1, 0.3)  # of a burst's level: where its edges are looked for
-_PART = 0.25  # of it: lower it never is for long
-_EVEN = 3.0  # times it, that the level at its edges is at most
-_SHARP, _KICK = 0.6, 1.4  # of the level at an edge, that the jump there is at least and at most
-_OUTSIDE = 0.3  # of it, that there may be just outside
-_ROUGH = 0.3  # of the level, that may change faster than a pose does
-_POSE = 0.1  # s in which a pose hardly changes
-_MOST = 10
-_SMALL = 1e-3  # of a joint's torque: less is not looked at
+_MIN_LEVEL = 4.0  # times the usual level, for the median of a burst
+_MIN_GAP = 0.15  # s between bursts
+_MIN_DURATION = 0.25  # s
+_EDGE_LEVELS = (0.0, 0.1, 0.3)  # of a burst's level, at which its edges are looked for, the outermost first
+_MIN_INSIDE = 0.25  # of a burst's level: it is never lower for long
+_MAX_INSIDE = 3.0  # of a burst's level, just inside an edge
+_MIN_JUMP, _MAX_JUMP = 0.6, 1.4  # of the level just inside an edge
+_MAX_OUTSIDE = 0.3  # of the level just inside an edge, for that just outside
+_MAX_ROUGHNESS = 0.3  # of the level, that may change faster than a pose does
+_POSE_SECONDS = 0.1  # in which a pose hardly changes
+_MAX_BURSTS = 10
+_MIN_NOISE = 1e-3  # of a joint's torque
+_MAD_TO_SIGMA = 1.4826
 
 
-def bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tuple[float, float], ...]:
-    """Stretches of time in which the residual torque is out of the ordinary, as in a contact.
+def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tuple[float, float], ...]:
+    """Time intervals in which the residual torque is unusually large, as in a contact.
 
     Parameters
     ----------
@@ -52,120 +54,137 @@ def bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tu
 
     Returns
     -------
-    Begin and end of each [s] from the log's first sample, in order of time, at most 10: the strongest. None where
-    there are several logs, since a contact's windows count from the first sample of each.
+    Begin and end of each [s] from the log's first sample, in order of time; the 10 strongest at most. None if there
+    are several logs, since a contact's windows count from the first sample of each.
     """
     if len(experiment.runs) > 1:
         return ()
-    t, r, v, kept, starts = _normalised(experiment, theta, progress)
+    t, residual, v, valid, segment_starts = _normalized_residual(experiment, theta, progress)
     log = experiment.runs[0].signals.log
-    levels = _levels(r, kept)
-    usual = float(np.median(levels))
-    found: list[tuple[float, float, float]] = []
-    for first, last in zip(starts, (*starts[1:], len(t)), strict=True):
-        part = slice(first, last)
-        if last - first > 2:
-            turns = [np.flatnonzero(np.diff(np.sign(x))) for x in v[:, part]]
-            step = float(t[first + 1] - t[first])
-            stretch = _Stretch(r[:, part], kept[:, part], levels[part], turns, usual, step)
-            for a, b, strength in stretch.bursts():
-                begin = t[first + a] - step / 2 if first + a > 0 else 0.0
-                end = t[first + b - 1] + step / 2 if first + b < len(t) else log.t[-1] - log.t[0]
-                found.append((float(begin), float(end), strength))
-    strongest = sorted(found, key=lambda one: -one[2])[:_MOST]
+    levels = _levels(residual, valid)
+    usual_level = float(np.median(levels))
+    bursts: list[tuple[float, float, float]] = []
+    for first, end in zip(segment_starts, (*segment_starts[1:], len(t)), strict=True):
+        if end - first <= 2:
+            continue
+        part = slice(first, end)
+        dt = float(t[first + 1] - t[first])
+        reversals = [np.flatnonzero(np.diff(np.sign(joint_v))) for joint_v in v[:, part]]
+        segment = _Segment(residual[:, part], valid[:, part], levels[part], reversals, usual_level, dt)
+        for a, b, energy in segment.bursts():
+            begin_time = t[first + a] - dt / 2 if first + a > 0 else 0.0
+            end_time = t[first + b - 1] + dt / 2 if first + b < len(t) else log.t[-1] - log.t[0]
+            bursts.append((float(begin_time), float(end_time), energy))
+    strongest = sorted(bursts, key=lambda burst: -burst[2])[:_MAX_BURSTS]
     return tuple(sorted((round(begin, 4), round(end, 4)) for begin, end, _ in strongest))
 
 
-def _normalised(
+def _normalized_residual(
     experiment: Experiment, theta: Array, progress: Progress
 ) -> tuple[Array, Array, Array, Mask, list[int]]:
-    """What a fit leaves that does not heed bursts, in units of each joint's noise.
+    """Residual of a robust fit in units of each joint's noise.
 
     Returns
     -------
-    Times [s], shape (n,), what is left, velocities and which samples count, shape (nv, n), and where stretches begin.
+    Times [s], shape (n,), residuals, velocities and which samples are valid, shape (nv, n), and where segments begin.
     """
-    model = (experiment.equation, robust(experiment, theta, progress))
-    found, starts, count, torque = [], [], 0, np.zeros(len(experiment.equation.joints))
-    for piece in pieces(experiment, [model], progress, "looking for contacts"):
-        starts += [count] * len(piece.starts)
-        count += len(piece.t)
-        torque = torque + np.square(piece.tau).sum(axis=1)
-        found.append((piece.t, piece.left[0], piece.v, piece.kept))
-    t, left, v, kept = (np.concatenate(x, axis=-1) for x in zip(*found, strict=True))
-    noise: Array = np.array(
-        [1.4826 * float(np.median(np.abs(x[k]))) if k.any() else 0.0 for x, k in zip(left, kept, strict=True)]
-    )
-    noise = np.maximum(noise, _SMALL * np.sqrt(torque / max(count, 1)))
-    return t, left / np.where(noise > 0, noise, 1.0)[:, None], v, kept, starts
+    model = (experiment.equation, robust_coefficients(experiment, theta, progress))
+    chunks = []
+    segment_starts: list[int] = []
+    count = 0
+    torque_squares = np.zeros(len(experiment.equation.joints))
+    for chunk in residual_chunks(experiment, [model], progress, "looking for contacts"):
+        if chunk.segment_starts:
+            segment_starts.append(count)
+        count += len(chunk.t)
+        torque_squares = torque_squares + np.square(chunk.tau).sum(axis=1)
+        chunks.append((chunk.t, chunk.residuals[0], chunk.v, chunk.valid))
+    t, residual, v, valid = (np.concatenate(arrays, axis=-1) for arrays in zip(*chunks, strict=True))
+
+    noise = np.zeros(len(residual))
+    for j, keep in enumerate(valid):
+        if keep.any():
+            noise[j] = _MAD_TO_SIGMA * float(np.median(np.abs(residual[j][keep])))
+    noise = np.maximum(noise, _MIN_NOISE * np.sqrt(torque_squares / max(count, 1)))
+    return t, residual / np.where(noise > 0, noise, 1.0)[:, None], v, valid, segment_starts
 
 
-def _levels(r: Array, kept: Mask) -> Array:
-    """Rms over the joints that count, shape (n,); where none does, the lesser of the nearest before and after."""
-    count = kept.sum(axis=0)
+def _levels(residual: Array, valid: Mask) -> Array:
+    """Rms over the valid joints, shape (n,); where none is, the lower of the nearest levels before and after."""
+    count = valid.sum(axis=0)
     known = np.flatnonzero(count)
     if not len(known):
-        return np.zeros(r.shape[1])
-    level = np.sqrt(np.square(r * kept).sum(axis=0) / np.maximum(count, 1))
+        return np.zeros(residual.shape[1])
+    level = np.sqrt(np.square(residual * valid).sum(axis=0) / np.maximum(count, 1))
     after = np.minimum(np.searchsorted(known, np.arange(len(level))), len(known) - 1)
     before = np.maximum(after - 1, 0)
-    return np.asarray(np.where(count > 0, level, np.minimum(level[known[before]], level[known[after]])))
+    nearest = np.minimum(level[known[before]], level[known[after]])
+    return np.asarray(np.where(count > 0, level, nearest))
 
 
 @dataclass(frozen=True)
-class _Stretch:
-    """A stretch without a gap.
+class _Segment:
+    """Part of the log without a gap.
 
     Attributes
     ----------
-    r
-        What is left, in units of each joint's noise, shape (nv, n).
-    kept
-        Whether it says something, shape (nv, n).
+    residual
+        In units of each joint's noise, shape (nv, n).
+    valid
+        Mask of the samples at which it is known, shape (nv, n).
     levels
         Its rms over the joints, shape (n,).
-    turns
+    reversals
         By joint, samples at which its velocity changes sign.
-    usual
-        The level at most times.
-    step
-        From one sample to the next [s].
+    usual_level
+        Median level of the log.
+    dt
+        Sample time [s].
     """
 
-    r: Array
-    kept: Mask
+    residual: Array
+    valid: Mask
     levels: Array
-    turns: Sequence[Indices]
-    usual: float
-    step: float
+    reversals: Sequence[Indices]
+    usual_level: float
+    dt: float
 
     def bursts(self) -> Iterator[tuple[int, int, float]]:
         """First sample, the one after the last, and energy of each."""
-        level = median_filter(self.levels, _SMOOTH, mode="nearest")
-        for raised in self._runs(level > _RAISED * self.usual):
+        level = median_filter(self.levels, _SMOOTHING, mode="nearest")
+        for raised in self._runs(level > _RAISED * self.usual_level):
             height = float(np.median(level[raised]))
-            a, b = (self._end(raised, level[raised], height, way) for way in (1, -1))
-            if height < _BURST * self.usual or a is None or b is None or (b - a) * self.step < _SHORTEST:
+            a = self._burst_edge(raised, level[raised], height, 1)
+            b = self._burst_edge(raised, level[raised], height, -1)
+            if height < _MIN_LEVEL * self.usual_level or a is None or b is None:
                 continue
-            if (a > 0 or b < len(self.levels)) and self._stays(a, b, height) and not self._recurs(a, b):
+            if (b - a) * self.dt < _MIN_DURATION:
+                continue
+            has_edge = a > 0 or b < len(self.levels)
+            if has_edge and self._is_steady(a, b, height) and not self._recurs_at_reversals(a, b):
                 yield a, b, height**2 * (b - a)
 
     def _runs(self, raised: Mask) -> Iterator[slice]:
-        """Runs that are raised, across short gaps."""
+        """Runs of raised samples, with short gaps filled."""
         edges = np.flatnonzero(np.diff(raised, prepend=False, append=False)).reshape(-1, 2)
-        if len(edges):
-            gap = (edges[1:, 0] - edges[:-1, 1]) * self.step >= _APART
-            first, last = edges[np.insert(gap, 0, True), 0], edges[np.append(gap, True), 1]
-            yield from (slice(a, b) for a, b in zip(first, last, strict=True) if (b - a) * self.step > _SHORTEST / 2)
+        if not len(edges):
+            return
+        is_gap = (edges[1:, 0] - edges[:-1, 1]) * self.dt >= _MIN_GAP
+        first = edges[np.insert(is_gap, 0, True), 0]
+        end = edges[np.append(is_gap, True), 1]
+        for a, b in zip(first, end, strict=True):
+            if (b - a) * self.dt > _MIN_DURATION / 2:
+                yield slice(a, b)
 
     @cached_property
     def _changes(self) -> Array:
-        """From before to after each place between samples, NaN where that is not known, shape (nv, n + 1)."""
-        n, m = len(self.levels), _SIDE
-        changes = np.full((len(self.r), n + 1), np.nan)
+        """Change of the mean residual across each place between samples, shape (nv, n + 1); NaN if not known."""
+        n = len(self.levels)
+        m = _EDGE_MEAN
+        changes = np.full((len(self.residual), n + 1), np.nan)
         if n >= 2 * m:
-            sums = (np.cumsum(np.insert(x, 0, 0.0, axis=1), axis=1) for x in (self.r * self.kept, 1.0 * self.kept))
-            total, count = (x[:, m:] - x[:, :-m] for x in sums)
+            total = _moving_sum(self.residual * self.valid, m)
+            count = _moving_sum(self.valid.astype(float), m)
             mean = np.where(count >= m / 3, total / np.maximum(count, 1), np.nan)
             changes[:, m : n + 1 - m] = mean[:, m:] - mean[:, :-m]
         return changes
@@ -177,58 +196,80 @@ class _Stretch:
         squares = np.square(np.where(known, self._changes, 0.0)).sum(axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=0), 1)))
 
-    def _end(self, raised: slice, level: Array, height: float, way: int) -> int | None:
-        """Where a burst begins, 1, or ends, −1: the outermost sharp edge, or an end of the stretch; None: nowhere."""
+    def _burst_edge(self, raised: slice, level: Array, height: float, direction: int) -> int | None:
+        """Place where a burst begins (direction 1) or ends (−1).
+
+        The outermost sharp edge, or an end of the segment; None if there is neither.
+        """
         n = len(self.levels)
-        for share in _OUTERMOST:
+        for share in _EDGE_LEVELS:
             high = np.flatnonzero(level > share * height) + raised.start
-            near = int(high[0] if way > 0 else high[-1] + 1)
-            if near <= _NEAR or near >= n - _NEAR:
-                return 0 if near <= _NEAR else n
-            place = near - _NEAR + int(np.argmax(self._jumps[near - _NEAR : near + _NEAR + 1]))
-            if self._is_edge(place, way, height):
+            near = int(high[0] if direction > 0 else high[-1] + 1)
+            if near <= _EDGE_REACH:
+                return 0
+            if near >= n - _EDGE_REACH:
+                return n
+            first = near - _EDGE_REACH
+            place = first + int(np.argmax(self._jumps[first : near + _EDGE_REACH + 1]))
+            if self._is_edge(place, direction, height):
                 return place
         return None
 
-    def _is_edge(self, end: int, way: int, height: float) -> bool:
-        """Whether a burst may begin, 1, or end, −1, at a place."""
-        after, before = self.levels[end + _SIDE - 1 : end + _NEAR], self.levels[max(end - _NEAR, 0) : end - _SIDE + 1]
+    def _is_edge(self, place: int, direction: int, height: float) -> bool:
+        """True if a burst may begin (direction 1) or end (−1) at a place."""
+        after = self.levels[place + _EDGE_MEAN - 1 : place + _EDGE_REACH]
+        before = self.levels[max(place - _EDGE_REACH, 0) : place - _EDGE_MEAN + 1]
         if not len(after) or not len(before):
             return False
-        inside, outside = (float(np.median(x)) for x in ((after, before)[::way]))
-        jump = float(self._jumps[end])
+        inside = float(np.median(after if direction > 0 else before))
+        outside = float(np.median(before if direction > 0 else after))
+        jump = float(self._jumps[place])
         return (
-            _PART * height < inside < _EVEN * height
-            and outside < _OUTSIDE * inside
-            and _SHARP * inside < jump < _KICK * inside
+            _MIN_INSIDE * height < inside < _MAX_INSIDE * height
+            and outside < _MAX_OUTSIDE * inside
+            and _MIN_JUMP * inside < jump < _MAX_JUMP * inside
         )
 
-    def _stays(self, a: int, b: int, height: float) -> bool:
-        """Whether between two places the level never falls low for long, and changes slowly."""
-        inner = slice(a + _SIDE, b - _SIDE)
-        known = [_bridged(x[inner], k[inner]) for x, k in zip(self.r, self.kept, strict=True) if k[inner].any()]
-        if not known:
+    def _is_steady(self, a: int, b: int, height: float) -> bool:
+        """True if the level between two places never is low for long, and changes slowly."""
+        inner = slice(a + _EDGE_MEAN, b - _EDGE_MEAN)
+        rows = []
+        for x, keep in zip(self.residual, self.valid, strict=True):
+            if keep[inner].any():
+                rows.append(_interpolated(x[inner], keep[inner]))
+        if not rows:
             return False
-        r = np.stack(known)
-        low = float(np.quantile(median_filter(np.sqrt(np.square(r).mean(axis=0)), _SMOOTH), 0.1))
-        rough = r - uniform_filter1d(r, max(round(_POSE / self.step), 1), axis=1, mode="nearest")
-        return low > _PART * height and float(np.square(rough).sum()) < _ROUGH**2 * float(np.square(r).sum())
+        residual = np.stack(rows)
+        level = median_filter(np.sqrt(np.square(residual).mean(axis=0)), _SMOOTHING)
+        low = float(np.quantile(level, 0.1))
+        pose_samples = max(round(_POSE_SECONDS / self.dt), 1)
+        rough = residual - uniform_filter1d(residual, pose_samples, axis=1, mode="nearest")
+        is_smooth = float(np.square(rough).sum()) < _MAX_ROUGHNESS**2 * float(np.square(residual).sum())
+        return low > _MIN_INSIDE * height and is_smooth
 
-    def _recurs(self, a: int, b: int) -> bool:
-        """Whether what begins at a place is what most reversals of a joint begin with."""
+    def _recurs_at_reversals(self, a: int, b: int) -> bool:
+        """True if the change at a place is one that most reversals of a joint begin with."""
         if not np.isfinite(self._changes[:, a]).any():
             return False
         sizes = np.abs(np.nan_to_num(self._changes))
         j = int(np.argmax(sizes[:, a]))
-        turns = self.turns[j]
-        others = turns[(turns < a - _NEAR) | (turns > b + _NEAR)]
-        if not len(others) or not (np.abs(turns - a) <= _NEAR // 2).any():
+        reversals = self.reversals[j]
+        others = reversals[(reversals < a - _EDGE_REACH) | (reversals > b + _EDGE_REACH)]
+        if not len(others) or not (np.abs(reversals - a) <= _EDGE_REACH // 2).any():
             return False
-        nearby = np.clip(others[:, None] + np.arange(-_NEAR // 2, _NEAR // 2 + 1), 0, len(self.levels))
-        return bool(np.mean(sizes[j, nearby].max(axis=1) > sizes[j, a] / 2) > 0.5)
+        around = np.arange(-_EDGE_REACH // 2, _EDGE_REACH // 2 + 1)
+        nearby = np.clip(others[:, None] + around, 0, len(self.levels))
+        has_change = sizes[j, nearby].max(axis=1) > sizes[j, a] / 2
+        return bool(np.mean(has_change) > 0.5)
 
 
-def _bridged(x: Array, kept: Mask) -> Array:
-    """Straight lines across samples that do not count."""
-    known = np.flatnonzero(kept)
+def _moving_sum(x: Array, m: int) -> Array:
+    """Sums of m samples in a row, shape (nv, n − m + 1)."""
+    total = np.cumsum(np.insert(x, 0, 0.0, axis=1), axis=1)
+    return np.asarray(total[:, m:] - total[:, :-m])
+
+
+def _interpolated(x: Array, valid: Mask) -> Array:
+    """Samples with straight lines across the invalid ones."""
+    known = np.flatnonzero(valid)
     return np.interp(np.arange(len(x)), known, x[known])

@@ -1,4 +1,4 @@
-"""The diagnosis: residual → where → name → add → smaller residual, until what is left is noise or has no name."""
+"""Diagnosis: find, name and add the effects that a model lacks, until only noise or unknown structure remains."""
 
 from __future__ import annotations
 
@@ -10,63 +10,64 @@ import numpy as np
 
 from idtool.common.notice import Notice, unique
 from idtool.diagnosis.data_faults import find_data_faults
-from idtool.diagnosis.floor import Floor, noise_floor
-from idtool.diagnosis.level import level
+from idtool.diagnosis.effect_search import REVERSAL_MARGIN, AddedEffect, EffectSearch
+from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
+from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.localization import localize_residual, residual_maps, unexplained
-from idtool.diagnosis.model_selection import SURE, candidate, share
-from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step, Verdict, Where
-from idtool.diagnosis.rounds import APART, Added, Search
-from idtool.diagnosis.screen import screened
-from idtool.diagnosis.survey import survey
+from idtool.diagnosis.localization import localize_residual, localize_unexplained
+from idtool.diagnosis.model_selection import MIN_SIGNIFICANCE, explained_share, fitted_record, is_reportable
+from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
+from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ResidualLocation, Verdict
+from idtool.diagnosis.residual_maps import residual_maps
+from idtool.diagnosis.screen import screen_probes
+from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
-from idtool.diagnosis.unknown import UNKNOWN, unnamed
-from idtool.diagnosis.words import aside, doubted, sentence, separating
-from idtool.dynamics.effects import effect_from_entry
+from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
 
-_STRUCTURED = 0.1  # of a joint's squared residual, that a function of any form explains: it has structure
-_SMALL = 3e-3  # of a joint's rms torque: structure of less is no matter
-_SLOW = 25.0  # times the noise's power where the motion's is: it has structure
-_NEAR = 1.5  # of the noise floor, that a residual may be and count as noise
+_STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
+_NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
+_SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
+_NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a user asks for.
+    """Options of a diagnosis.
 
     Attributes
     ----------
     inertia
         ``refit`` or ``fixed``: whether the inertia parameters are identified or the URDF's.
     effects
-        Ids of the effects that may be; None: all.
-    most
-        How many are added at the most.
+        Ids of the effects to try; None: all.
+    max_effects
+        Number of effects that are added at most.
     assumed
-        Effects to start with, each with the joint or link that it is on; None: where it explains most.
-    simulated
-        Whether to run the models forwards too.
+        Effects to start with, each with its joint or link; None: where it explains most.
+    simulate
+        True to simulate the models too.
     """
 
     inertia: str = "refit"
     effects: tuple[str, ...] | None = None
-    most: int = 12
+    max_effects: int = 12
     assumed: tuple[tuple[str, str | None], ...] = ()
-    simulated: bool = True
+    simulate: bool = True
 
 
 def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Diagnosis:
-    """Find, name and add what a model lacks.
+    """Find, name and add the effects that a model lacks.
 
     Parameters
     ----------
     experiment
         Model and data.
     options
-        What is asked for.
+        Options.
     progress
         Told the stage and how far it has come.
 
@@ -77,190 +78,220 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     """
     started = time.perf_counter()
     experiment, delay, _ = with_delay(experiment, progress)
-    wrong = find_data_faults(experiment, progress)
+    faults = find_data_faults(experiment, progress)
     if options.inertia == "fixed":
         experiment = with_fixed_inertia(experiment)
-    search = Search(experiment, options.effects, options.most, progress)
-    for effect, on in options.assumed:
-        search.assume(effect, on)
+    search = EffectSearch(experiment, options.effects, options.max_effects, progress)
+    for effect, target in options.assumed:
+        search.assume(effect, target)
     search.run()
-    first = fit(experiment, progress, options.simulated)
-    last = _last(search, first, options.simulated)
+
+    first = fit(experiment, progress, options.simulate)
+    last = _fit_with_effects(search, first, options.simulate)
     structure = _structure(search)
-    floor = _floor(search, structure)
-    named = doubted(_steps(search, first, last, options.simulated), experiment.model)
-    steps = [*named, *_unknown(search, structure, floor, last)]
-    joints = experiment.equation.joints
-    before, after = (_of(one) for one in (first, last))
+    floor = _noise_floor(search, structure)
+    steps = with_doubts(_steps(search, first, last, options.simulate), experiment.model)
+    steps += _unknown_steps(search, structure, floor, last)
+    floor_rms = dict(zip(experiment.equation.joints, floor.rms.tolist(), strict=True))
+    delay_notices = delay.notices if delay else ()
     return Diagnosis(
         first=first,
         last=last,
-        faults=wrong,
+        faults=faults,
         steps=tuple(steps),
         removed=tuple(search.removed),
-        before=before,
-        after=after,
-        floor={**dict(zip(joints, floor.rms.tolist(), strict=True)), "overall": float(np.sqrt(np.mean(floor.rms**2)))},
+        before=errors_of_fit(first),
+        after=errors_of_fit(last),
+        floor={**floor_rms, "overall": float(np.sqrt(np.mean(floor.rms**2)))},
         verdict=_verdict(steps),
         maps_before=residual_maps(first.experiment, first.estimate.theta, progress),
         maps_after=residual_maps(last.experiment, last.estimate.theta, progress),
-        notices=unique([*(delay.notices if delay else ()), *_doubts(steps), *_search_notices(search)]),
+        notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search)]),
         seconds=time.perf_counter() - started,
     )
 
 
-def _last(search: Search, first: Fit, simulated: bool) -> Fit:
-    """The model with all effects that it can be fitted with."""
-    while search.named:
+def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:
+    """Fit with all effects found; those with which it fails are removed, the newest first."""
+    while search.reported:
         try:
-            return fit(search.final(), search.progress, simulated)
+            return fit(search.final_experiment(), search.progress, simulate)
         except FAILURES as failure:
-            search.leave_out(search.named[-1], failure)
+            search.remove_failed(search.reported[-1], failure)
     return first
 
 
-def _of(one: Fit) -> Level:
-    """The errors of a fitted model."""
-    joints = one.experiment.equation.joints
-    held_out = one.validation.errors["identified"]
-    run = one.simulation
-    moved = None if run is None or "identified" in run.failed else run.errors["identified"].rmse(joints, "position")
-    return Level(one.train.errors["identified"].rms(joints), held_out.rms(joints) if held_out.samples else None, moved)
-
-
-def _steps(search: Search, first: Fit, last: Fit, simulated: bool) -> list[Step]:
-    """What was found, step by step, with the shape values of the end."""
-    steps: list[Step] = []
-    experiment, theta, before = first.experiment, first.estimate.theta, _of(first)
-    for k, one in enumerate(search.named):
-        found = _so_far(search, k + 1, last)
-        after = level(found.experiment, found.estimate.theta, simulated, search.progress)
-        where = localize_residual(experiment, theta, found.experiment, found.estimate.theta, search.progress)
-        values, errors = _parameters(one, search)
-        alike = tuple(candidate(c, one.choice.here) for c in one.choice.equals)
-        step = Step(
-            chosen=one.chosen,
-            entry=one.entry,
-            parameters=values,
+def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool) -> list[DiagnosisStep]:
+    """Steps of the diagnosis, with the nonlinear parameters of the final model."""
+    steps: list[DiagnosisStep] = []
+    previous: LinearizedFit | Fit = first
+    before = errors_of_fit(first)
+    for k, effect in enumerate(search.reported):
+        current = _fit_with_first_effects(search, k + 1, last)
+        theta = current.estimate.theta
+        after = evaluate_errors(current.experiment, theta, simulate, search.progress)
+        location = localize_residual(
+            previous.experiment, previous.estimate.theta, current.experiment, theta, search.progress
+        )
+        parameters, errors = _parameters(effect, search)
+        selection = effect.selection
+        alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
+        step = DiagnosisStep(
+            chosen=effect.chosen,
+            entry=effect.entry,
+            parameters=parameters,
             standard_error=errors,
-            where=where,
-            significance=one.chosen.score / max(one.chosen.standard_error, 1e-12),
+            location=location,
+            significance=effect.chosen.significance,
             pair=bool(alike),
-            separate=separating(one.chosen, alike[0]) if alike else "",
-            alternatives=(*one.choice.alternatives(),),
-            rejected=one.choice.lost,
+            distinguishing_experiment=distinguishing_experiment(effect.chosen, alike[0]) if alike else "",
+            alternatives=selection.alternatives(),
+            rejected=selection.rejected,
             before=before,
             after=after,
             sentence="",
         )
-        units = first.experiment.model.units
-        steps.append(replace(step, sentence=sentence(step, units)))
-        experiment, theta, before = found.experiment, found.estimate.theta, after
+        steps.append(replace(step, sentence=step_sentence(step, first.experiment.model.units)))
+        previous = current
+        before = after
     return steps
 
 
-def _so_far(search: Search, count: int, last: Fit) -> LinearizedFit | Fit:
-    """The model with the effects that were found first; with all of them, where those alone cannot be fitted."""
-    experiment = with_effects(search.here.experiment, search.entries(count), search.here.theta)
+def _fit_with_first_effects(search: EffectSearch, count: int, last: Fit) -> LinearizedFit | Fit:
+    """Fit with the first effects found; the final fit if that fails."""
+    experiment = with_effects(search.current.experiment, search.entries(count), search.current.theta)
     try:
         return linearize_fit(experiment, search.progress)
     except FAILURES:
         return last
 
 
-def _parameters(one: Added, search: Search) -> tuple[dict[str, object], dict[str, object]]:
-    """Values and standard errors by name, as the whole model has them."""
-    equation = search.here.experiment.equation
-    key = effect_from_entry(one.entry, search.here.experiment.model).key
-    values = {name: _value(x) for name, x in one.entry.parameters.items()}
-    errors: dict[str, object] = {name: _error(one, name, value) for name, value in values.items()}
-    for effect, first, last in zip(equation.effects, equation.offsets()[:-1], equation.offsets()[1:], strict=True):
-        if getattr(effect, "key", None) == key and last > first:
-            theta, ways = search.here.estimate.theta[first:last], search.here.ways[first:last]
-            total = search.here.B.sum(axis=0) + search.here.held
-            spread = one.choice.inflation * ways @ np.linalg.solve(total, ways.T)
-            for name, (value, error) in effect.parameters(theta, spread).items():  # type: ignore[attr-defined]
-                values[name], errors[name] = value, error
+def _parameters(effect: AddedEffect, search: EffectSearch) -> tuple[dict[str, object], dict[str, object]]:
+    """Values and standard errors of an effect's parameters by name, in the final model."""
+    fitted = search.current
+    equation = fitted.experiment.equation
+    key = effect_from_entry(effect.entry, fitted.experiment.model).key
+    values: dict[str, object] = {}
+    errors: dict[str, object] = {}
+    for name, given in effect.entry.parameters.items():
+        values[name] = given["value"] if isinstance(given, Mapping) else given
+        errors[name] = _nonlinear_error(effect, name, values[name])
+
+    offsets = equation.offsets()
+    for present, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
+        if isinstance(present, NamedEffect) and present.key == key and end > start:
+            directions = fitted.directions[start:end]
+            covariance = effect.selection.inflation * directions @ np.linalg.solve(fitted.information, directions.T)
+            linear = present.parameters(fitted.estimate.theta[start:end], covariance)
+            for name, (value, error) in linear.items():
+                values[name] = value
+                errors[name] = error
     return values, errors
 
 
-def _error(one: Added, name: str, value: object) -> object:
-    """What a shape value, or each of a list, may be off by; None where it is not known."""
-    if isinstance(value, list) and any(f"{name}.{k}" in one.errors for k in range(len(value))):
-        return [one.errors.get(f"{name}.{k}") for k in range(len(value))]
-    return one.errors.get(name)
+def _nonlinear_error(effect: AddedEffect, name: str, value: object) -> object:
+    """Standard error of a nonlinear parameter, or of each element of a list; None if it is not known."""
+    if isinstance(value, list):
+        errors = [effect.errors.get(f"{name}.{k}") for k in range(len(value))]
+        if any(error is not None for error in errors):
+            return errors
+    return effect.errors.get(name)
 
 
-def _value(given: object) -> object:
-    return given["value"] if isinstance(given, Mapping) else given
+def _structure(search: EffectSearch) -> list[Candidate]:
+    """What generic functions explain of each joint's residual; a share of 0 if it is no more than chance."""
+    base = search.current
+    joints = base.experiment.equation.joints
+    inflation = search.last_round.inflation if search.last_round is not None else 1.0
+    probes = list(generic_probes(summarize_data(base)))
+    screened = screen_probes(base, probes, search.progress, "looking for what has no name")
+    structure = []
+    for j, name in enumerate(joints):
+        own = [candidate for candidate in screened if candidate.probe.joint == name]
+        best = max(own, key=lambda candidate: candidate.gain)
+        explained_rms = np.sqrt(max(best.gain, 0.0) / base.row_counts[:, j].sum()) * base.noise[j]
+        is_structure = best.gain > MIN_SIGNIFICANCE**2 * inflation and explained_rms / base.rms_torque[j] > _NEGLIGIBLE
+        score = error = 0.0
+        if is_structure:
+            score = min(explained_share(best.gain, base, 1), 1.0)
+            error = explained_share(best.standard_error, base, 1)
+        structure.append(Candidate(UNKNOWN, name, None, score, error, 0))
+    return structure
 
 
-def _structure(search: Search) -> list[Candidate]:
-    """What a function of any form explains of what is left, by joint; a share of 0 where it is no more than chance."""
-    here = search.here
-    inflation = search.last.inflation if search.last is not None else 1.0
-    found = screened(here, list(unnamed(survey(here))), search.progress, "looking for what has no name")
-    said = []
-    for name in here.experiment.equation.joints:
-        best = max((one for one in found if one.probe.joint == name), key=lambda one: one.gain)
-        j = here.experiment.equation.joints.index(name)
-        size = np.sqrt(max(best.gain, 0.0) / here.rows[:, j].sum()) * here.noise[j] / here.size[j]
-        sure = best.gain > SURE**2 * inflation and size > _SMALL
-        part, error = (share(x, here, 1) if sure else 0.0 for x in (best.gain, best.standard_error))
-        said.append(Candidate(UNKNOWN, name, None, min(part, 1.0), error, 0))
-    return said
+def _noise_floor(search: EffectSearch, structure: Sequence[Candidate]) -> NoiseFloor:
+    """Noise floor by the residual away from reversals, without what is known to be structure."""
+    fitted = search.current
+    floor = estimate_noise_floor(fitted.experiment, fitted.estimate.theta, search.progress, fitted.reversal_margin)
+    return floor.without_structure(np.array([candidate.score for candidate in structure]))
 
 
-def _floor(search: Search, structure: Sequence[Candidate]) -> Floor:
-    """The noise floor, by what is left where it is clear of reversals, less what is known to be structure of that."""
-    here = search.here
-    floor = noise_floor(here.experiment, here.estimate.theta, search.progress, here.apart)
-    return floor.less(np.array([one.score for one in structure]))
+def _unknown_steps(
+    search: EffectSearch, structure: Sequence[Candidate], floor: NoiseFloor, last: Fit
+) -> list[DiagnosisStep]:
+    """Steps of the joints whose residual has structure that no effect explains."""
+    largest_noise = np.maximum(_NEAR_NOISE * floor.noise, _NEGLIGIBLE * search.current.rms_torque)
+    has_slow_power = (floor.slow_power_ratio > _SLOW_POWER) & (floor.residual > largest_noise)
+    unknown = []
+    for candidate, slow in zip(structure, has_slow_power, strict=True):
+        if candidate.score > _STRUCTURED_SHARE or slow:
+            unknown.append(candidate)
+    if not unknown:
+        return []
 
-
-def _unknown(search: Search, structure: Sequence[Candidate], floor: Floor, last: Fit) -> list[Step]:
-    """What is structured and has no name, a step a joint."""
-    rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    slow = (floor.slow > _SLOW) & (floor.residual > np.maximum(_NEAR * floor.noise, _SMALL * search.here.size))
-    left = [one for one, whole in zip(structure, slow.tolist(), strict=True) if one.score > _STRUCTURED or whole]
-    where = unexplained(last.experiment, last.estimate.theta, rms, search.progress) if left else {}
-    lost, now = search.last.lost if search.last is not None else (), _of(last)
+    floor_rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
+    locations = localize_unexplained(last.experiment, last.estimate.theta, floor_rms, search.progress)
+    errors = errors_of_fit(last)
     steps = []
-    for chosen in left:
-        there = where.get(chosen.on, Where((chosen.on,), (), ""))
-        sure = chosen.score / max(chosen.standard_error, 1e-12)
-        step = Step(chosen, None, {}, {}, there, sure, False, "", (), lost, now, now, "")
-        steps.append(replace(step, sentence=sentence(step, last.experiment.model.units)))
+    for candidate in unknown:
+        step = DiagnosisStep(
+            chosen=candidate,
+            entry=None,
+            parameters={},
+            standard_error={},
+            location=locations.get(candidate.target, ResidualLocation((candidate.target,), (), "")),
+            significance=candidate.significance,
+            pair=False,
+            distinguishing_experiment="",
+            alternatives=(),
+            rejected=search.last_round.rejected if search.last_round is not None else (),
+            before=errors,
+            after=errors,
+            sentence="",
+        )
+        steps.append(replace(step, sentence=step_sentence(step, last.experiment.model.units)))
     return steps
 
 
-def _doubts(steps: Sequence[Step]) -> Iterator[Notice]:
-    """What speaks against the effects that were added."""
+def _doubt_notices(steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
+    """Notices of what speaks against the effects that were added."""
     for step in steps:
         if step.doubt:
             yield Notice("effect_doubtful", "warning", None, step.doubt)
 
 
-def _search_notices(search: Search) -> Iterator[Notice]:
-    """What a reader should know of the search."""
-    for one in search.added:
-        if one not in search.named:
-            yield Notice("effect_fitted_along", "note", one.entry.joint, aside(one.entry))
-    there = {(one.chosen.effect, one.chosen.on) for one in search.added}
-    for (effect, on), reason in search.failed.items():
-        if (effect, on) not in there:
-            yield Notice("effect_failed", "warning", None, f"{effect} on {on} {reason}")
-    if search.rounded:
+def _search_notices(search: EffectSearch) -> Iterator[Notice]:
+    """Notices about the search."""
+    for effect in search.added:
+        if not is_reportable(effect.entry.effect):
+            yield Notice("effect_fitted_along", "note", effect.entry.joint, fitted_along_sentence(effect.entry))
+    added = {(effect.chosen.effect, effect.chosen.target) for effect in search.added}
+    for (effect_id, target), reason in search.failed.items():
+        if (effect_id, target) not in added:
+            yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
+    if search.reversal_joints:
         message = (
-            f"within {1e3 * APART:.0f} ms of reversals friction on {', '.join(search.rounded)} is not what its level "
-            "and direction give, as where a simulator rounds it off: such moments were left aside in the end"
+            f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction on {', '.join(search.reversal_joints)} "
+            "does not follow its level and direction, as when a simulator rounds it off; these samples were excluded "
+            "in the last rounds"
         )
         yield Notice("reversals_left_aside", "warning", None, message)
 
 
-def _verdict(steps: Sequence[Step]) -> Verdict:
-    named = any(step.entry is not None for step in steps)
-    left = any(step.entry is None for step in steps)
-    if named:
-        return "partly_explained" if left or any(step.doubt for step in steps) else "explained"
-    return "unexplained" if left else "no_disagreement"
+def _verdict(steps: Sequence[DiagnosisStep]) -> Verdict:
+    has_named = any(step.entry is not None for step in steps)
+    has_unknown = any(step.entry is None for step in steps)
+    has_doubt = any(step.doubt for step in steps)
+    if not has_named:
+        return "unexplained" if has_unknown else "no_disagreement"
+    return "partly_explained" if has_unknown or has_doubt else "explained"

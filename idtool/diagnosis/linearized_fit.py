@@ -1,13 +1,14 @@
-"""`LinearizedFit`: what a model leaves of its logs, and what of that a further effect explains that the model cannot.
+"""`LinearizedFit`: a fitted model and its residual, expanded to first order, to which further effects are compared.
 
-The model's rows are turned into directions y in which prior, constraints and data together weigh 1, about the fitted
-theta. The constraints count by the Hessian of their barrier there: along an active one the model gives way as little as
-the true problem does. A candidate's columns are then seen only by what is orthogonal to all of that.
+The model's rows are expressed in directions y in which prior, constraints and data together have unit information,
+about the fitted theta. The constraints count by the Hessian of their barrier there: along an active one the model is as
+stiff as in the constrained problem. Of a candidate's columns, only the part orthogonal to all of that explains
+anything.
 
-Held-out figures leave out one block of time after the other; each is a small linear problem on Gram matrices, which in
-these directions are as good as QR.
+Cross-validation leaves out one block of time after the other. Each is a small linear problem on Gram matrices, which in
+these directions are as accurate as QR.
 
-Letters: p coefficients theta; r directions y; F blocks of time; sigma_j noise of joint j; k columns of a candidate.
+Letters: p coefficients theta; r directions y; F blocks of time; k columns of a candidate.
 """
 
 from __future__ import annotations
@@ -33,91 +34,108 @@ from idtool.estimation.identification import choose_sets
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.estimate import Estimate, estimate
 
-_FOLDS = 36  # blocks of time of all logs together
-_SHORTEST = 0.4  # s of a block
-_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
-_SEEN = 1e-5  # of a direction's weight that data have: with less, it is the prior's
+_BLOCKS = 36  # of time, of all logs together
+_MIN_BLOCK_SECONDS = 0.4
+_BARRIER_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
+_MIN_DATA_SHARE = 1e-5  # of a direction's information: with less from the data, the prior determines it
 _RANK = 1e-13  # of the largest eigenvalue
-_KNOWN = 0.1  # of a joint's rows that count, at which a model must know its own columns
+_MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns must be defined
 _SEED = 0
 
 
 @dataclass(frozen=True)
 class LinearizedFit:
-    """A fitted model and what it leaves.
+    """A fitted model and its residual.
 
     Attributes
     ----------
     experiment
         Model and data.
     estimate
-        Its fit.
+        The fit.
     theta
-        Where it is expanded about, shape (p,): strictly within the constraints.
+        Point of the expansion, shape (p,): strictly within the constraints.
     noise
-        What each joint's rows are measured in, shape (nv,) [N·m or N].
-    ways
+        Unit of each joint's rows, shape (nv,) [N·m or N].
+    directions
         Changes of theta by y, shape (p, r).
-    held
-        Information on y of prior and constraints, shape (r, r).
-    B, g, s
-        Of each block: Gram matrix of the rows by y, shape (F, r, r), its product with the residual, (F, r), and the
-        residual's squares by joint, (F, nv); in units of the noise.
-    rows
-        How many rows each block has by joint, shape (F, nv).
-    size
+    prior_information
+        Information on y from prior and constraints, shape (r, r).
+    gram
+        Gram matrices of the rows by y, of each block, shape (F, r, r).
+    score
+        Products of the rows with the residual, of each block, shape (F, r).
+    sse
+        Squared residuals of each block, by joint, shape (F, nv); in units of the noise.
+    row_counts
+        Rows of each block, by joint, shape (F, nv).
+    rms_torque
         Rms of each joint's torque, shape (nv,) [N·m or N].
-    length
-        Rows of a block of time at the most.
-    apart
-        How far from reversals the rows are, beside what rings in the filter [s].
+    block_length
+        Rows of a block of time; the last of a log may have fewer.
+    reversal_margin
+        Least distance of the rows from reversals, beside the filter's ringing [s].
     """
 
     experiment: Experiment
     estimate: Estimate
     theta: Array
     noise: Array
-    ways: Array
-    held: Array
-    B: Array
-    g: Array
-    s: Array
-    rows: Array
-    size: Array
-    length: int
-    apart: float
+    directions: Array
+    prior_information: Array
+    gram: Array
+    score: Array
+    sse: Array
+    row_counts: Array
+    rms_torque: Array
+    block_length: int
+    reversal_margin: float
 
     @property
-    def folds(self) -> int:
-        """How many blocks there are, F."""
-        return len(self.s)
+    def block_count(self) -> int:
+        """Number of blocks, F."""
+        return len(self.sse)
 
-    def left(self) -> Array:
-        """Squared residuals of each block under the model fitted to the others, shape (F,)."""
-        return self._left
-
-    @cached_property
-    def _left(self) -> Array:
-        y = self.without
-        return np.asarray(
-            self.s.sum(axis=1) - 2 * np.einsum("fi,fi->f", y, self.g) + np.einsum("fi,fij,fj->f", y, self.B, y)
-        )
+    @property
+    def joint_count(self) -> int:
+        """Number of joints, nv."""
+        return len(self.noise)
 
     @cached_property
-    def without(self) -> Array:
-        """How y changes when a block is left out, shape (F, r)."""
-        total = self.B.sum(axis=0) + self.held
-        return np.stack([np.linalg.solve(total - B, -g) for B, g in zip(self.B, self.g, strict=True)])
+    def information(self) -> Array:
+        """Information on y from data, prior and constraints, shape (r, r)."""
+        return np.asarray(self.gram.sum(axis=0) + self.prior_information)
+
+    @cached_property
+    def cv_squared_error(self) -> Array:
+        """Squared validation error per block under the model fitted to the others, shape (F,)."""
+        y = self.jackknife_shift
+        linear = np.einsum("fi,fi->f", y, self.score)
+        quadratic = np.einsum("fi,fij,fj->f", y, self.gram, y)
+        return np.asarray(self.sse.sum(axis=1) - 2 * linear + quadratic)
+
+    @property
+    def total_cv_squared_error(self) -> float:
+        """Squared validation error of all blocks."""
+        return float(self.cv_squared_error.sum())
+
+    @cached_property
+    def jackknife_shift(self) -> Array:
+        """Change of y when a block is left out, shape (F, r)."""
+        shifts = []
+        for gram, score in zip(self.gram, self.score, strict=True):
+            shifts.append(np.linalg.solve(self.information - gram, -score))
+        return np.stack(shifts)
 
 
 def linearize_fit(
     experiment: Experiment,
     progress: Progress,
-    like: LinearizedFit | None = None,
+    reference: LinearizedFit | None = None,
     own_rows: bool = False,
-    apart: float = 0.0,
+    reversal_margin: float = 0.0,
 ) -> LinearizedFit:
-    """Fit a model, and see what it leaves.
+    """Fit a model and expand it.
 
     Parameters
     ----------
@@ -125,34 +143,39 @@ def linearize_fit(
         Model and data.
     progress
         Told the stage and how far it has come.
-    like
-        Whose rows count, and whose noise they are measured in, so that the two compare; default: what a fit without
-        constraints leaves. Where torque sensors differ, in units of what each takes for the true torque, or "scale it
-        to nothing" would leave least.
+    reference
+        Fit whose rows and noise are used, so that the two compare; default: own rows, and the noise that a fit without
+        constraints leaves. If torque sensors differ, the noise is in units of what each takes as the true torque;
+        otherwise scaling the torque to zero would have the smallest residual.
     own_rows
-        Whether those rows count that the model itself knows its columns at.
-    apart
-        How far from reversals rows must be, beside what rings in the filter [s]; where there is ``like``, as its are.
+        True to use the rows at which the model's own columns are defined, even with a ``reference``.
+    reversal_margin
+        Least distance of the rows from reversals, beside the filter's ringing [s]; with a ``reference``, its own.
 
     Raises
     ------
     IdtoolError
-        If there are fewer samples than it takes, as where an effect knows its columns at next to none of them, or the
-        problem could not be solved.
+        If there are too few samples, as where an effect's columns are hardly ever defined, or if the problem could not
+        be solved.
     """
-    length, apart = fold_rows(experiment), like.apart if like else apart
-    counting = like.experiment.equation if like and not own_rows else experiment.equation
-    blocks = _blocks(experiment, length, progress, counting, apart)
-    equation, config = experiment.equation, experiment.config
+    length = _block_length(experiment)
+    row_equation = experiment.equation
+    if reference is not None:
+        reversal_margin = reference.reversal_margin
+        if not own_rows:
+            row_equation = reference.experiment.equation
+    blocks = _read_blocks(experiment, length, progress, row_equation, reversal_margin)
+    equation = experiment.equation
+    config = experiment.config
     reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
     equalities = experiment.equalities
-    size = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
-    if like is None:
+    rms_torque = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
+    if reference is None:
         noise = free_noise(equation, reduction, equalities)
     else:
-        noise = like.noise * _rescaled(experiment, size, like)
+        noise = reference.noise * _noise_ratio(experiment, rms_torque, reference)
     sets, _ = choose_sets(experiment.model.bodies, config.constraints)
-    found = estimate(
+    estimated = estimate(
         equation,
         experiment.model.bodies,
         reduction,
@@ -163,153 +186,201 @@ def linearize_fit(
         noise,
         config.solver.backend,
     )
-    theta, ways, held = _directions(equation, reduction, found, noise)
+    theta, directions, prior_information = _directions(equation, reduction, estimated, noise)
+
     parts = [part for log in blocks for part in log.parts]
-    B, g, s = (np.stack(x) for x in zip(*(_gram(equation, part, theta, ways, noise) for part in parts), strict=True))
-    rows = np.array([[factor.rows for factor in part] for part in parts], dtype=float)
-    return LinearizedFit(experiment, found, theta, noise, ways, held, B, g, s, rows, size, length, apart)
+    grams, scores, sses, row_counts = [], [], [], []
+    for part in parts:
+        gram, score, sse = _block_sums(equation, part, theta, directions, noise)
+        grams.append(gram)
+        scores.append(score)
+        sses.append(sse)
+        row_counts.append([float(factor.rows) for factor in part])
+    return LinearizedFit(
+        experiment=experiment,
+        estimate=estimated,
+        theta=theta,
+        noise=noise,
+        directions=directions,
+        prior_information=prior_information,
+        gram=np.stack(grams),
+        score=np.stack(scores),
+        sse=np.stack(sses),
+        row_counts=np.array(row_counts),
+        rms_torque=rms_torque,
+        block_length=length,
+        reversal_margin=reversal_margin,
+    )
 
 
-def held_out(linearized: LinearizedFit, counting: LinearModel) -> Array:
-    """Mean squared residual on what was held out, by joint, in units of the noise, on the rows that an equation knows.
+def validation_mse(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
+    """Mean squared residual on the held-out data by joint, in units of the noise.
 
-    Those in which a reversal rings are among them, but for a model that is seen away from reversals. Shape (nv,); NaN
-    where nothing was held out.
+    Rows in which a reversal rings count too, unless the fit has a reversal margin.
+
+    Parameters
+    ----------
+    linearized
+        The fit.
+    row_equation
+        Equation at whose defined columns the rows count.
+
+    Returns
+    -------
+    Shape (nv,); NaN without held-out data.
     """
-    squares, count = np.zeros((2, len(linearized.noise)))
-    theta, equation = linearized.estimate.theta, linearized.experiment.equation
+    equation = linearized.experiment.equation
+    theta = linearized.estimate.theta
+    squares = np.zeros(linearized.joint_count)
+    count = np.zeros(linearized.joint_count)
     for run in linearized.experiment.runs:
         for batch in run.signals.batches(run.held_out):
-            kept = (
-                counting.clean_samples(batch, linearized.apart) if linearized.apart else counting.valid_samples(batch)
-            )
-            for j, (active, columns) in enumerate(zip(equation.active(), equation.columns(batch.motion), strict=True)):
-                e = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
-                keep = kept[j]
-                squares[j], count[j] = squares[j] + np.square(e[keep]).sum(), count[j] + keep.sum()
+            if linearized.reversal_margin:
+                masks = row_equation.clean_samples(batch, linearized.reversal_margin)
+            else:
+                masks = row_equation.valid_samples(batch)
+            blocks = equation.columns(batch.motion)
+            for j, (active, columns, mask) in enumerate(zip(equation.active(), blocks, masks, strict=True)):
+                residual = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
+                squares[j] += np.square(residual[mask]).sum()
+                count[j] += mask.sum()
     with np.errstate(invalid="ignore"):
         return np.asarray(squares / count / np.square(linearized.noise))
 
 
-def _rescaled(experiment: Experiment, size: Array, like: LinearizedFit) -> Array:
-    """How much larger each joint's noise is than in the other's rows, shape (nv,).
+def _noise_ratio(experiment: Experiment, rms_torque: Array, reference: LinearizedFit) -> Array:
+    """Noise of each joint over that of the reference, shape (nv,); as their true torques where the sensors differ."""
+    own_sensors = _torque_sensors(experiment)
+    ratio = _noise_gain(experiment, reference.noise) / _noise_gain(reference.experiment, reference.noise)
+    if own_sensors or _torque_sensors(reference.experiment):
+        ratio = ratio * rms_torque / reference.rms_torque
+    return ratio
 
-    Where torque sensors differ, as the true torque is.
+
+def _torque_sensors(experiment: Experiment) -> bool:
+    """True if an effect of the torque sensors is among the effects."""
+    return any(isinstance(effect, TorqueSensorEffect) for effect in experiment.equation.effects)
+
+
+def _noise_gain(experiment: Experiment, noise: Array) -> Array:
+    """Share of white noise of the measured torque that remains in the rows, from the first samples, shape (nv,).
+
+    A soft joint's acceleration follows the torque and cancels some of its noise, which explains nothing.
     """
-    own, other = (
-        [effect.key for effect in one.equation.effects if isinstance(effect, TorqueSensorEffect)]
-        for one in (experiment, like.experiment)
-    )
-    same = own == other and not own
-    left = _noise_left(experiment, like.noise) / _noise_left(like.experiment, like.noise)
-    return left if same else left * size / like.size
-
-
-def _noise_left(experiment: Experiment, noise: Array) -> Array:
-    """How much of white noise of the measured torque, so large, is left in the rows, at the first samples; shape (nv,).
-
-    A soft joint's acceleration follows the torque, and takes noise against noise: that explains nothing.
-    """
-    equation, left = experiment.equation, np.ones(len(noise))
+    equation = experiment.equation
+    gain = np.ones(len(noise))
     if not any(effect.uses_measured_torque for effect in equation.effects):
-        return left
+        return gain
     run = next(run for run in experiment.runs if run.train)
     batch = next(iter(run.signals.batches(run.train)))
     theta = np.array([equation.operating_point.get(c.key, c.prior) for c in equation.coefficients])
     white = np.random.default_rng(_SEED).standard_normal(batch.motion.tau.shape)
     white *= (noise / batch.filter(white).std(axis=1))[:, None]
     noisy = replace(batch.motion, tau=batch.motion.tau + white)
-    change = LinearizedModel(equation, theta, noisy).residual - LinearizedModel(equation, theta, batch.motion).residual
-    for j, (x, n, keep) in enumerate(
-        zip(batch.filter(change), batch.filter(white), equation.clean_samples(batch), strict=True)
-    ):
-        left[j] = min(float(np.linalg.norm(x[keep]) / np.linalg.norm(n[keep])), 1.0) if keep.any() else 1.0
-    return left
+    clean_residual = LinearizedModel(equation, theta, batch.motion).residual
+    change = batch.filter(LinearizedModel(equation, theta, noisy).residual - clean_residual)
+    filtered_noise = batch.filter(white)
+    for j, mask in enumerate(equation.clean_samples(batch)):
+        if mask.any():
+            gain[j] = min(float(np.linalg.norm(change[j, mask]) / np.linalg.norm(filtered_noise[j, mask])), 1.0)
+    return gain
 
 
-def fold_rows(experiment: Experiment) -> int:
-    """How many rows a block has."""
+def _block_length(experiment: Experiment) -> int:
+    """Rows of a block."""
     low_pass = experiment.runs[0].signals.low_pass
     count = sum((part.stop - part.start) // low_pass.stride for run in experiment.runs for part in run.train)
-    least = int(_SHORTEST / (low_pass.stride * experiment.runs[0].signals.log.dt))
-    return int(max(-(-count // _FOLDS), least, 1))
+    least = int(_MIN_BLOCK_SECONDS / (low_pass.stride * experiment.runs[0].signals.log.dt))
+    return int(max(-(-count // _BLOCKS), least, 1))
 
 
-def _blocks(
-    experiment: Experiment, length: int, progress: Progress, counting: LinearModel, apart: float
+def _read_blocks(
+    experiment: Experiment, length: int, progress: Progress, row_equation: LinearModel, reversal_margin: float
 ) -> list[Blocks]:
-    """The training data in blocks of so many rows, those that an equation knows its columns at.
+    """Training data in blocks of rows at which the columns of ``row_equation`` are defined.
 
     Raises
     ------
     ConfigError
-        If the experiment's own equation knows its columns at next to none of them on a joint.
+        If the columns of the experiment's own equation are hardly ever defined at a joint's rows.
     """
-    equation, found = experiment.equation, []
-    counted, known = np.zeros((2, len(equation.joints)))
+    equation = experiment.equation
+    row_count = np.zeros(len(equation.joints))
+    defined_count = np.zeros(len(equation.joints))
 
-    def rows(batches: Iterable[Batch]) -> Rows:
+    def filtered_rows(batches: Iterable[Batch]) -> Rows:
         for batch in batches:
-            kept = counting.clean_samples(batch, apart)
-            own = equation.clean_samples(batch, apart) if equation is not counting else kept
-            counted[:] += [keep.sum() for keep in kept]
-            known[:] += [(keep & sure).sum() for keep, sure in zip(kept, own, strict=True)]
-            yield [batch.filter(x) for x in equation.columns(batch.motion)], kept
+            masks = row_equation.clean_samples(batch, reversal_margin)
+            own_masks = masks if equation is row_equation else equation.clean_samples(batch, reversal_margin)
+            for j, (mask, own_mask) in enumerate(zip(masks, own_masks, strict=True)):
+                row_count[j] += mask.sum()
+                defined_count[j] += (mask & own_mask).sum()
+            yield [batch.filter(columns) for columns in equation.columns(batch.motion)], masks
 
-    for run in (run for run in experiment.runs if run.train):
+    logs = []
+    for run in experiment.runs:
+        if not run.train:
+            continue
         low_pass = run.signals.low_pass
-        batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
-        parts = tuple(cut_into_blocks(rows(batches), length, low_pass.redundancy))
+        log = run.signals.log
+        batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {log.path.name}")
+        parts = tuple(cut_into_blocks(filtered_rows(batches), length, low_pass.redundancy))
         if parts:
-            found.append(Blocks(run.signals.log.path.name, parts, length * low_pass.stride * run.signals.log.dt))
-    for name, own, all_of_them in zip(equation.joints, known, counted, strict=True):
-        if own < _KNOWN * all_of_them:
-            what = f"joint {name} has {own:.0f} of {all_of_them:.0f} samples left in which all effects are defined"
+            logs.append(Blocks(log.path.name, parts, length * low_pass.stride * log.dt))
+    for name, defined, total in zip(equation.joints, defined_count, row_count, strict=True):
+        if defined < _MIN_DEFINED_ROWS * total:
+            what = f"joint {name} has {defined:.0f} of {total:.0f} samples at which all effects are defined"
             raise ConfigError("effects", f"{what}; log more motion")
-    return found
+    return logs
 
 
 def _directions(
-    equation: LinearModel, reduction: Reduction, found: Estimate, noise: Array
+    equation: LinearModel, reduction: Reduction, estimated: Estimate, noise: Array
 ) -> tuple[Array, Array, Array]:
-    """Theta within the constraints, shape (p,), the ways, (p, r), and the prior's information on them, (r, r)."""
-    problem = found.problem
+    """Theta within the constraints, shape (p,), the directions, (p, r), and the prior's information, (r, r)."""
+    problem = estimated.problem
     samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
     A = problem.A @ problem.S
-    gap = _GAP * max(found.certificate.objective, 1e-9)
+    gap = _BARRIER_GAP * max(estimated.certificate.objective, 1e-9)
     barrier = Barrier(problem, 2 * A.T @ A, 2 * A.T @ problem.b, gap)
     x = barrier.x
     to_theta = problem.K @ (problem.scale[:, None] * problem.S)
     P = samples * (A.T @ A + barrier.curvature(x) / 2)
-    exact = problem.E @ problem.S
-    N = _null(exact, len(x))
-    size = np.sqrt(np.maximum((N.T @ P @ N).diagonal(), 1e-300))
-    values, vectors = np.linalg.eigh((N.T @ P @ N) / size[:, None] / size)
+    N = _null_space(problem.E @ problem.S, len(x))
+    free_information = N.T @ P @ N
+    size = np.sqrt(np.maximum(free_information.diagonal(), 1e-300))
+    values, vectors = np.linalg.eigh(free_information / size[:, None] / size)
     keep = values > _RANK * values[-1]
-    ways = to_theta @ N @ (vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
-    D = np.sqrt(samples) * weighted_rows(equation, reduction, noise)[:, :-1] @ ways
-    shares, turned = np.linalg.eigh(D.T @ D)
-    seen = shares > _SEEN
-    ways, shares = ways @ turned[:, seen], shares[seen]
-    return problem.theta(problem.S @ x), ways, np.diag(np.maximum(1 - shares, 0.0))
+    directions = to_theta @ N @ (vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
+
+    rows = np.sqrt(samples) * weighted_rows(equation, reduction, noise)[:, :-1] @ directions
+    data_shares, rotation = np.linalg.eigh(rows.T @ rows)
+    from_data = data_shares > _MIN_DATA_SHARE
+    directions = directions @ rotation[:, from_data]
+    prior_information = np.diag(np.maximum(1 - data_shares[from_data], 0.0))
+    return problem.theta(problem.S @ x), directions, prior_information
 
 
-def _null(exact: Array, count: int) -> Array:
-    """The directions that leave what is known exactly as it is, shape (m, free)."""
-    if not len(exact):
+def _null_space(E: Array, count: int) -> Array:
+    """Basis of the directions that the equalities E x = 0 leave free, shape (count, free)."""
+    if not len(E):
         return np.eye(count)
-    _, s, Vt = svd(exact, full=True)
+    _, s, Vt = svd(E, full=True)
     return np.asarray(Vt[int(np.count_nonzero(s > 1e-9 * s[0])) :].T)
 
 
-def _gram(
-    equation: LinearModel, part: Reduction, theta: Array, ways: Array, noise: Array
+def _block_sums(
+    equation: LinearModel, block: Reduction, theta: Array, directions: Array, noise: Array
 ) -> tuple[Array, Array, Array]:
-    """A block's Gram matrix by y, its product with the residual, and the residual's squares by joint."""
-    B, g = np.zeros((ways.shape[1], ways.shape[1])), np.zeros(ways.shape[1])
-    s = np.zeros(len(part))
-    for j, (factor, active) in enumerate(zip(part, equation.active(), strict=True)):
-        Q = factor.R[:, :-1] @ ways[active] / noise[j]
+    """Gram matrix of a block by y, its product with the residual, and the squared residual by joint."""
+    r = directions.shape[1]
+    gram = np.zeros((r, r))
+    score = np.zeros(r)
+    sse = np.zeros(len(block))
+    for j, (factor, active) in enumerate(zip(block, equation.active(), strict=True)):
+        Q = factor.R[:, :-1] @ directions[active] / noise[j]
         e = (factor.R[:, -1] - factor.R[:, :-1] @ theta[active]) / noise[j]
-        B, g, s[j] = B + Q.T @ Q, g + Q.T @ e, e @ e
-    return B, g, s
+        gram += Q.T @ Q
+        score += Q.T @ e
+        sse[j] = e @ e
+    return gram, score, sse

@@ -1,4 +1,4 @@
-"""Where a disagreement lives: on which joints, when, and in which region of state, before it has a name."""
+"""Location of a residual: on which joints, when, and in which region of state, before it has a name."""
 
 from __future__ import annotations
 
@@ -6,34 +6,29 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from idtool.common.arrays import Array, Mask
-from idtool.diagnosis.bursts import bursts
-from idtool.diagnosis.maps import residual_maps
-from idtool.diagnosis.records import Where
-from idtool.diagnosis.regions import Scene, in_words
-from idtool.diagnosis.residual_series import ResidualSeries, series
+from idtool.common.arrays import Array, Indices, Mask
+from idtool.diagnosis.records import ResidualLocation
+from idtool.diagnosis.regions import JointResidual, describe_region
+from idtool.diagnosis.residual_series import ResidualSeries, residual_series
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
-__all__ = ["bursts", "localize_residual", "residual_maps", "unexplained"]
-
-
-_SHARE = 0.1  # of the largest relative gain: with less, a joint is not concerned
-_SURE = 3.0  # times what chance loses, that a gain must be
-_FLOOR = 1.1  # times the noise floor: with less, nothing is left
-_BLOCKS = 36  # of time, by which chance is told
-_MOST = 0.8  # of the energy that windows hold
-_LITTLE = 0.45  # of the time, at the most
+_MIN_RELATIVE_GAIN = 0.1  # of the largest relative gain of a joint: others do not disagree
+_MIN_SIGNIFICANCE = 3.0  # times what chance loses
+_ABOVE_FLOOR = 1.1  # times the noise floor, that a residual must exceed
+_BLOCKS = 36  # of time, to estimate what chance does
+_MAX_ENERGY = 0.8  # of the energy, that windows are to hold
+_MAX_TIME = 0.45  # of the time, that windows may take
 _CELL = 0.1  # s, of which windows are made
-_CELLS = 600  # at the most
-_APART = 0.5  # s between windows, at least
-_WINDOWS = 12  # at the most
-_WORTH = 0.02  # of the energy, that a window holds at least
+_MAX_CELLS = 600
+_MIN_GAP = 0.5  # s between windows
+_MAX_WINDOWS = 12
+_MIN_WINDOW_ENERGY = 0.02  # of the energy
 
 
 def localize_residual(
     before: Experiment, theta_before: Array, after: Experiment, theta_after: Array, progress: Progress
-) -> Where:
-    """Where the disagreement was that a step explains.
+) -> ResidualLocation:
+    """Location of the residual that a diagnosis step explains.
 
     Parameters
     ----------
@@ -45,15 +40,17 @@ def localize_residual(
         Told how far it has come.
     """
     models = [(before.equation, theta_before), (after.equation, theta_after)]
-    found = series(before, models, progress, "locating what was explained")
-    first, last = np.square(found.left)
-    return _where(before, found, first - last, first, found.left[0] - found.left[1], at_least_one=True)
+    series = residual_series(before, models, progress, "locating what was explained")
+    squares_before, squares_after = np.square(series.residuals)
+    explained = series.residuals[0] - series.residuals[1]
+    gain = squares_before - squares_after
+    return _locate(before, series, gain, squares_before, explained, at_least_one=True)
 
 
-def unexplained(
+def localize_unexplained(
     experiment: Experiment, theta: Array, floor: Mapping[str, float], progress: Progress
-) -> dict[str, Where]:
-    """Where the disagreement is that is left, for each joint that still disagrees.
+) -> dict[str, ResidualLocation]:
+    """Location of the remaining residual, for each joint that still disagrees.
 
     Parameters
     ----------
@@ -62,94 +59,132 @@ def unexplained(
     theta
         Coefficients, shape (p,).
     floor
-        What no model could come below, rms by joint [N·m or N].
+        Noise floor, rms by joint [N·m or N].
     progress
         Told how far it has come.
     """
-    found = series(experiment, [(experiment.equation, theta)], progress, "locating what is left")
-    noise = np.array([floor[name] for name in experiment.equation.joints])[:, None]
-    square = np.square(found.left[0])
-    left, where = square - np.square(_FLOOR * noise), {}
-    for j, name in enumerate(experiment.equation.joints):
-        own = np.zeros_like(left)
-        own[j] = left[j]
-        there = _where(experiment, found, own, square, found.left[0])
-        if there.joints:
-            where[name] = there
-    return where
+    series = residual_series(experiment, [(experiment.equation, theta)], progress, "locating what is left")
+    joints = experiment.equation.joints
+    noise = np.array([floor[name] for name in joints])[:, None]
+    squares = np.square(series.residuals[0])
+    above_floor = squares - np.square(_ABOVE_FLOOR * noise)
+    locations = {}
+    for j, name in enumerate(joints):
+        gain = np.zeros_like(squares)
+        gain[j] = above_floor[j]
+        location = _locate(experiment, series, gain, squares, series.residuals[0])
+        if location.joints:
+            locations[name] = location
+    return locations
 
 
-def _where(
+def _locate(
     experiment: Experiment,
-    found: ResidualSeries,
-    saved: Array,
-    square: Array,
+    series: ResidualSeries,
+    gain: Array,
+    squares: Array,
     torque: Array,
     at_least_one: bool = False,
-) -> Where:
-    """By squares saved of those that there were, and the torque that made the difference; shape (nv, n) each."""
-    time = found.step * found.kept
-    saved, all_of_it = saved * time, np.maximum((square * time).sum(axis=1), 1e-300)
-    relative = saved.sum(axis=1) / all_of_it
-    sure = saved.sum(axis=1) > _SURE * _chance(saved)
-    concerned = sure & (relative > _SHARE * max(relative.max(), 0.0))
-    if at_least_one and not concerned.any():
-        concerned = (relative > 0) & (relative == relative.max())
-    if not concerned.any():
-        return Where((), (), "")
-    joints = experiment.equation.joints
-    windows = windows_of(found, (saved / all_of_it[:, None])[concerned].sum(axis=0), found.kept[concerned].any(axis=0))
-    j = int(np.argmax(np.where(concerned, relative, -np.inf)))
-    still = np.stack([run.signals.velocity_deadband for run in experiment.runs]).max(axis=0)
-    forces = tuple(experiment.model.units[name] == "N" for name in joints)
-    several, one_log = int(concerned.sum()) > 1, len(experiment.runs) == 1
-    scene = Scene(found, j, joints, forces, still, experiment.band_hz, saved[j], torque[j], several, one_log)
-    return Where(tuple(n for n, c in zip(joints, concerned, strict=True) if c), windows, in_words(scene, windows))
-
-
-def _chance(saved: Array) -> Array:
-    """What chance may save, by what it loses in blocks of time, shape (nv,)."""
-    blocks = np.add.reduceat(saved, np.linspace(0, saved.shape[1], _BLOCKS, endpoint=False).astype(int), axis=1)
-    return np.asarray(np.sqrt(2 * np.square(np.minimum(blocks, 0.0)).sum(axis=1)))
-
-
-def windows_of(found: ResidualSeries, energy: Array, kept: Mask) -> tuple[tuple[float, float], ...]:
-    """Stretches of time that hold most of an energy in little of the time, [s]; none where there are no such.
+) -> ResidualLocation:
+    """Location of a gain.
 
     Parameters
     ----------
-    found
+    experiment, series
+        The logs.
+    gain, squares
+        Reduction of the squared residual, and the squared residual, shape (nv, n).
+    torque
+        The torque explained, shape (nv, n).
+    at_least_one
+        True if the joint with the largest gain disagrees in any case, even by chance.
+    """
+    time = series.dt * series.valid
+    energy = gain * time
+    total = np.maximum((squares * time).sum(axis=1), 1e-300)
+    relative_gain = energy.sum(axis=1) / total
+    is_significant = energy.sum(axis=1) > _MIN_SIGNIFICANCE * _chance(energy)
+    disagrees = is_significant & (relative_gain > _MIN_RELATIVE_GAIN * max(relative_gain.max(), 0.0))
+    if at_least_one and not disagrees.any():
+        disagrees = (relative_gain > 0) & (relative_gain == relative_gain.max())
+    if not disagrees.any():
+        return ResidualLocation((), (), "")
+
+    joints = experiment.equation.joints
+    relative_energy = (energy / total[:, None])[disagrees].sum(axis=0)
+    windows = energy_windows(series, relative_energy, series.valid[disagrees].any(axis=0))
+    j = int(np.argmax(np.where(disagrees, relative_gain, -np.inf)))
+    residual = JointResidual(
+        series=series,
+        joint=j,
+        names=joints,
+        is_prismatic=tuple(experiment.model.units[name] == "N" for name in joints),
+        velocity_deadband=np.stack([run.signals.velocity_deadband for run in experiment.runs]).max(axis=0),
+        band=experiment.band_hz,
+        energy=energy[j],
+        torque=torque[j],
+        name_joint=int(disagrees.sum()) > 1,
+        is_one_log=len(experiment.runs) == 1,
+    )
+    names = tuple(name for name, own in zip(joints, disagrees, strict=True) if own)
+    return ResidualLocation(names, windows, describe_region(residual, windows))
+
+
+def _chance(energy: Array) -> Array:
+    """Gain that chance may make, estimated from what it loses in blocks of time, shape (nv,)."""
+    starts = np.linspace(0, energy.shape[1], _BLOCKS, endpoint=False).astype(int)
+    losses = np.minimum(np.add.reduceat(energy, starts, axis=1), 0.0)
+    return np.asarray(np.sqrt(2 * np.square(losses).sum(axis=1)))
+
+
+def energy_windows(series: ResidualSeries, energy: Array, valid: Mask) -> tuple[tuple[float, float], ...]:
+    """Time intervals that contain most of an energy in little of the time [s]; none if there are no such.
+
+    Parameters
+    ----------
+    series
         Times.
     energy
-        Of each sample, shape (n,).
-    kept
-        Which samples say something, shape (n,).
+        Energy of each sample, shape (n,).
+    valid
+        Mask of the samples that count, shape (n,).
     """
-    first, last = float(found.t[0]), float(found.t[-1])
-    cell = max(_CELL, (last - first) / _CELLS)
-    index = ((found.t - first) / cell).astype(int)
-    held, spent = np.bincount(index, energy), np.bincount(index, found.step * kept)
-    density = held / np.maximum(spent, cell / 2)
+    first = float(series.t[0])
+    last = float(series.t[-1])
+    cell = max(_CELL, (last - first) / _MAX_CELLS)
+    index = ((series.t - first) / cell).astype(int)
+    cell_energy = np.bincount(index, energy)
+    cell_time = np.bincount(index, series.dt * valid)
+    total = cell_energy.sum()
+    density = cell_energy / np.maximum(cell_time, cell / 2)
     order = np.argsort(-density)
-    most = int(np.searchsorted(np.cumsum(held[order]), _MOST * held.sum())) + 1
-    dense = int(np.count_nonzero(density > held.sum() / spent.sum()))
-    chosen = np.zeros(len(held), dtype=bool)
+    most = int(np.searchsorted(np.cumsum(cell_energy[order]), _MAX_ENERGY * total)) + 1
+    dense = int(np.count_nonzero(density > total / cell_time.sum()))
+    chosen = np.zeros(len(cell_energy), dtype=bool)
     chosen[order[: max(most, dense)]] = True
-    chosen = _merged(chosen, max(round(_APART / cell), 1))
-    if spent[chosen].sum() > _LITTLE * spent.sum():
+    chosen = _with_gaps_filled(chosen, max(round(_MIN_GAP / cell), 1))
+    if cell_time[chosen].sum() > _MAX_TIME * cell_time.sum():
         return ()
-    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2).tolist()
-    worth = [(i, j) for i, j in edges if held[i:j].sum() > _WORTH * held.sum()]
-    return tuple((round(first + i * cell, 3), round(min(first + j * cell, last), 3)) for i, j in worth)
+
+    windows = []
+    for i, j in _runs(chosen).tolist():
+        if cell_energy[i:j].sum() > _MIN_WINDOW_ENERGY * total:
+            windows.append((round(first + i * cell, 3), round(min(first + j * cell, last), 3)))
+    return tuple(windows)
 
 
-def _merged(chosen: Mask, apart: int) -> Mask:
-    """The same with the smallest gaps filled, until there are few runs, a few cells apart."""
+def _runs(chosen: Mask) -> Indices:
+    """First cell of each run and the one after its last, shape (k, 2)."""
+    return np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)
+
+
+def _with_gaps_filled(chosen: Mask, min_gap: int) -> Mask:
+    """Mask with its smallest gaps filled, until there are few runs, more than ``min_gap`` cells apart."""
+    chosen = chosen.copy()
     while True:
-        edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)
-        gaps = edges[1:, 0] - edges[:-1, 1]
-        if not len(gaps) or (len(edges) <= _WINDOWS and gaps.min() > apart):
+        runs = _runs(chosen)
+        gaps = runs[1:, 0] - runs[:-1, 1]
+        if not len(gaps) or (len(runs) <= _MAX_WINDOWS and gaps.min() > min_gap):
             return chosen
         k = int(np.argmin(gaps))
-        chosen = chosen.copy()
-        chosen[edges[k, 1] : edges[k + 1, 0]] = True
+        chosen[runs[k, 1] : runs[k + 1, 0]] = True

@@ -1,12 +1,12 @@
-"""Which of the effects that were fitted whole explains best, what the data cannot tell from it, and why others lost.
+"""Selection of the best of the fitted effects, of those that the data cannot distinguish from it, and why others lost.
 
-A gain counts in squared residual on blocks of time that were not fitted to, in units of the noise. Rows repeat each
-other, so it takes ``inflation`` times more of it than of independent rows.
+A gain is the reduction of the squared residual on blocks of time not used for fitting, in units of the noise. Rows are
+correlated, so it must be ``inflation`` times larger than with independent rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,243 +14,304 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.screen import Found, screened
-from idtool.diagnosis.trial import Trial
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.trial import TrialFit
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
-Place = tuple[str, ...]
+ProbeKey = tuple[str, ...]
 
-SURE = 5.0  # standard errors of noise that a gain must be worth: some thousand candidates compete
-_EACH = 4.0  # more for each further parameter
-WORTH = 0.1  # of the squared residual of a joint that an effect must explain
-_EQUAL = 2.0  # standard errors within which two gains are the same
-_AS_GOOD = 0.03  # of the best gain that a simpler explanation may lack
-_GONE = 0.5  # of what a rival explained before, that it may explain with the winner there
-_NEARLY = 0.8  # of the better gain, that one which chance may tell from it has
-_SAME = 1.1  # of the squared residual that the better of two leaves
+MIN_SIGNIFICANCE = 5.0  # standard errors of noise that a gain must exceed: some thousand candidates compete
+_PER_PARAMETER = 4.0  # more of the gain, in units of the noise, for each further parameter
+MIN_SHARE = 0.1  # of a joint's squared residual, that an effect must explain
+_SAME_GAIN = 2.0  # standard errors within which two gains are the same
+_SIMPLER_LOSS = 0.03  # of the best gain, that a simpler explanation may lack
+_RIVAL_GAIN = 0.5  # of its gain, that a rival keeps at most with the winner in the model
+_NEAR_GAIN = 0.8  # of the larger gain, from which chance may be the difference
+_SAME_RESIDUAL = 1.1  # ratio of two squared residuals that are as good as the same
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedCandidate:
-    """An effect that was fitted whole.
+    """An effect fitted together with the whole model.
 
     Attributes
     ----------
-    found
-        What the screening said.
+    screened
+        Result of the screening.
     trial
-        The model with it.
+        Fit of the model with it.
     gains
-        What it saves of each block's squared residual, shape (F,).
+        Reduction of each block's squared residual, shape (F,).
     """
 
-    found: Found
-    trial: Trial
+    screened: ScreenedProbe
+    trial: TrialFit
     gains: Array
 
     @property
+    def probe(self) -> Probe:
+        """The hypothesis."""
+        return self.screened.probe
+
+    @property
     def gain(self) -> float:
-        """Over all blocks."""
+        """Reduction of the squared residual over all blocks."""
         return float(self.gains.sum())
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the gain, from the blocks."""
+        return _sum_standard_error(self.gains)
+
+    @property
+    def remaining(self) -> float:
+        """Squared residual with the effect."""
+        return self.trial.linearized.total_cv_squared_error
 
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """The outcome of one round.
+    """Outcome of one round.
 
     Attributes
     ----------
-    here
-        The model that it was about.
+    base
+        Model that was to be improved.
     winner
-        None: nothing pays.
-    equals
-        What the data cannot tell from it, the best first.
-    others
+        The best effect; None if none is worthwhile.
+    indistinguishable
+        Effects that the data cannot distinguish from it, the best first.
+    runners_up
         The other finalists.
-    lost
-        Why each effect that was tried lost.
+    rejected
+        All other effects that were tried, with reasons.
     inflation
-        How many rows are worth one independent one.
+        Number of rows that are worth one independent one.
     failed
-        Of ``lost``, those that could not be fitted.
+        Those of ``rejected`` that could not be fitted.
     """
 
-    here: LinearizedFit
+    base: LinearizedFit
     winner: FittedCandidate | None
-    equals: tuple[FittedCandidate, ...]
-    others: tuple[FittedCandidate, ...]
-    lost: tuple[Candidate, ...]
+    indistinguishable: tuple[FittedCandidate, ...]
+    runners_up: tuple[FittedCandidate, ...]
+    rejected: tuple[Candidate, ...]
     inflation: float
     failed: tuple[Candidate, ...] = ()
 
-    def alternatives(self) -> Iterator[Candidate]:
-        """What came near, the best first."""
-        for one in (*self.equals, *self.others):
-            yield candidate(one, self.here)
+    def alternatives(self) -> tuple[Candidate, ...]:
+        """All finalists but the winner, the best first."""
+        finalists = (*self.indistinguishable, *self.runners_up)
+        return tuple(fitted_record(candidate, self.base) for candidate in finalists)
 
 
-def place_of(probe: Probe) -> Place:
-    """What an effect is on; other sources are other effects."""
+def probe_key(probe: Probe) -> ProbeKey:
+    """Effect and what it acts on; an effect of another source joint is another one."""
     sources = effect_types()[probe.effect].joint_parameters()
     return (*probe.subject, *(f"{probe.nonlinear_values[name]:g}" for name in sources))
 
 
-def saved(before: LinearizedFit, after: LinearizedFit) -> Array:
-    """What a model saves of another's squared residual on each block, shape (F,); both of the same rows."""
-    return np.asarray(before.left() - after.left())
-
-
-def share(gain: float, here: LinearizedFit, joints: int) -> float:
-    """A gain as a share of the squared residual of so many joints."""
-    return float(gain / here.left().sum() * here.s.shape[1] / joints)
-
-
-def chosen(
-    here: LinearizedFit,
-    fitted: Sequence[FittedCandidate],
-    failed: Sequence[Candidate],
-    found: Sequence[Found],
-    inflation: float,
-    progress: Progress,
-    worth: float = WORTH,
-) -> SelectionStep:
-    """The best of the finalists, and what became of the others.
-
-    Parameters
-    ----------
-    here
-        The model that they are to improve.
-    fitted
-        The finalists, the best first.
-    failed
-        Those that turned out to be no explanation.
-    found
-        What the screening said of all.
-    inflation
-        How many rows are worth one independent one.
-    progress
-        Told how far it has come.
-    worth
-        Share of a joint's squared residual that it must explain.
-    """
-    worthy = [one for one in fitted if _pays(one, here, inflation, worth)]
-    known = {(one.effect, one.on) for one in failed} | {named(one.found.probe) for one in fitted}
-    screened_out = [one for one in _best_of_all(found).values() if named(one.probe) not in known]
-    lost = (*failed, *(_lost(one, here, inflation) for one in screened_out))
-    lost = tuple(one for one in lost if is_answer(one.effect))
-    if not worthy:
-        return SelectionStep(here, None, (), tuple(fitted), lost, inflation)
-    top = worthy[0]
-    equals = [one for one in worthy if _as_good(one, top)]
-    equals = [one for one in equals if not any(_contains(one, other) for other in equals)] or equals
-    winner = min(equals, key=lambda one: (one.found.probe.complexity, -one.gain))
-    others = [one for one in fitted if one is not winner and is_answer(one.found.probe.effect)]
-    rivals = _rivals(others, winner, progress)
-    alike = [one for one in rivals if one in worthy and _alike(one, winner) and not _contains(one, winner)]
-    return SelectionStep(here, winner, tuple(alike), tuple(x for x in rivals if x not in alike), lost, inflation)
-
-
-def _pays(one: FittedCandidate, here: LinearizedFit, inflation: float, worth: float) -> bool:
-    probe = one.found.probe
-    least = max(worth, effect_types()[probe.effect].min_explained_share)
-    return worthwhile(one.gain, here, inflation, probe.joint is not None, probe.complexity, least)
-
-
-def worthwhile(
-    gain: float, here: LinearizedFit, inflation: float, on_joint: bool, parameters: int, worth: float = WORTH
-) -> bool:
-    """Whether a gain is no chance, and large enough to have an effect for it."""
-    least = inflation * (SURE**2 + _EACH * (parameters - 1))
-    return gain > least and share(gain, here, 1 if on_joint else here.s.shape[1]) > worth
-
-
-def _as_good(one: FittedCandidate, top: FittedCandidate) -> bool:
-    """Whether a contender is as good as the best but for what chance explains."""
-    return top.gain - one.gain <= _AS_GOOD * top.gain and not _apart(one, top)
-
-
-def _alike(one: FittedCandidate, other: FittedCandidate) -> bool:
-    """Whether the data do not tell two contenders apart, by chance or since both leave as good as the same."""
-    left = sorted(float(x.trial.linearized.left().sum()) for x in (one, other))
-    near = min(one.gain, other.gain) > _NEARLY * max(one.gain, other.gain)
-    return (near and not _apart(one, other)) or left[1] < _SAME * left[0]
-
-
-def _rivals(others: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
-    """Those that explain the same: with the winner in the model, most of what they explained is gone."""
-    if not others:
-        return []
-    again = screened(winner.trial.linearized, [one.found.probe for one in others], progress, "comparing explanations")
-    return [one for one, now in zip(others, again, strict=True) if now.gain < _GONE * one.found.gain]
-
-
-def _contains(one: FittedCandidate, other: FittedCandidate) -> bool:
-    """Whether one can take the place of the other, and so explains no less by itself."""
-    a, b = one.found.probe, other.found.probe
-    return a.joint == b.joint and b.effect in effect_types()[a.effect].generalizes
-
-
-def _apart(one: FittedCandidate, other: FittedCandidate) -> bool:
-    difference = other.gains - one.gains
-    error = np.sqrt(len(difference)) * difference.std(ddof=1)
-    return bool(abs(difference.sum()) > _EQUAL * error)
-
-
-def _best_of_all(found: Iterable[Found]) -> dict[tuple[str, ...], Found]:
-    best: dict[tuple[str, ...], Found] = {}
-    for one in found:
-        place = place_of(one.probe)
-        if place not in best or one.gain > best[place].gain:
-            best[place] = one
-    return best
-
-
-def _lost(one: Found, here: LinearizedFit, inflation: float) -> Candidate:
-    """Why a candidate did not come further, as far as the screening tells."""
-    probe = one.probe
-    part = share(one.gain, here, 1 if probe.joint else here.s.shape[1])
-    if not probe.is_feasible(one.c):
-        reason = "comes out with a sign or size that physics does not allow"
-    elif one.entry is None:
-        reason = "comes out beyond what such an effect can be"
-    elif one.gain < SURE**2 * inflation:
-        reason = "explains no more of data it was not fitted to than chance would"
-    else:
-        reason = f"explains {100 * part:.2g} % of what is left on its joint, less than another"
-    return recorded(one, here, reason)
-
-
-def is_answer(effect: str) -> bool:
-    """Whether an effect is one that a diagnosis names."""
-    return effect_types()[effect].reportable
-
-
-def named(probe: Probe) -> tuple[str, str]:
-    """A probe's effect and what it acts on, as a `Candidate` has them."""
+def probe_target(probe: Probe) -> tuple[str, str]:
+    """Effect and what it acts on, as in a `Candidate`."""
     return probe.effect, probe.joint or probe.link or "all joints"
 
 
-def recorded(one: Found, here: LinearizedFit, reason: str) -> Candidate:
-    """A candidate that was only screened, for the record."""
-    probe = one.probe
-    score, error = _scores(one.gain, one.standard_error, probe, here)
+def is_reportable(effect: str) -> bool:
+    """True if an effect is an answer of a diagnosis."""
+    return effect_types()[effect].reportable
+
+
+def block_gains(before: LinearizedFit, after: LinearizedFit) -> Array:
+    """Reduction of the squared residual of each block, shape (F,); both fits have the same rows."""
+    return np.asarray(before.cv_squared_error - after.cv_squared_error)
+
+
+def explained_share(gain: float, base: LinearizedFit, joints: int) -> float:
+    """Share of a gain in the squared residual of a number of joints."""
+    return float(gain / base.total_cv_squared_error * base.joint_count / joints)
+
+
+def best_by_key(screened: Iterable[ScreenedProbe]) -> dict[ProbeKey, ScreenedProbe]:
+    """Probe with the largest gain for each key."""
+    best: dict[ProbeKey, ScreenedProbe] = {}
+    for candidate in screened:
+        key = probe_key(candidate.probe)
+        if key not in best or candidate.gain > best[key].gain:
+            best[key] = candidate
+    return best
+
+
+def select_best(
+    base: LinearizedFit,
+    fitted: Sequence[FittedCandidate],
+    failed: Sequence[Candidate],
+    screened: Sequence[ScreenedProbe],
+    inflation: float,
+    progress: Progress,
+    min_share: float = MIN_SHARE,
+) -> SelectionStep:
+    """Best of the finalists, with reasons why the others lost.
+
+    Parameters
+    ----------
+    base
+        Model that they are to improve.
+    fitted
+        The finalists, the best first.
+    failed
+        Candidates that turned out to be no explanation.
+    screened
+        All candidates.
+    inflation
+        Number of rows that are worth one independent one.
+    progress
+        Told how far it has come.
+    min_share
+        Share of a joint's squared residual that an effect must explain.
+    """
+    worthwhile = [candidate for candidate in fitted if _is_worth_adding(candidate, base, inflation, min_share)]
+    rejected = _all_rejected(base, fitted, failed, screened, inflation)
+    if not worthwhile:
+        return SelectionStep(base, None, (), tuple(fitted), rejected, inflation)
+
+    winner = _simplest_of_best(worthwhile)
+    rivals = _rivals(fitted, winner, progress)
+    indistinguishable = []
+    runners_up = []
+    for rival in rivals:
+        if rival in worthwhile and _is_indistinguishable(rival, winner) and not _generalizes(rival, winner):
+            indistinguishable.append(rival)
+        else:
+            runners_up.append(rival)
+    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), rejected, inflation)
+
+
+def _all_rejected(
+    base: LinearizedFit,
+    fitted: Sequence[FittedCandidate],
+    failed: Sequence[Candidate],
+    screened: Sequence[ScreenedProbe],
+    inflation: float,
+) -> tuple[Candidate, ...]:
+    """Candidates that are no finalists."""
+    others = {(candidate.effect, candidate.target) for candidate in failed}
+    others |= {probe_target(candidate.probe) for candidate in fitted}
+    rejected = list(failed)
+    for candidate in best_by_key(screened).values():
+        if probe_target(candidate.probe) not in others:
+            rejected.append(_rejected_by_screening(candidate, base, inflation))
+    return tuple(candidate for candidate in rejected if is_reportable(candidate.effect))
+
+
+def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
+    """Simplest of the candidates that are as good as the best."""
+    best = worthwhile[0]
+    equals = [candidate for candidate in worthwhile if _is_as_good(candidate, best)]
+    specific = [candidate for candidate in equals if not any(_generalizes(candidate, other) for other in equals)]
+    return min(specific or equals, key=lambda candidate: (candidate.probe.complexity, -candidate.gain))
+
+
+def _is_worth_adding(candidate: FittedCandidate, base: LinearizedFit, inflation: float, min_share: float) -> bool:
+    probe = candidate.probe
+    least = max(min_share, effect_types()[probe.effect].min_explained_share)
+    return is_worthwhile(candidate.gain, base, inflation, probe.joint is not None, probe.complexity, least)
+
+
+def is_worthwhile(
+    gain: float,
+    base: LinearizedFit,
+    inflation: float,
+    on_joint: bool,
+    parameters: int,
+    min_share: float = MIN_SHARE,
+) -> bool:
+    """True if a gain is not due to chance, and large enough for an effect."""
+    min_gain = inflation * (MIN_SIGNIFICANCE**2 + _PER_PARAMETER * (parameters - 1))
+    joints = 1 if on_joint else base.joint_count
+    return gain > min_gain and explained_share(gain, base, joints) > min_share
+
+
+def _is_as_good(candidate: FittedCandidate, best: FittedCandidate) -> bool:
+    """True if a candidate is as good as the best within what chance explains."""
+    return best.gain - candidate.gain <= _SIMPLER_LOSS * best.gain and not _gains_differ(candidate, best)
+
+
+def _is_indistinguishable(a: FittedCandidate, b: FittedCandidate) -> bool:
+    """True if the data do not distinguish two candidates: by chance, or as their residuals are nearly the same."""
+    smaller, larger = sorted((a.remaining, b.remaining))
+    is_near = min(a.gain, b.gain) > _NEAR_GAIN * max(a.gain, b.gain)
+    return (is_near and not _gains_differ(a, b)) or larger < _SAME_RESIDUAL * smaller
+
+
+def _rivals(fitted: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
+    """Candidates that explain the same as the winner: with it in the model, they explain far less."""
+    others = [candidate for candidate in fitted if candidate is not winner and is_reportable(candidate.probe.effect)]
+    if not others:
+        return []
+    probes = [candidate.probe for candidate in others]
+    with_winner = screen_probes(winner.trial.linearized, probes, progress, "comparing explanations")
+    rivals = []
+    for candidate, rescreened in zip(others, with_winner, strict=True):
+        if rescreened.gain < _RIVAL_GAIN * candidate.screened.gain:
+            rivals.append(candidate)
+    return rivals
+
+
+def _generalizes(a: FittedCandidate, b: FittedCandidate) -> bool:
+    """True if one candidate can imitate the other, and so never explains less by itself."""
+    return a.probe.joint == b.probe.joint and b.probe.effect in effect_types()[a.probe.effect].generalizes
+
+
+def _gains_differ(a: FittedCandidate, b: FittedCandidate) -> bool:
+    """True if the gains of two candidates differ by more than chance."""
+    difference = b.gains - a.gains
+    return bool(abs(difference.sum()) > _SAME_GAIN * _sum_standard_error(difference))
+
+
+def _sum_standard_error(values: Array) -> float:
+    """Standard error of the sum of independent values."""
+    return float(np.sqrt(len(values)) * values.std(ddof=1))
+
+
+def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflation: float) -> Candidate:
+    """Record of a candidate that the screening rejected."""
+    share = explained_share(candidate.gain, base, _joints_reached(candidate.probe, base))
+    if not candidate.probe.is_feasible(candidate.c):
+        reason = "its parameters have a sign or size that is physically impossible"
+    elif candidate.entry is None:
+        reason = "its parameters are out of range"
+    elif candidate.gain < MIN_SIGNIFICANCE**2 * inflation:
+        reason = "explains no more of data not used for fitting than chance does"
+    else:
+        reason = f"explains {100 * share:.2g} % of the residual on its joint, less than another effect"
+    return screened_record(candidate, base, reason)
+
+
+def screened_record(candidate: ScreenedProbe, base: LinearizedFit, reason: str) -> Candidate:
+    """Record of a candidate that was only screened."""
+    probe = candidate.probe
+    score, error = _scores(candidate.gain, candidate.standard_error, probe, base)
     return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.complexity, reason)
 
 
-def _scores(gain: float, error: float, probe: Probe, here: LinearizedFit) -> tuple[float, float]:
-    """A gain and its standard error as shares of what is left of the joints that it reaches, 1 at the most."""
-    joints = 1 if probe.joint else here.s.shape[1]
-    parts = share(gain, here, joints), share(error, here, joints)
-    most = max(parts[0], 1.0)
-    return parts[0] / most, parts[1] / most
-
-
-def candidate(one: FittedCandidate, here: LinearizedFit) -> Candidate:
-    """A contender for the record."""
-    probe = one.found.probe
-    error = float(np.sqrt(len(one.gains)) * one.gains.std(ddof=1))
-    score, error = _scores(one.gain, error, probe, here)
+def fitted_record(candidate: FittedCandidate, base: LinearizedFit) -> Candidate:
+    """Record of a fitted candidate."""
+    probe = candidate.probe
+    score, error = _scores(candidate.gain, candidate.standard_error, probe, base)
     return Candidate(probe.effect, probe.joint, probe.link, score, error, probe.complexity)
+
+
+def _scores(gain: float, standard_error: float, probe: Probe, base: LinearizedFit) -> tuple[float, float]:
+    """Gain and its standard error as shares of the residual of the joints that a probe reaches, at most 1."""
+    joints = _joints_reached(probe, base)
+    score = explained_share(gain, base, joints)
+    error = explained_share(standard_error, base, joints)
+    largest = max(score, 1.0)
+    return score / largest, error / largest
+
+
+def _joints_reached(probe: Probe, base: LinearizedFit) -> int:
+    """Number of joints that a probe acts on."""
+    return 1 if probe.joint else base.joint_count

@@ -1,4 +1,4 @@
-"""What a diagnosis consists of."""
+"""Records of a diagnosis."""
 
 from __future__ import annotations
 
@@ -15,34 +15,39 @@ Verdict = Literal["no_disagreement", "explained", "partly_explained", "unexplain
 
 
 @dataclass(frozen=True)
-class Level:
-    """Errors of a model: rms by joint, and ``overall``.
+class ErrorSummary:
+    """Rms errors of a model by joint, and ``overall``.
 
     Attributes
     ----------
     train, validation
-        Of the torque in the band [N·m or N]; validation is None where nothing was held out.
+        Torque errors in the band [N·m or N]; validation is None without held-out data.
     simulation
-        Of the joint positions in rollouts [rad or m]; None where the model was not simulated.
+        Errors of the joint positions in rollouts [rad or m]; None if the model was not simulated.
     """
 
     train: Mapping[str, float]
     validation: Mapping[str, float] | None
     simulation: Mapping[str, float] | None
 
+    @property
+    def torque(self) -> Mapping[str, float]:
+        """Torque errors on the held-out data if there are any, else on the training data."""
+        return self.train if self.validation is None else self.validation
+
 
 @dataclass(frozen=True)
-class Where:
-    """Where a disagreement lives.
+class ResidualLocation:
+    """Where model and data disagree.
 
     Attributes
     ----------
     joints
-        Those that disagree.
+        The joints that disagree.
     windows
-        Stretches of the log in which most of it lies [s], shape (k, 2); none: all along.
+        Time intervals that contain most of the residual [s], shape (k, 2); empty: it is everywhere in the log.
     region
-        In which region of state, in words.
+        Region of the state, in words.
     """
 
     joints: tuple[str, ...]
@@ -52,20 +57,20 @@ class Where:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that was tried and what it came to.
+    """An effect that was tried, and the result.
 
     Attributes
     ----------
     effect, joint, link
-        What it is; joint and link are None where it has none.
+        Id of the effect and what it acts on; joint and link are None if it has none.
     score
-        Share of the disagreement's power that it explains on data not used for fitting, of 1.
+        Share of the residual's power that it explains on data not used for fitting, of 1.
     standard_error
-        Of the score, from blocks.
+        Standard error of the score, from blocks.
     parameters
-        How many it has.
+        Number of parameters.
     reason
-        Why it lost, a plain sentence; empty for one that was taken.
+        Why it was rejected, a plain sentence; empty for one that was added.
     """
 
     effect: str
@@ -77,74 +82,78 @@ class Candidate:
     reason: str = ""
 
     @property
-    def on(self) -> str:
-        """What it acts on."""
+    def target(self) -> str:
+        """Joint or link that it acts on."""
         return self.joint or self.link or "all joints"
+
+    @property
+    def significance(self) -> float:
+        """Score in standard errors."""
+        return self.score / max(self.standard_error, 1e-12)
 
 
 @dataclass(frozen=True)
-class Step:
-    """An effect that was added, or ``unknown`` for what is left.
+class DiagnosisStep:
+    """An effect that was added, or ``unknown`` for the remaining residual.
 
     Attributes
     ----------
     chosen
         The effect.
     entry
-        As model.yaml has it; None for ``unknown``.
+        Its entry in model.yaml; None for ``unknown``.
     parameters, standard_error
-        By name, as in the contract; an error is None where it is not known.
-    where
-        Where the disagreement was that it explains.
+        By name, as in the contract; an error is None if it is not known.
+    location
+        Where the residual was that it explains.
     significance
         Its held-out gain in standard errors.
     pair
-        Whether the data cannot tell it from the first of the alternatives.
-    separate
-        Which experiment would tell them apart, a plain sentence; empty where it is no pair.
+        True if the data cannot distinguish it from the first of the alternatives.
+    distinguishing_experiment
+        Experiment that would distinguish the two, a plain sentence; empty unless ``pair``.
     alternatives
-        The others that came near, the best first.
+        Other effects with nearly the same gain, the best first.
     rejected
-        All others that were tried, with why each lost.
+        All others that were tried, with reasons.
     before, after
         Errors without and with it.
     sentence
-        What was found, for people.
+        The result, for people.
     doubt
-        What speaks against it, a plain sentence; empty where nothing does.
+        What speaks against it, a plain sentence; empty if nothing does.
     """
 
     chosen: Candidate
     entry: EffectEntry | None
     parameters: Mapping[str, Any]
     standard_error: Mapping[str, Any]
-    where: Where
+    location: ResidualLocation
     significance: float
     pair: bool
-    separate: str
+    distinguishing_experiment: str
     alternatives: tuple[Candidate, ...]
     rejected: tuple[Candidate, ...]
-    before: Level
-    after: Level
+    before: ErrorSummary
+    after: ErrorSummary
     sentence: str
     doubt: str = ""
 
 
 @dataclass(frozen=True)
-class Residual:
-    """What a model leaves of the torque of one joint, by state, for drawing.
+class ResidualProfile:
+    """Residual torque of one joint by state, for drawing.
 
     Attributes
     ----------
     against
-        By what it is binned: ``position``, ``velocity``, ``acceleration``, ``torque``, ``time``: centres of the bins,
-        shape (k,).
+        Centres of the bins of ``position``, ``velocity``, ``acceleration``, ``torque`` and ``time``, shape (k,) each.
     mean, rms
-        By the same name, of the residual in each bin [N·m or N], shape (k,).
+        Of the residual in each bin, by the same names [N·m or N], shape (k,).
     frequency, density
-        Its amplitude density over time frequency [Hz; N·m/√Hz], shape (f,).
+        Amplitude density over time frequency [Hz; N·m/√Hz], shape (f,).
     angle, amplitude
-        Its amplitude over periods per turn of the joint [N·m], shape (a,).
+        Amplitude over periods per turn of the joint [N·m], shape (a,).
     """
 
     against: Mapping[str, Array]
@@ -158,22 +167,22 @@ class Residual:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found.
+    """Result of a diagnosis.
 
     Attributes
     ----------
     first, last
-        The model without and with the effects, fitted.
+        Fits of the model without and with the effects.
     faults
-        Of the data.
+        Faults of the data.
     steps
         In the order in which the effects were added; an ``unknown`` comes last.
     removed
-        What was added and taken out again, a plain sentence each.
+        Effects that were added and removed again, a plain sentence each.
     before, after
         Errors of the two models.
     floor
-        What no model could come below, rms by joint and ``overall`` [N·m or N].
+        Noise floor, rms by joint and ``overall`` [N·m or N].
     verdict
         How much is explained.
     maps_before, maps_after
@@ -187,13 +196,13 @@ class Diagnosis:
     first: Fit
     last: Fit
     faults: tuple[Notice, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[DiagnosisStep, ...]
     removed: tuple[str, ...]
-    before: Level
-    after: Level
+    before: ErrorSummary
+    after: ErrorSummary
     floor: Mapping[str, float]
     verdict: Verdict
-    maps_before: Mapping[str, Residual]
-    maps_after: Mapping[str, Residual]
+    maps_before: Mapping[str, ResidualProfile]
+    maps_after: Mapping[str, ResidualProfile]
     notices: tuple[Notice, ...]
     seconds: float

@@ -1,7 +1,7 @@
-"""Where a disagreement lives, in words: the part of the state in which most of it happens in little of the time.
+"""Regions of the state in which most of a residual's energy lies in little of the time, in words.
 
-Every region is judged by the share of the disagreement's energy that lies in it less the share of time that is spent
-there: Kolmogorov's distance, and Kuiper's where a region has two bounds, of the energy's distribution from the time's.
+A region's score is the share of the energy that lies in it less the share of time spent there: Kolmogorov's distance
+of the energy's distribution from the time's, and Kuiper's where a region has two bounds.
 
 Letters: nv joints, n samples.
 """
@@ -14,57 +14,63 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
-from idtool.diagnosis.lines import density, ripple
 from idtool.diagnosis.residual_series import ResidualSeries
+from idtool.diagnosis.spectra import angle_spectrum, power_density
 
-_MOST = 0.3  # by which the share of energy exceeds that of time, or the region says nothing
-_HOLDS = 0.5  # of the energy, at least
-_TWO_BOUNDS = 0.1  # by which a region with two bounds must be better than one with one
-_WINDOW = 0.05  # by which each window of time must be worth more than a bound
-_SECOND = 0.35  # as `_MOST`, of a second clause within the first
-_PERIODS = 3.0  # that a ripple has over the travel, at least
-_EARLY_LATE = "at the start of the log, up to {:.2g} s", "at the end of the log, from {:.2g} s"
-_LINE = 2  # points of a spectrum to each side that belong to a line
+_MIN_SCORE = 0.3  # of a region that is named
+_MIN_ENERGY = 0.5  # share of the energy in a region
+_SECOND_BOUND = 0.1  # by which a region with two bounds must be better than one with one
+_PER_WINDOW = 0.05  # by which each window of time must be worth more than a bound
+_MIN_SECOND_SCORE = 0.35  # as `_MIN_SCORE`, of a second region within the first
+_MIN_PERIODS = 3.0  # of a ripple over the travel
+_UNTIL = "at the start of the log, up to {:.2g} s"
+_FROM = "at the end of the log, from {:.2g} s"
+_LINE_WIDTH = 2  # points of a spectrum to each side that belong to a line
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What is looked at.
+class JointResidual:
+    """Residual of one joint, to be located in the state.
 
     Attributes
     ----------
-    course
+    series
         The motion.
     joint
-        Index of the joint whose torque disagrees.
+        Index of the joint.
     names
-        Of all joints.
-    forces
-        Whether each is driven by a force and not a torque, shape (nv,).
-    still
+        Names of all joints.
+    is_prismatic
+        True for joints driven by a force, shape (nv,).
+    velocity_deadband
         Speed at which the sign of a velocity is lost in noise, shape (nv,).
     band
         Highest frequency [Hz].
     energy
-        Of the disagreement, its square times its time, sample by sample, shape (n,); may be below zero.
+        Square of the torque times its time, sample by sample, shape (n,); may be below zero.
     torque
-        What the disagreement is made of, shape (n,).
-    several
-        Whether it is not the only joint that disagrees, so that a region has to name it.
-    one_log
-        Whether there is one log, which begins and ends once.
+        The residual torque, shape (n,).
+    name_joint
+        True if other joints disagree too, so that a region has to name the joint.
+    is_one_log
+        True if there is one log, which begins and ends once.
     """
 
     series: ResidualSeries
     joint: int
     names: tuple[str, ...]
-    forces: tuple[bool, ...]
-    still: Array
+    is_prismatic: tuple[bool, ...]
+    velocity_deadband: Array
     band: float
     energy: Array
     torque: Array
-    several: bool
-    one_log: bool
+    name_joint: bool
+    is_one_log: bool
+
+    @property
+    def suffix(self) -> str:
+        """Words that name the joint after a bound; empty if it need not be named."""
+        return f" of {self.names[self.joint]}" if self.name_joint else ""
 
 
 @dataclass(frozen=True)
@@ -74,13 +80,13 @@ class Region:
     Attributes
     ----------
     score
-        By how much its share of the energy exceeds its share of time.
+        Share of the energy less share of the time.
     kind
-        By what it is bounded.
+        Variable that bounds it.
     words
-        In words.
+        Description.
     within
-        Which samples lie in it, shape (n,).
+        Mask of its samples, shape (n,).
     """
 
     score: float
@@ -89,188 +95,230 @@ class Region:
     within: Mask
 
 
-def in_words(scene: Scene, windows: Sequence[tuple[float, float]]) -> str:
-    """The region that says most, and a second one within it if that says much more.
+def describe_region(residual: JointResidual, windows: Sequence[tuple[float, float]]) -> str:
+    """Description of the region with the best score, and of a second one within it if its score is high.
 
     Parameters
     ----------
-    scene
-        What is looked at.
+    residual
+        The residual to locate.
     windows
-        Stretches of time in which most of it lies [s].
+        Time intervals that contain most of it [s].
     """
-    kept = scene.series.kept[scene.joint]
-    found = [*_bounded(scene, kept), *_timed(scene, kept, windows), *_lines(scene, kept)]
-    best = max(found, key=lambda region: region.score, default=None)
-    if best is None or best.score < _MOST:
-        return _in_stretches(windows) if windows else "all along"
+    valid = residual.series.valid[residual.joint]
+    regions = [
+        *_state_regions(residual, valid),
+        *_time_regions(residual, valid, windows),
+        *_spectral_regions(residual, valid),
+    ]
+    best = max(regions, key=lambda region: region.score, default=None)
+    if best is None or best.score < _MIN_SCORE:
+        return _windows_text(windows) if windows else "all along"
     if best.kind in ("angle", "frequency", "windows"):
         return best.words
-    told = {best.kind} | ({"speed", "reversal"} if best.kind in ("speed", "reversal") else set())
-    rest = [region for region in _bounded(scene, best.within) if region.kind not in told]
-    second = max(rest, key=lambda region: region.score, default=None)
-    if second is None or second.score < _SECOND:
+
+    named_kinds = {"speed", "reversal"} if best.kind in ("speed", "reversal") else {best.kind}
+    others = [region for region in _state_regions(residual, best.within) if region.kind not in named_kinds]
+    second = max(others, key=lambda region: region.score, default=None)
+    if second is None or second.score < _MIN_SECOND_SCORE:
         return best.words
     return f"{best.words} and {second.words}"
 
 
-def _bounded(scene: Scene, among: Mask) -> Iterator[Region]:
-    """Regions bounded in one variable of state."""
-    series, j = scene.series, scene.joint
-    q, v, a, tau = _units(scene.forces[j])
-    by = f" of {scene.names[j]}" if scene.several else ""
+def _state_regions(residual: JointResidual, among: Mask) -> Iterator[Region]:
+    """Regions bounded in one variable of the state."""
+    series = residual.series
+    j = residual.joint
+    suffix = residual.suffix
+    q_unit, v_unit, a_unit, tau_unit = _units(residual.is_prismatic[j])
     speed = np.abs(series.v[j])
-    yield from _one(scene, among, "speed", speed, f"below {{:.2g}} {v}{by}", f"above {{:.2g}} {v}{by}")
-    yield from _one(scene, among, "torque", np.abs(series.tau[j]), "", f"at torques above {{:.2g}} {tau}{by}")
-    yield from _one(scene, among, "acceleration", np.abs(series.a[j]), "", f"at accelerations above {{:.2g}} {a}{by}")
-    after = f"in the first {{:.2g}} {q} after reversals{by}"
-    yield from _one(scene, among, "reversal", since_reversal(series, j, float(scene.still[j])), after, "")
-    yield from _position(scene, among, f"{q}{by}")
-    for k in (k for k in range(len(scene.names)) if k != j):
-        moves = f"while {scene.names[k]} moves, above {{:.2g}} {_units(scene.forces[k])[1]}"
-        yield from _one(scene, among, f"speed of {scene.names[k]}", np.abs(series.v[k]), "", moves)
+    slow, fast = f"below {{:.2g}} {v_unit}{suffix}", f"above {{:.2g}} {v_unit}{suffix}"
+    yield from _half_lines(residual, among, "speed", speed, slow, fast)
+    high_torque = f"at torques above {{:.2g}} {tau_unit}{suffix}"
+    yield from _half_lines(residual, among, "torque", np.abs(series.tau[j]), "", high_torque)
+    high_acceleration = f"at accelerations above {{:.2g}} {a_unit}{suffix}"
+    yield from _half_lines(residual, among, "acceleration", np.abs(series.a[j]), "", high_acceleration)
+    after_reversals = f"in the first {{:.2g}} {q_unit} after reversals{suffix}"
+    distance = distance_since_reversal(series, j, float(residual.velocity_deadband[j]))
+    yield from _half_lines(residual, among, "reversal", distance, after_reversals, "")
+    yield from _position_regions(residual, among, f"{q_unit}{suffix}")
+    for k, name in enumerate(residual.names):
+        if k != j:
+            moves = f"while {name} moves, above {{:.2g}} {_units(residual.is_prismatic[k])[1]}"
+            yield from _half_lines(residual, among, f"speed of {name}", np.abs(series.v[k]), "", moves)
 
 
-def _units(force: bool) -> tuple[str, str, str, str]:
-    return ("m", "m/s", "m/s²", "N") if force else ("rad", "rad/s", "rad/s²", "N·m")
+def _units(is_prismatic: bool) -> tuple[str, str, str, str]:
+    """Units of position, velocity, acceleration and torque."""
+    return ("m", "m/s", "m/s²", "N") if is_prismatic else ("rad", "rad/s", "rad/s²", "N·m")
 
 
-def _one(scene: Scene, among: Mask, kind: str, x: Array, below: str, above: str) -> Iterator[Region]:
-    """Regions with one bound, as far as there are words for them."""
-    ordered = _Ordered.of(x, scene, among)
-    if ordered is None:
+def _half_lines(residual: JointResidual, among: Mask, kind: str, x: Array, below: str, above: str) -> Iterator[Region]:
+    """Regions of x below a bound and above one; none without words for it."""
+    samples = _SortedSamples.of(x, residual, among)
+    if samples is None:
         return
-    low, high = int(np.argmax(ordered.ahead)), int(np.argmin(ordered.ahead))
     if below:
-        yield from ordered.region(kind, below, (0, low))
+        yield from samples.region(kind, below, (0, int(np.argmax(samples.excess))))
     if above:
-        yield from ordered.region(kind, above, (high, len(ordered.x)))
+        yield from samples.region(kind, above, (int(np.argmin(samples.excess)), len(samples.x)))
 
 
-def _position(scene: Scene, among: Mask, unit: str) -> Iterator[Region]:
-    """Regions bounded in position, by one or two bounds."""
-    q = scene.series.q[scene.joint]
-    yield from _one(scene, among, "position", q, f"below {{:.2g}} {unit}", f"above {{:.2g}} {unit}")
-    ordered = _Ordered.of(q, scene, among)
-    if ordered is None:
+def _position_regions(residual: JointResidual, among: Mask, unit: str) -> Iterator[Region]:
+    """Regions of the position with one or two bounds."""
+    q = residual.series.q[residual.joint]
+    yield from _half_lines(residual, among, "position", q, f"below {{:.2g}} {unit}", f"above {{:.2g}} {unit}")
+    samples = _SortedSamples.of(q, residual, among)
+    if samples is None:
         return
-    for words, ahead in (
-        (f"between {{:.2g}} and {{:.2g}} {unit}", ordered.ahead),
-        (f"below {{:.2g}} or above {{:.2g}} {unit}", -ordered.ahead),
-    ):
-        least = np.minimum.accumulate(ahead)
-        last = int(np.argmax(ahead - least))
-        first = int(np.argmin(ahead[: last + 1]))
-        yield from ordered.region("position", words, (first, last), outside=ahead is not ordered.ahead)
+    between = _largest_rise(samples.excess)
+    yield from samples.region("position", f"between {{:.2g}} and {{:.2g}} {unit}", between)
+    outside = _largest_rise(-samples.excess)
+    yield from samples.region("position", f"below {{:.2g}} or above {{:.2g}} {unit}", outside, outside=True)
+
+
+def _largest_rise(x: Array) -> tuple[int, int]:
+    """Places between which a curve rises most."""
+    last = int(np.argmax(x - np.minimum.accumulate(x)))
+    first = int(np.argmin(x[: last + 1]))
+    return first, last
 
 
 @dataclass(frozen=True)
-class _Ordered:
-    """Samples in the order of a variable.
+class _SortedSamples:
+    """Samples sorted by a variable.
 
     Attributes
     ----------
     x
         Its values, ascending, shape (k,).
-    ahead
-        Share of energy less share of time up to each place between them, shape (k + 1,).
-    holds
-        Share of the energy up to each, shape (k + 1,).
+    excess
+        Share of the energy less share of time up to each place between them, shape (k + 1,).
+    energy_share
+        Share of the energy up to each place, shape (k + 1,).
     values
-        The variable, of all samples, shape (n,).
+        The variable at all samples, shape (n,).
     among
-        Which of them are looked at, shape (n,).
+        Mask of the sorted samples, shape (n,).
     """
 
     x: Array
-    ahead: Array
-    holds: Array
+    excess: Array
+    energy_share: Array
     values: Array
     among: Mask
 
     @classmethod
-    def of(cls, values: Array, scene: Scene, among: Mask) -> _Ordered | None:
-        energy, time = scene.energy[among], scene.series.step[among]
+    def of(cls, values: Array, residual: JointResidual, among: Mask) -> _SortedSamples | None:
+        """Sorted samples; None without energy."""
+        energy = residual.energy[among]
         if energy.sum() <= 0:
             return None
         order = np.argsort(values[among], kind="stable")
-        holds, spent = (np.concatenate([[0.0], np.cumsum(y[order]) / y.sum()]) for y in (energy, time))
-        return cls(values[among][order], holds - spent, holds, values, among)
+        energy_share = _cumulative_share(energy[order], energy.sum())
+        time = residual.series.dt[among]
+        time_share = _cumulative_share(time[order], time.sum())
+        return cls(values[among][order], energy_share - time_share, energy_share, values, among)
 
     def region(self, kind: str, words: str, ends: tuple[int, int], outside: bool = False) -> Iterator[Region]:
-        """Between two places, or outside; none where it holds little or has no bound."""
+        """Region between two places, or outside them; none if it has little energy or lacks a bound."""
         first, last = ends
-        holds, score = self.holds[last] - self.holds[first], self.ahead[last] - self.ahead[first]
+        energy_share = self.energy_share[last] - self.energy_share[first]
+        score = self.excess[last] - self.excess[first]
         if outside:
-            holds, score = 1 - holds, -score
+            energy_share = 1 - energy_share
+            score = -score
         inner = [place for place in ends if 0 < place < len(self.x)]
-        if holds < _HOLDS or len(inner) != words.count("{"):
+        if energy_share < _MIN_ENERGY or len(inner) != words.count("{"):
             return
         bounds = [float(self.x[place - 1] + self.x[place]) / 2 for place in inner]
         low = bounds[0] if first > 0 else -np.inf
         high = bounds[-1] if last < len(self.x) else np.inf
         within = (self.values >= low) & (self.values <= high)
-        yield Region(
-            min(score, 1.0) - _TWO_BOUNDS * (len(inner) - 1),
-            kind,
-            words.format(*bounds),
-            self.among & (within != outside),
-        )
+        score = min(score, 1.0) - _SECOND_BOUND * (len(inner) - 1)
+        yield Region(score, kind, words.format(*bounds), self.among & (within != outside))
 
 
-def _timed(scene: Scene, among: Mask, windows: Sequence[tuple[float, float]]) -> Iterator[Region]:
-    """Parts of the log: its windows, and its start or end if these say next to as much."""
-    series, energy, time = scene.series, scene.energy, scene.series.step
+def _cumulative_share(x: Array, total: float) -> Array:
+    """Share of a total up to each place between samples, shape (k + 1,)."""
+    return np.concatenate([[0.0], np.cumsum(x) / total])
+
+
+def _time_regions(residual: JointResidual, among: Mask, windows: Sequence[tuple[float, float]]) -> Iterator[Region]:
+    """Parts of the log: its windows, and its start or end if their scores are nearly as high."""
+    series = residual.series
     score = -np.inf
     if windows:
-        within = among & inside(series.t, windows)
-        score = float(energy[within].sum() / energy[among].sum() - time[within].sum() / time[among].sum())
-        yield Region(min(score, 1.0) - _WINDOW * len(windows), "windows", _in_stretches(windows), within)
-    if scene.one_log:
-        ends = _one(scene, among, "time", series.t, *_EARLY_LATE)
-        yield from (region for region in ends if region.score > score - _TWO_BOUNDS)
+        within = among & is_inside(series.t, windows)
+        energy_share = residual.energy[within].sum() / residual.energy[among].sum()
+        time_share = series.dt[within].sum() / series.dt[among].sum()
+        score = float(energy_share - time_share)
+        yield Region(min(score, 1.0) - _PER_WINDOW * len(windows), "windows", _windows_text(windows), within)
+    if residual.is_one_log:
+        for region in _half_lines(residual, among, "time", series.t, _UNTIL, _FROM):
+            if region.score > score - _SECOND_BOUND:
+                yield region
 
 
-def _in_stretches(windows: Sequence[tuple[float, float]]) -> str:
-    return f"in {'a stretch' if len(windows) == 1 else f'{len(windows)} stretches'} of the log"
+def _windows_text(windows: Sequence[tuple[float, float]]) -> str:
+    return "in a stretch of the log" if len(windows) == 1 else f"in {len(windows)} stretches of the log"
 
 
-def inside(t: Array, windows: Sequence[tuple[float, float]]) -> Mask:
-    """Which times lie in windows."""
+def is_inside(t: Array, windows: Sequence[tuple[float, float]]) -> Mask:
+    """Mask of the times inside windows."""
     return np.asarray(np.logical_or.reduce([(t >= first) & (t <= last) for first, last in windows]))
 
 
-def _lines(scene: Scene, kept: Mask) -> Iterator[Region]:
-    """Lines of a spectrum in time that the motion has not, and in angle."""
-    series, j = scene.series, scene.joint
-    total = float(scene.energy[kept].sum() / series.step[kept].sum())
-    if total <= 0:
+def _spectral_regions(residual: JointResidual, valid: Mask) -> Iterator[Region]:
+    """Lines of the spectrum in time that the motion does not have, and of that over the angle."""
+    series = residual.series
+    total = float(residual.energy[valid].sum() / series.dt[valid].sum())
+    if total > 0:
+        yield from _frequency_region(residual, valid, total)
+        yield from _angle_region(residual, valid, total)
+
+
+def _frequency_region(residual: JointResidual, valid: Mask, total: float) -> Iterator[Region]:
+    series = residual.series
+    j = residual.joint
+    f, power = power_density(residual.torque, valid, series.dt, series.segments, residual.band)
+    if len(f) <= 2 * _LINE_WIDTH or not power.any():
         return
-    step, by = series.step, f" of {scene.names[j]}" if scene.several else ""
-    f, power = density(scene.torque, kept, step, series.stretches, scene.band)
-    motion = (density(x[j], kept, step, series.stretches, scene.band)[1] for x in (series.tau, series.v, series.a))
-    if len(f) > 2 * _LINE and power.any():
-        k = int(np.argmax(power))
-        line = slice(max(k - _LINE, 0), k + _LINE + 1)
-        share = min(power[line].sum() * (f[1] - f[0]) / total, 1.0)
-        share -= max(moved[line].sum() / max(moved.sum(), 1e-300) for moved in motion)
-        yield Region(share, "frequency", f"at {f[line] @ power[line] / power[line].sum():.2g} Hz{by}", kept)
-    n, amplitude = ripple(scene.torque[kept], series.q[j, kept], series.v[j, kept], scene.band)
-    seen = n >= _PERIODS * 2 * np.pi / max(float(np.ptp(series.q[j, kept])), 1e-12)
-    if seen.any():
-        k = int(np.argmax(np.where(seen, amplitude, 0.0)))
-        turn = "per 2π m" if scene.forces[j] else "per turn"
-        yield Region(min(amplitude[k] ** 2 / 2 / total, 1.0), "angle", f"{n[k]:.3g} periods {turn}{by}", kept)
+    peak = int(np.argmax(power))
+    line = slice(max(peak - _LINE_WIDTH, 0), peak + _LINE_WIDTH + 1)
+    motion_share = 0.0
+    for x in (series.tau[j], series.v[j], series.a[j]):
+        _, motion_power = power_density(x, valid, series.dt, series.segments, residual.band)
+        motion_share = max(motion_share, motion_power[line].sum() / max(motion_power.sum(), 1e-300))
+    score = min(power[line].sum() * (f[1] - f[0]) / total, 1.0) - motion_share
+    frequency = f[line] @ power[line] / power[line].sum()
+    yield Region(score, "frequency", f"at {frequency:.2g} Hz{residual.suffix}", valid)
 
 
-def since_reversal(series: ResidualSeries, j: int, still: float) -> Array:
-    """Way of a joint since it last changed its direction [rad or m], shape (n,); infinite where it has not yet."""
-    way = np.full(len(series.t), np.inf)
-    for part in series.stretches:
-        q, v = series.q[j, part], series.v[j, part]
-        moving = np.flatnonzero(np.abs(v) > still)
-        turned = moving[1:][np.diff(np.sign(v[moving])) != 0]
-        if len(turned):
-            last = np.searchsorted(turned, np.arange(len(q)), side="right") - 1
-            way[part] = np.where(last < 0, np.inf, np.abs(q - q[turned[np.maximum(last, 0)]]))
-    return way
+def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterator[Region]:
+    series = residual.series
+    j = residual.joint
+    q = series.q[j, valid]
+    n, amplitude = angle_spectrum(residual.torque[valid], q, series.v[j, valid], residual.band)
+    is_ripple = n >= _MIN_PERIODS * 2 * np.pi / max(float(np.ptp(q)), 1e-12)
+    if not is_ripple.any():
+        return
+    peak = int(np.argmax(np.where(is_ripple, amplitude, 0.0)))
+    turn = "per 2π m" if residual.is_prismatic[j] else "per turn"
+    score = min(amplitude[peak] ** 2 / 2 / total, 1.0)
+    yield Region(score, "angle", f"{n[peak]:.3g} periods {turn}{residual.suffix}", valid)
+
+
+def distance_since_reversal(series: ResidualSeries, j: int, velocity_deadband: float) -> Array:
+    """Distance of a joint from its last reversal [rad or m], shape (n,); infinite before the first."""
+    distance = np.full(len(series.t), np.inf)
+    for segment in series.segments:
+        q = series.q[j, segment]
+        v = series.v[j, segment]
+        moving = np.flatnonzero(np.abs(v) > velocity_deadband)
+        reversals = moving[1:][np.diff(np.sign(v[moving])) != 0]
+        if len(reversals):
+            last = np.searchsorted(reversals, np.arange(len(q)), side="right") - 1
+            since = np.abs(q - q[reversals[np.maximum(last, 0)]])
+            distance[segment] = np.where(last < 0, np.inf, since)
+    return distance

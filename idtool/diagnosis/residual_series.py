@@ -1,7 +1,7 @@
-"""`ResidualSeries`: what models leave of the torque all along the logs, with the motion that it went with.
+"""`ResidualSeries`: residual torque of models along the logs, with the motion.
 
-Training and held-out parts alike, in the band, at the band's own rate. Of logs too long to be held, every few batches
-are left out.
+Training and held-out parts alike, in the band, at the band's own rate. Of logs too long for memory, only every few
+batches are used.
 
 Letters: nv joints, n samples, m models.
 """
@@ -20,97 +20,115 @@ from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 Models = Sequence[tuple[LinearModel, Array]]
 
-_MOST = 2e7  # numbers that are held
+_MAX_NUMBERS = 2e7  # in memory
 
 
 @dataclass(frozen=True)
 class ResidualSeries:
-    """Samples one after the other, log after log.
+    """Samples of all logs, one log after the other.
 
     Attributes
     ----------
     t
         Time since the first log's first sample, as if each log began where the last one ended [s], shape (n,).
-    step
-        How long each stands for [s], shape (n,).
+    dt
+        Time that each sample represents [s], shape (n,).
     q, v, a
         Position, velocity, acceleration, shape (nv, n).
     tau
-        Torque of the last model [N·m or N], shape (nv, n).
-    left
+        Torque that the last model predicts [N·m or N], shape (nv, n).
+    residuals
         Measured torque less each model's, shape (m, nv, n).
-    kept
-        Whether it says something: not where the friction's sign is not known; shape (nv, n).
-    starts
-        Indices at which a stretch without a gap begins.
+    valid
+        False where the sign of the joint's friction is not known, shape (nv, n).
+    segment_starts
+        Indices at which a segment without a gap begins.
     """
 
     t: Array
-    step: Array
+    dt: Array
     q: Array
     v: Array
     a: Array
     tau: Array
-    left: Array
-    kept: Mask
-    starts: tuple[int, ...]
+    residuals: Array
+    valid: Mask
+    segment_starts: tuple[int, ...]
 
     @property
-    def stretches(self) -> tuple[slice, ...]:
-        """Those without a gap."""
-        return tuple(slice(*ends) for ends in zip(self.starts, (*self.starts[1:], len(self.t)), strict=True))
+    def segments(self) -> tuple[slice, ...]:
+        """Parts without a gap."""
+        ends = (*self.segment_starts[1:], len(self.t))
+        return tuple(slice(start, end) for start, end in zip(self.segment_starts, ends, strict=True))
 
 
-def series(experiment: Experiment, models: Models, progress: Progress, stage: str) -> ResidualSeries:
-    """Follow models along all logs.
+def residual_series(experiment: Experiment, models: Models, progress: Progress, stage: str) -> ResidualSeries:
+    """Residuals of models along all logs.
 
     Parameters
     ----------
     experiment
-        Its logs.
+        The logs.
     models
         Torque equations of the same joints, with their coefficients, shape (p,) each.
     progress
         Told how far it has come.
     stage
-        What to call it.
+        Name of this stage.
     """
     signals = experiment.runs[0].signals
     samples = (experiment.samples(False) + experiment.samples(True)) / signals.low_pass.stride
     numbers = samples * len(signals.joints) * (4 + len(models))
-    found = list(pieces(experiment, models, progress, stage, every=int(np.ceil(max(numbers / _MOST, 1)))))
+    every = int(np.ceil(max(numbers / _MAX_NUMBERS, 1)))
+    chunks = list(residual_chunks(experiment, models, progress, stage, every))
+
     starts: list[int] = []
     count = 0
-    for piece in found:
-        starts += [count] * len(piece.starts)
-        count += len(piece.t)
-    names = ("t", "step", "q", "v", "a", "tau", "left", "kept")
-    joined = {name: np.concatenate([getattr(piece, name) for piece in found], axis=-1) for name in names}
-    return ResidualSeries(**joined, starts=tuple(starts))
+    for chunk in chunks:
+        if chunk.segment_starts:
+            starts.append(count)
+        count += len(chunk.t)
+    names = ("t", "dt", "q", "v", "a", "tau", "residuals", "valid")
+    joined = {name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=-1) for name in names}
+    return ResidualSeries(**joined, segment_starts=tuple(starts))
 
 
-def pieces(
+def residual_chunks(
     experiment: Experiment, models: Models, progress: Progress, stage: str, every: int = 1
 ) -> Iterator[ResidualSeries]:
-    """The same in pieces of bounded size, one of ``every``; ``starts`` is empty in a piece that goes on."""
-    first = 0.0
+    """`residual_series` in chunks of bounded size, one of ``every``.
+
+    ``segment_starts`` is empty in a chunk that continues the one before.
+    """
+    log_start = 0.0
     for run in experiment.runs:
         signals = run.signals
-        step = signals.low_pass.stride * signals.log.dt
+        dt = signals.low_pass.stride * signals.log.dt
         for i, batch in enumerate(tracked(signals.batches(), signals.ranges, progress, stage)):
             if i % every == 0:
-                begins = every > 1 or batch.before < batch.low_pass.reach
-                yield _piece(models, batch, first, step, begins)
-        first += float(signals.log.t[-1] - signals.log.t[0]) + signals.log.dt
+                starts_segment = every > 1 or batch.before < batch.low_pass.reach
+                yield _chunk(models, batch, log_start, dt, starts_segment)
+        log_start += float(signals.log.t[-1] - signals.log.t[0]) + signals.log.dt
 
 
-def _piece(models: Models, batch: Batch, first: float, step: float, begins: bool) -> ResidualSeries:
-    motion, stride = batch.motion, batch.low_pass.stride
+def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_segment: bool) -> ResidualSeries:
+    motion = batch.motion
+    stride = batch.low_pass.stride
     inner = slice(batch.before, len(motion.t) - batch.after)
-    torque = [motion.tau, *(equation.torque(motion, theta) for equation, theta in models)]
-    measured, *predicted = batch.filter(np.stack(torque))
-    kept = np.logical_and.reduce([np.stack(equation.valid_samples(batch)) for equation, _ in models])
-    q, v, a = (x[:, inner][:, ::stride] for x in (motion.q, motion.v, motion.a))
-    left = measured - np.stack(predicted)
-    t = batch.t + first
-    return ResidualSeries(t, np.full(len(t), step), q, v, a, predicted[-1], left, kept, (0,) if begins else ())
+    torques = [motion.tau]
+    valid = []
+    for equation, theta in models:
+        torques.append(equation.torque(motion, theta))
+        valid.append(np.stack(equation.valid_samples(batch)))
+    measured, *predicted = batch.filter(np.stack(torques))
+    return ResidualSeries(
+        t=batch.t + log_start,
+        dt=np.full(len(batch.t), dt),
+        q=motion.q[:, inner][:, ::stride],
+        v=motion.v[:, inner][:, ::stride],
+        a=motion.a[:, inner][:, ::stride],
+        tau=predicted[-1],
+        residuals=measured - np.stack(predicted),
+        valid=np.logical_and.reduce(valid),
+        segment_starts=(0,) if starts_segment else (),
+    )

@@ -1,14 +1,14 @@
-"""Screening of probes: which of them explain a `LinearizedFit`'s residual on blocks of time they were not fitted to.
+"""Screening of probes by what they explain of a `LinearizedFit`'s residual on blocks of time not used for fitting.
 
-With the model's rows Q (n, r) by y and the probe's columns C (n, k), what is solved for every block left out is
+With the model's rows Q (n, r) by y and the probe's columns C (n, k), each block is left out in turn, and
 
     [Qᵀ Q + H   Qᵀ C] [y]   [Qᵀ e + f]
     [Cᵀ Q       Cᵀ C] [c] = [Cᵀ e    ]
 
-over the other blocks, by the Schur complement of the model: C is projected on what is orthogonal to Q and H. H and f
+is solved over the others by the Schur complement of the model: C is projected on what is orthogonal to Q and H. H and f
 are the information and the pull of prior and constraints.
 
-Letters: F blocks; K coefficients of all probes one after the other, of which a probe has k.
+Letters: F blocks; K coefficients of all probes one after the other, of which a probe has k; i probes of k coefficients.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
 
-_MEMORY = 1e7  # numbers that are held at once
-_AT_ONCE = 128  # columns that are filtered together
-_NOTHING = 1e-18  # of a column, squared and in units of the noise: rounding
-_NEW = 1e-5  # share of a column that the model cannot make: with less it says nothing new
+_MAX_NUMBERS = 1e7  # in memory at once
+_MAX_COLUMNS = 128  # filtered together
+_ROUNDING = 1e-18  # of a column, squared and in units of the noise
+_MIN_NEW_SHARE = 1e-5  # of a column, that the model can't reproduce
 
 
 @dataclass(frozen=True)
-class Found:
-    """What came of a probe.
+class ScreenedProbe:
+    """A probe and what it explains.
 
     Attributes
     ----------
@@ -44,14 +44,14 @@ class Found:
     c
         Its coefficients, shape (k,).
     covariance
-        Of them, by the jackknife over blocks, shape (k, k).
+        Jackknife covariance of the coefficients over blocks, shape (k, k).
     gains
-        By how much the squared residual of each block falls, the model and the probe being fitted to the others; in
-        units of the noise, shape (F,).
+        Reduction of the squared residual of each block, model and probe being fitted to the others; in units of the
+        noise, shape (F,).
     information
-        Of the data on the coefficients, beside the model's, shape (k, k).
+        Information of the data on the coefficients, beside the model's, shape (k, k).
     inflation
-        How much larger its covariance is than that of independent rows.
+        Ratio of the covariance to that of independent rows.
     """
 
     probe: Probe
@@ -63,37 +63,37 @@ class Found:
 
     @property
     def gain(self) -> float:
-        """Over all blocks."""
+        """Reduction of the squared residual over all blocks."""
         return float(self.gains.sum())
 
     @property
     def standard_error(self) -> float:
-        """Of the gain, from the blocks."""
+        """Standard error of the gain, from the blocks."""
         return float(np.sqrt(len(self.gains)) * self.gains.std(ddof=1)) if len(self.gains) > 1 else np.inf
 
     @property
-    def allowed(self) -> bool:
-        """Whether physics allows the coefficients."""
+    def is_possible(self) -> bool:
+        """True if physics allows the coefficients and an effect has them."""
         return self.probe.is_feasible(self.c) and self.entry is not None
 
     @cached_property
     def entry(self) -> EffectEntry | None:
-        """As a configuration has it."""
+        """Configuration entry; None if there is no such effect."""
         return self.probe.to_entry(self.c, self.information)
 
 
 @dataclass
-class _Sums:
+class _ProbeSums:
     """Gram matrices of all probes, by block.
 
     Attributes
     ----------
     P
-        Of the model's rows with the columns, shape (F, r, K).
+        Products of the model's rows with the columns, shape (F, r, K).
     h
-        Of the columns with the residual, (F, K).
+        Products of the columns with the residual, shape (F, K).
     C
-        Of each column with those of its own probe, (F, K, most k).
+        Products of each column with those of its own probe, shape (F, K, largest k).
     """
 
     P: Array
@@ -101,169 +101,205 @@ class _Sums:
     C: Array
 
 
-def screened(
+def screen_probes(
     linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
-) -> list[Found]:
-    """Try probes.
+) -> list[ScreenedProbe]:
+    """What each probe explains, by itself.
 
     Parameters
     ----------
     linearized
-        What they are to explain.
+        The model whose residual they are to explain.
     probes
         The hypotheses.
     progress
         Told how far it has come.
     stage
-        What to call it.
+        Name of this stage.
     """
-    size = linearized.folds * linearized.ways.shape[1]
-    found: list[Found] = []
-    some: list[Probe] = []
+    screened: list[ScreenedProbe] = []
+    for group in _groups_in_memory(linearized, probes):
+        sums = _accumulate(linearized, group, progress, stage)
+        screened += _solve_all(linearized, group, sums)
+    return screened
+
+
+def _groups_in_memory(linearized: LinearizedFit, probes: Sequence[Probe]) -> Iterator[list[Probe]]:
+    """Probes in groups whose sums fit into memory."""
+    numbers_per_coefficient = linearized.block_count * linearized.directions.shape[1]
+    group: list[Probe] = []
     for probe in probes:
-        some.append(probe)
-        if size * sum(p.coefficient_count for p in some) > _MEMORY:
-            found += _judged(linearized, some, _summed(linearized, some, progress, stage))
-            some = []
-    return found + (_judged(linearized, some, _summed(linearized, some, progress, stage)) if some else [])
+        group.append(probe)
+        if numbers_per_coefficient * sum(p.coefficient_count for p in group) > _MAX_NUMBERS:
+            yield group
+            group = []
+    if group:
+        yield group
 
 
-def _summed(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> _Sums:
-    starts = np.cumsum([0, *(probe.coefficient_count for probe in probes)])
-    most = max(probe.coefficient_count for probe in probes)
-    F, r, K = linearized.folds, linearized.ways.shape[1], int(starts[-1])
-    sums = _Sums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, most)))
-    for batch, present, folds in along(linearized, progress, stage):
-        Q, e, kept = _rows(linearized, batch, present)
-        for joint, index, X in _columns(probes, starts, batch, present):
-            own = X / linearized.noise[joint] * kept[joint]
-            beside = [_beside(own, index, starts, d) for d in range(most)]
-            for f in np.unique(folds):
-                part = folds == f
-                x = own[:, part]
-                sums.P[f][:, index] += Q[joint][:, part] @ x.T
-                sums.h[f, index] += x @ e[joint][part]
-                for d in range(most):
-                    sums.C[f, index, d] += np.einsum("in,in->i", x, beside[d][:, part])
+def _coefficient_starts(probes: Sequence[Probe]) -> Indices:
+    """Index of each probe's first coefficient, and the number K of all."""
+    return np.cumsum([0, *(probe.coefficient_count for probe in probes)])
+
+
+def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> _ProbeSums:
+    starts = _coefficient_starts(probes)
+    max_k = max(probe.coefficient_count for probe in probes)
+    F, r, K = linearized.block_count, linearized.directions.shape[1], int(starts[-1])
+    sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, max_k)))
+    for batch, model, block_index in training_batches(linearized, progress, stage):
+        Q, e, valid = _model_rows(linearized, batch, model)
+        for joint, index, filtered in _probe_columns(probes, starts, batch, model):
+            columns = filtered / linearized.noise[joint] * valid[joint]
+            siblings = [_sibling_columns(columns, index, starts, d) for d in range(max_k)]
+            for f in np.unique(block_index):
+                in_block = block_index == f
+                x = columns[:, in_block]
+                sums.P[f][:, index] += Q[joint][:, in_block] @ x.T
+                sums.h[f, index] += x @ e[joint][in_block]
+                for d in range(max_k):
+                    sums.C[f, index, d] += np.einsum("in,in->i", x, siblings[d][:, in_block])
     return sums
 
 
-def _beside(X: Array, index: Indices, starts: Indices, d: int) -> Array:
-    """For each column the d-th of its probe's, zero where it has no such; shape as X."""
+def _sibling_columns(columns: Array, index: Indices, starts: Indices, d: int) -> Array:
+    """For each column the d-th of its own probe, zero if the probe has fewer; shape as the columns."""
     probe = np.searchsorted(starts, index, side="right") - 1
     wanted = starts[probe] + d
-    there = wanted < starts[probe + 1]
-    at = np.searchsorted(index, np.where(there, wanted, index))
-    return np.asarray(X[np.minimum(at, len(index) - 1)] * there[:, None])
+    exists = wanted < starts[probe + 1]
+    position = np.searchsorted(index, np.where(exists, wanted, index))
+    return np.asarray(columns[np.minimum(position, len(index) - 1)] * exists[:, None])
 
 
-def along(
+def training_batches(
     linearized: LinearizedFit, progress: Progress, stage: str
 ) -> Iterator[tuple[Batch, LinearizedModel, Indices]]:
-    """The training data: batches, the model along each, and the block that each filtered sample is in."""
-    first = 0
-    for run in (run for run in linearized.experiment.runs if run.train):
+    """Batches of the training data, the model along each, and the block of each filtered sample."""
+    first_block = 0
+    for run in linearized.experiment.runs:
+        if not run.train:
+            continue
         row = 0
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
-            present = LinearizedModel(linearized.experiment.equation, linearized.theta, batch.motion)
-            count = len(batch.t)
-            yield batch, present, first + (row + np.arange(count)) // linearized.length
-            row += count
-        first += -(-row // linearized.length)
+            model = LinearizedModel(linearized.experiment.equation, linearized.theta, batch.motion)
+            rows = row + np.arange(len(batch.t))
+            yield batch, model, first_block + rows // linearized.block_length
+            row += len(batch.t)
+        first_block += -(-row // linearized.block_length)
 
 
-def _rows(
-    linearized: LinearizedFit, batch: Batch, present: LinearizedModel
+def _model_rows(
+    linearized: LinearizedFit, batch: Batch, model: LinearizedModel
 ) -> tuple[list[Array], list[Array], list[Array]]:
-    """By joint: the model's rows by y, (r, n), the residual, (n,), and which samples count as 1, (n,)."""
-    Q, e, kept = [], [], []
-    active = linearized.experiment.equation.active()
-    keep = linearized.experiment.equation.clean_samples(batch, linearized.apart)
-    for j, (own, columns) in enumerate(zip(active, present.columns, strict=True)):
-        block = batch.filter(columns) * keep[j] / linearized.noise[j]
-        Q.append(linearized.ways[own].T @ block[:-1])
-        e.append(block[-1] - linearized.theta[own] @ block[:-1])
-        kept.append(keep[j].astype(float))
-    return Q, e, kept
+    """By joint: the model's rows by y, (r, n), the residual, (n,), and 1 for each sample that counts, (n,)."""
+    equation = linearized.experiment.equation
+    masks = equation.clean_samples(batch, linearized.reversal_margin)
+    Q, e, valid = [], [], []
+    for j, (active, columns) in enumerate(zip(equation.active(), model.columns, strict=True)):
+        block = batch.filter(columns) * masks[j] / linearized.noise[j]
+        Q.append(linearized.directions[active].T @ block[:-1])
+        e.append(block[-1] - linearized.theta[active] @ block[:-1])
+        valid.append(masks[j].astype(float))
+    return Q, e, valid
 
 
-def _columns(
-    probes: Sequence[Probe], starts: Indices, batch: Batch, present: LinearizedModel
+def _probe_columns(
+    probes: Sequence[Probe], starts: Indices, batch: Batch, model: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
-    """Joint, indices of coefficients, and their columns in the band, shape (i, n), some at a time."""
+    """Joint, indices of coefficients, and their filtered columns, shape (i, n), a bounded number at a time."""
     waiting: dict[int, list[tuple[int, Array]]] = {}
     for start, probe in zip(starts[:-1], probes, strict=True):
-        for joint, rows in probe.columns(present.true_motion, present).items():
+        for joint, columns in probe.columns(model.true_motion, model).items():
             own = waiting.setdefault(joint, [])
-            own.append((int(start), rows))
-            if sum(len(r) for _, r in own) >= _AT_ONCE:
+            own.append((int(start), columns))
+            if sum(len(x) for _, x in own) >= _MAX_COLUMNS:
                 yield joint, *_filtered(waiting.pop(joint), batch)
     for joint, own in waiting.items():
         yield joint, *_filtered(own, batch)
 
 
-def _filtered(some: list[tuple[int, Array]], batch: Batch) -> tuple[Indices, Array]:
-    index = np.concatenate([start + np.arange(len(rows)) for start, rows in some])
-    return index, batch.filter(np.concatenate([rows for _, rows in some]))
+def _filtered(started_columns: list[tuple[int, Array]], batch: Batch) -> tuple[Indices, Array]:
+    """Indices of coefficients and their filtered columns, from the first index and the columns of each probe."""
+    index = np.concatenate([start + np.arange(len(columns)) for start, columns in started_columns])
+    return index, batch.filter(np.concatenate([columns for _, columns in started_columns]))
 
 
-def _judged(linearized: LinearizedFit, probes: Sequence[Probe], sums: _Sums) -> list[Found]:
-    starts = np.cumsum([0, *(probe.coefficient_count for probe in probes)])
-    found: dict[int, Found] = {}
+def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeSums) -> list[ScreenedProbe]:
+    """All probes solved, those with the same number of coefficients together."""
+    starts = _coefficient_starts(probes)
+    screened: dict[int, ScreenedProbe] = {}
     for k in {probe.coefficient_count for probe in probes}:
-        which = [i for i, probe in enumerate(probes) if probe.coefficient_count == k]
-        index = np.array([np.arange(starts[i], starts[i] + k) for i in which])  # (probes of that size, k)
-        for i, one in zip(which, _of_size(linearized, [probes[i] for i in which], index, sums), strict=True):
-            found[i] = one
-    return [found[i] for i in range(len(probes))]
+        numbers = [i for i, probe in enumerate(probes) if probe.coefficient_count == k]
+        index = np.array([np.arange(starts[i], starts[i] + k) for i in numbers])  # (i, k)
+        solved = _solve_same_size(linearized, [probes[i] for i in numbers], index, sums)
+        screened.update(zip(numbers, solved, strict=True))
+    return [screened[i] for i in range(len(probes))]
 
 
-def _of_size(linearized: LinearizedFit, probes: Sequence[Probe], index: Indices, sums: _Sums) -> list[Found]:
-    """The probes of k coefficients each."""
-    F = linearized.folds
+def _solve_same_size(
+    linearized: LinearizedFit, probes: Sequence[Probe], index: Indices, sums: _ProbeSums
+) -> list[ScreenedProbe]:
+    """Probes of k coefficients each, whose indices are given, shape (i, k)."""
+    F = linearized.block_count
+    block_P = sums.P[:, :, index]  # (F, r, i, k)
+    block_h = sums.h[:, index]  # (F, i, k)
+    block_C = sums.C[:, index, : index.shape[1]]  # (F, i, k, k)
+    P, h, C = block_P.sum(axis=0), block_h.sum(axis=0), block_C.sum(axis=0)
+    c, _, schur = _solve(linearized.information, P, h, C, np.zeros(len(linearized.information)))
+
     local = [i for i, probe in enumerate(probes) if probe.is_local]
-    parts = sums.P[:, :, index], sums.h[:, index], sums.C[:, index, : index.shape[1]]  # (F, r, i, k), (F, i, k), …
-    P, h, C = (x.sum(axis=0) for x in parts)
-    whole = linearized.B.sum(axis=0) + linearized.held
-    c, _, S = _solved(whole, P, h, C, np.zeros(len(whole)))
-    left, gains = np.empty((F, *c.shape)), np.empty((F, len(c)))
+    left_out = np.empty((F, *c.shape))  # coefficients without each block
+    gains = np.empty((F, len(c)))
     for f in range(F):
-        y0, B = linearized.without[f], linearized.B[f]
-        Pf, hf, Cf = (x[f] for x in parts)
-        cf, X, _ = _solved(whole - B, P - Pf, h - hf, C - Cf, y0)
-        cf = np.where(_allowed(probes, cf)[:, None], cf, 0.0)
-        cf[local] = c[local]
-        left[f] = cf
-        dy = -np.einsum("rik,ik->ri", X, cf)  # what the model gives way by
-        of_c = hf - np.einsum("rik,r->ik", Pf, y0)
-        along = np.einsum("rik,ik->ri", Pf, cf)
+        y0 = linearized.jackknife_shift[f]
+        gram = linearized.gram[f]
+        P_f, h_f, C_f = block_P[f], block_h[f], block_C[f]
+        c_f, X, _ = _solve(linearized.information - gram, P - P_f, h - h_f, C - C_f, y0)
+        c_f = np.where(_feasible(probes, c_f)[:, None], c_f, 0.0)
+        c_f[local] = c[local]
+        left_out[f] = c_f
+
+        dy = -np.einsum("rik,ik->ri", X, c_f)  # change of the model's y by the probe
+        residual_score = h_f - np.einsum("rik,r->ik", P_f, y0)
+        cross = np.einsum("rik,ik->ri", P_f, c_f)
         gains[f] = (
-            2 * (dy * (linearized.g[f] - B @ y0)[:, None]).sum(axis=0) + 2 * (cf * of_c).sum(axis=1)
-            - (dy * (B @ dy)).sum(axis=0) - 2 * (dy * along).sum(axis=0)
-            - np.einsum("ik,ikl,il->i", cf, Cf, cf)
-        )  # fmt: skip
-    away = left - left.mean(axis=0)
-    covariance = (F - 1) / F * np.einsum("fik,fil->ikl", away, away)
-    ordinary = np.einsum("ikk->ik", np.linalg.pinv(S))
-    spread = np.einsum("ikk->ik", covariance)
-    inflation = (spread / np.where(ordinary > 1e-200, ordinary, np.inf)).mean(axis=1)
-    rows = zip(probes, c, covariance, gains.T, S, inflation, strict=True)
-    return [Found(probe, c, V, gain, own, float(more)) for probe, c, V, gain, own, more in rows]
+            2 * (dy * (linearized.score[f] - gram @ y0)[:, None]).sum(axis=0)
+            + 2 * (c_f * residual_score).sum(axis=1)
+            - (dy * (gram @ dy)).sum(axis=0)
+            - 2 * (dy * cross).sum(axis=0)
+            - np.einsum("ik,ikl,il->i", c_f, C_f, c_f)
+        )
+
+    deviation = left_out - left_out.mean(axis=0)
+    covariance = (F - 1) / F * np.einsum("fik,fil->ikl", deviation, deviation)
+    independent_variance = np.einsum("ikk->ik", np.linalg.pinv(schur))
+    variance = np.einsum("ikk->ik", covariance)
+    is_determined = independent_variance > 1e-200
+    inflation = (variance / np.where(is_determined, independent_variance, np.inf)).mean(axis=1)
+    return [
+        ScreenedProbe(probe, c[i], covariance[i], gains[:, i], schur[i], float(inflation[i]))
+        for i, probe in enumerate(probes)
+    ]
 
 
-def _solved(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, Array, Array]:
-    """Coefficients, (i, k), what the model gives way by for each, (r, i, k), and the Schur complement, (i, k, k)."""
+def _solve(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, Array, Array]:
+    """Coefficients of probes, each by itself, about a model with information A, (r, r), and solution y0, (r,).
+
+    Returns
+    -------
+    Coefficients, (i, k), change of y against each, (r, i, k), and the Schur complement, (i, k, k).
+    """
     r, i, k = P.shape
-    X: Array = np.asarray(np.linalg.solve(A, P.reshape(r, i * k)).reshape(r, i, k), dtype=np.float64)
-    S = C - np.einsum("rik,ril->ikl", P, X)
+    X = np.asarray(np.linalg.solve(A, P.reshape(r, i * k)).reshape(r, i, k), dtype=np.float64)
+    schur = C - np.einsum("rik,ril->ikl", P, X)
     squares = np.einsum("ikk->ik", C)
-    size = np.sqrt(np.where(squares > _NOTHING, squares, np.inf))
-    values, vectors = np.linalg.eigh(S / size[:, :, None] / size[:, None, :])
-    inverse = np.where(values > _NEW, 1 / np.maximum(values, _NEW), 0.0)
+    size = np.sqrt(np.where(squares > _ROUNDING, squares, np.inf))
+    values, vectors = np.linalg.eigh(schur / size[:, :, None] / size[:, None, :])
+    inverse = np.where(values > _MIN_NEW_SHARE, 1 / np.maximum(values, _MIN_NEW_SHARE), 0.0)
     rhs = (h - np.einsum("rik,r->ik", P, y0)) / size
     c = np.einsum("ikl,il,iml,im->ik", vectors, inverse, vectors, rhs, optimize=True) / size
-    return c, X, S
+    return c, X, schur
 
 
-def _allowed(probes: Sequence[Probe], c: Array) -> Mask:
+def _feasible(probes: Sequence[Probe], c: Array) -> Mask:
     return np.array([probe.is_feasible(own) for probe, own in zip(probes, c, strict=True)], dtype=bool)

@@ -1,8 +1,8 @@
-"""A model with a further effect in it, fitted whole, its shape values moved to where they explain most.
+"""`TrialFit`: a model with further effects, fitted as a whole, with their nonlinear parameters at the optimum.
 
-Shape values are found by Gauss and Newton's method on what the linear coefficients leave (variable projection; Golub &
-Pereyra 1973, in the form of Kaufman 1975): the change of the residual with a shape value is one more column, judged by
-`screened` as any other, which gives the step and its standard error.
+Nonlinear parameters are found by Gauss and Newton's method on the residual of the linear coefficients (variable
+projection; Golub & Pereyra 1973, in the form of Kaufman 1975): the change of the residual with a parameter is one more
+column. `screen_probes` evaluates it as any other, which gives the step and its standard error.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import IdtoolError
 from idtool.data.signals import Motion
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.screen import screened
-from idtool.diagnosis.survey import survey
+from idtool.diagnosis.screen import screen_probes
+from idtool.diagnosis.summarize_data import summarize_data
 from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.linearization import Linearization
@@ -29,40 +29,45 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import PI_SIZE
 
-Key = tuple[int, str]  # place in the configuration's effects, and name of a parameter
+ParameterKey = tuple[int, str]  # place in the configuration's effects, and name of the parameter
+Range = tuple[float, float]
 
 FAILURES = (IdtoolError, np.linalg.LinAlgError)  # of a model that cannot be fitted
 
-_STEP = 1e-3  # of a shape value, or this where it is small: of a difference
-_FAR = 0.3  # of a value that a step goes at the most
-_BETTER = 1e-4  # of the squared residual that a step must save
-_BEYOND = 2.0  # times the values tried, that a shape value may move
-_SCAN = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # of a value, that are tried
-_AS_GOOD = 0.9  # of the largest gain
+_DIFFERENCE = 1e-3  # of a value, or this if it is small: step of a finite difference
+_SMALL_VALUE = 0.1  # below which a value counts as small
+_MAX_STEP = 0.3  # of a value
+_STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
+_MIN_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
+_RANGE_MARGIN = 2.0  # times the values that the search tries
+_GRID = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # of a value, tried in a grid search
+_NEAR_BEST = 0.9  # of the largest gain: a value as good as the best
+_UNBOUNDED: Range = (-np.inf, np.inf)
+_FIXED_INERTIA = "--inertia fixed"
 
 
-def reason_of(failure: Exception) -> str:
-    """What a failure says, without the file or key that it is about."""
+def failure_reason(failure: Exception) -> str:
+    """Reason of a failure, without the file or key that it is about."""
     return failure.what if isinstance(failure, IdtoolError) else "its equations have no solution"
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A model with effects in it.
+class TrialFit:
+    """Fit of a model with further effects.
 
     Attributes
     ----------
     linearized
-        What it leaves.
+        The fit.
     errors
-        Standard errors of the shape values, by place in the configuration's effects and name.
+        Standard errors of the nonlinear parameters.
     ranges
-        Within which shape values were moved, by the same.
+        Ranges within which they were moved.
     """
 
     linearized: LinearizedFit
-    errors: Mapping[Key, float]
-    ranges: Mapping[Key, tuple[float, float]]
+    errors: Mapping[ParameterKey, float]
+    ranges: Mapping[ParameterKey, Range]
 
     @property
     def entries(self) -> tuple[EffectEntry, ...]:
@@ -71,7 +76,7 @@ class Trial:
 
 
 def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: Array | None = None) -> Experiment:
-    """The same logs and robot, with other effects in the torque equation; inertia that was fixed stays so.
+    """Logs and robot of an experiment with other effects in the torque equation; fixed inertia stays fixed.
 
     Parameters
     ----------
@@ -80,188 +85,242 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
     entries
         All effects of the configuration.
     theta
-        What the experiment's coefficients are by now, shape (p,), for effects that need to know the model.
+        The experiment's coefficients, shape (p,), for effects that depend on the rest of the model; None: those of its
+        operating point.
     """
     config = experiment.config.model_copy(update={"effects": tuple(entries)})
-    now = experiment.equation.operating_point
+    operating_point = experiment.equation.operating_point
     if theta is not None:
-        now = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
-    equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), now)
+        operating_point = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
+    equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), operating_point)
     equalities = equality_constraints(config, experiment.model, equation)
     changed = replace(experiment, config=config, equation=equation, equalities=equalities)
-    return with_fixed_inertia(changed) if is_fixed(experiment) else changed
-
-
-_FIXED = "--inertia fixed"
+    return with_fixed_inertia(changed) if has_fixed_inertia(experiment) else changed
 
 
 def with_fixed_inertia(experiment: Experiment) -> Experiment:
-    """The same with the bodies' parameters known to be those of the URDF."""
-    p, equalities = len(experiment.equation.coefficients), experiment.equalities
-    prior, count = experiment.equation.prior, PI_SIZE * len(experiment.model.bodies)
-    inertia = tuple(Constraint(_FIXED, np.eye(p)[i], float(prior[i])) for i in equalities.free if i < count)
-    nothing = Regularization(kind="none", weight=0)  # left for a prior to say
-    config = experiment.config.model_copy(update={"constraints": "none", "regularization": nothing})
-    others = tuple(c for c in equalities.constraints if c.row[count:].any())  # others speak of what is fixed
+    """Experiment with the bodies' parameters known to be those of the URDF."""
+    coefficient_count = len(experiment.equation.coefficients)
+    body_count = PI_SIZE * len(experiment.model.bodies)
+    prior = experiment.equation.prior
+    equalities = experiment.equalities
+    identity = np.eye(coefficient_count)
+    inertia = [Constraint(_FIXED_INERTIA, identity[i], float(prior[i])) for i in equalities.free if i < body_count]
+    # constraints on the bodies alone would contradict the fixed values, or repeat them
+    others = [constraint for constraint in equalities.constraints if constraint.row[body_count:].any()]
+    no_prior = Regularization(kind="none", weight=0)
+    config = experiment.config.model_copy(update={"constraints": "none", "regularization": no_prior})
     return replace(experiment, config=config, equalities=replace(equalities, constraints=(*others, *inertia)))
 
 
-def is_fixed(experiment: Experiment) -> bool:
-    """Whether the bodies' parameters are the URDF's."""
-    return any(constraint.label == _FIXED for constraint in experiment.equalities.constraints)
+def has_fixed_inertia(experiment: Experiment) -> bool:
+    """True if the bodies' parameters are fixed at the URDF's."""
+    return any(constraint.label == _FIXED_INERTIA for constraint in experiment.equalities.constraints)
 
 
-def tried(
+def fit_trial(
     before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, steps: int = 1
-) -> Trial:
-    """A model with other effects, fitted with the same weights.
+) -> TrialFit:
+    """Fit a model with other effects, on the rows and in the units of another fit.
 
     Parameters
     ----------
     before
-        The model that it is compared with.
+        The fit that it is compared with.
     entries
-        All effects that it has.
+        All effects of the model.
     moving
-        Indices of those whose shape values are moved.
+        Indices of those whose nonlinear parameters are moved.
     progress
         Told how far it has come.
     steps
-        How often they are.
+        Number of Gauss-Newton steps at most.
 
     Raises
     ------
     IdtoolError, LinAlgError
         If it cannot be fitted; see `FAILURES`.
     """
-    here = linearize_fit(with_effects(before.experiment, entries, before.theta), progress, before)
-    errors: dict[Key, float] = {}
-    ranges = _ranges(before, entries, moving)
+    current = linearize_fit(with_effects(before.experiment, entries, before.theta), progress, before)
+    errors: dict[ParameterKey, float] = {}
+    ranges = _parameter_ranges(before, entries, moving)
     for i in moving:
-        for name in effect_types()[entries[i].effect].grid_parameters():
-            here, errors[i, name] = _scanned(here, i, name, progress)
+        kind = effect_types()[entries[i].effect]
+        if issubclass(kind, JointEffect):
+            for name in kind.grid_parameters():
+                current, errors[i, name] = _grid_search(current, i, kind, name, progress)
+
     for _ in range(steps):
-        names = [(i, name) for i in moving for name in _moved(here.experiment.config.effects[i])]
-        if not names:
+        keys = _gradient_keys(current.experiment.config.effects, moving)
+        if not keys:
             break
-        there, found = _step(here, names, ranges, progress)
-        errors |= found
-        if there is None:
+        moved, step_errors = _gauss_newton_step(current, keys, ranges, progress)
+        errors |= step_errors
+        if moved is None:
             break
-        better = here.left().sum() - there.left().sum() > _BETTER * here.left().sum()
-        here = there if there.left().sum() < here.left().sum() else here
-        if not better:
+        gain = current.total_cv_squared_error - moved.total_cv_squared_error
+        is_worthwhile = gain > _MIN_GAIN * current.total_cv_squared_error
+        current = moved
+        if not is_worthwhile:
             break
-    return Trial(here, errors, ranges)
+    return TrialFit(current, errors, ranges)
 
 
-def _ranges(
+def _parameter_ranges(
     before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int]
-) -> dict[Key, tuple[float, float]]:
-    """Those about all values that a search tries, of parameters that are sizes."""
-    seen, found = survey(before), {}
+) -> dict[ParameterKey, Range]:
+    """Ranges of the positive nonlinear parameters about all values that the search tries."""
+    summary = summarize_data(before)
+    ranges: dict[ParameterKey, Range] = {}
     for i in moving:
-        kind, joint = effect_types()[entries[i].effect], entries[i].joint
+        kind = effect_types()[entries[i].effect]
+        joint = entries[i].joint
         if not issubclass(kind, JointEffect) or joint is None:
             continue
-        shapes = list(kind.trial_values(seen, seen.model.names.index(joint)))
-        for name in shapes[0] if shapes else ():
-            values = [shape[name] for shape in shapes]
+        trials = list(kind.trial_values(summary, summary.model.names.index(joint)))
+        for name in trials[0] if trials else ():
             if _is_positive(kind.id, name):
-                found[i, name] = (min(values) / _BEYOND, max(values) * _BEYOND)
-        found |= {
-            (i, held.name): (0.0, held.optional_maximum)
-            for held in kind.nonlinear_parameters
-            if held.optional_maximum is not None
-        }
-    return found
+                values = [trial[name] for trial in trials]
+                ranges[i, name] = (min(values) / _RANGE_MARGIN, max(values) * _RANGE_MARGIN)
+        for parameter in kind.nonlinear_parameters:
+            if parameter.optional_maximum is not None:
+                ranges[i, parameter.name] = (0.0, parameter.optional_maximum)
+    return ranges
 
 
-def _moved(entry: EffectEntry) -> list[str]:
-    names = effect_types()[entry.effect].gradient_parameters()
-    return [name for name in names if isinstance(value_of(entry, name), float)]
+def _gradient_keys(entries: Sequence[EffectEntry], moving: Sequence[int]) -> list[ParameterKey]:
+    """Numeric parameters that are moved along a gradient."""
+    keys = []
+    for i in moving:
+        for name in effect_types()[entries[i].effect].gradient_parameters():
+            if isinstance(parameter_value(entries[i], name), float):
+                keys.append((i, name))
+    return keys
 
 
-def value_of(entry: EffectEntry, name: str) -> object:
-    """A parameter's value, without its standard error; ``com.0`` is the first of the list ``com``; None without it."""
-    name, _, at = name.partition(".")
+def parameter_value(entry: EffectEntry, name: str) -> object:
+    """Value of a parameter without its standard error; None if it has none.
+
+    ``com.0`` names the first element of the list ``com``.
+    """
+    name, _, index = name.partition(".")
     given = entry.parameters.get(name)
-    given = given["value"] if isinstance(given, Mapping) else given
-    return given[int(at)] if at and given is not None else given
+    value = given["value"] if isinstance(given, Mapping) else given
+    return value[int(index)] if index and value is not None else value
 
 
-def _with(entry: EffectEntry, name: str, value: float) -> EffectEntry:
-    name, _, at = name.partition(".")
-    given = [value if k == int(at) else x for k, x in enumerate(entry.parameters[name])] if at else value
+def _number(entry: EffectEntry, name: str) -> float:
+    """Value of a parameter known to be a number."""
+    value = parameter_value(entry, name)
+    if not isinstance(value, int | float):
+        raise TypeError(f"{name} of {entry.effect} is no number")
+    return float(value)
+
+
+def _with_value(entry: EffectEntry, name: str, value: float) -> EffectEntry:
+    """Entry with another value of a parameter; ``com.0`` as in `parameter_value`."""
+    name, _, index = name.partition(".")
+    given: object = value
+    if index:
+        given = [value if k == int(index) else x for k, x in enumerate(entry.parameters[name])]
     return entry.model_copy(update={"parameters": {**entry.parameters, name: given}})
 
 
-def _step(
-    here: LinearizedFit, names: Sequence[Key], ranges: Mapping[Key, tuple[float, float]], progress: Progress
-) -> tuple[LinearizedFit | None, dict[Key, float]]:
-    """One step of all shape values together, half of it, or none; and their standard errors."""
-    entries = list(here.experiment.config.effects)
-    values = [float(value_of(entries[i], name)) for i, name in names]  # type: ignore[arg-type]
-    steps = [_STEP * max(abs(value), 0.1) for value in values]
-    tops = [ranges.get(key, (-np.inf, np.inf))[1] for key in names]
-    steps = [step if value + step < top else -step for value, step, top in zip(values, steps, tops, strict=True)]
-    (found,) = screened(here, [_difference(here, names, values, steps)], progress, "moving shape values")
-    spread = np.sqrt(np.diag(found.covariance))
-    errors = {key: float(x) for key, x in zip(names, spread, strict=True)}
-    for part in (1.0, 0.3):
+def _gauss_newton_step(
+    current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range], progress: Progress
+) -> tuple[LinearizedFit | None, dict[ParameterKey, float]]:
+    """Fit after a step of all parameters together, None if no step helps, and their standard errors."""
+    entries = list(current.experiment.config.effects)
+    values = [_number(entries[i], name) for i, name in keys]
+    differences = []
+    for key, value in zip(keys, values, strict=True):
+        difference = _DIFFERENCE * max(abs(value), _SMALL_VALUE)
+        _, highest = ranges.get(key, _UNBOUNDED)
+        differences.append(difference if value + difference < highest else -difference)
+    probe = _parameter_probe(current, keys, values, differences)
+    (screened,) = screen_probes(current, [probe], progress, "moving shape values")
+    standard_errors = np.sqrt(np.diag(screened.covariance))
+    errors = {key: float(x) for key, x in zip(keys, standard_errors, strict=True)}
+
+    for length in _STEP_LENGTHS:
         changed = list(entries)
-        for (i, name), value, by in zip(names, values, part * found.c, strict=True):
-            most = _FAR * max(abs(value), _STEP)
-            positive = value > 0 and _is_positive(entries[i].effect, name)
-            limited = float(np.clip(by, -most, most)) if positive or abs(value) > 0.1 else by
-            moved = np.clip(value + limited, *ranges.get((i, name), (-np.inf, np.inf)))
-            changed[i] = _with(changed[i], name, float(moved))
+        for (i, name), value, step in zip(keys, values, length * screened.c, strict=True):
+            is_size = value > 0 and _is_positive(entries[i].effect, name)
+            if is_size or abs(value) > _SMALL_VALUE:
+                longest = _MAX_STEP * max(abs(value), _DIFFERENCE)
+                step = float(np.clip(step, -longest, longest))
+            moved = np.clip(value + step, *ranges.get((i, name), _UNBOUNDED))
+            changed[i] = _with_value(changed[i], name, float(moved))
         try:
-            there = linearize_fit(with_effects(here.experiment, changed, here.theta), progress, here)
+            candidate = linearize_fit(with_effects(current.experiment, changed, current.theta), progress, current)
         except FAILURES:
             continue
-        if there.left().sum() < here.left().sum():
-            return there, errors
+        if candidate.total_cv_squared_error < current.total_cv_squared_error:
+            return candidate, errors
     return None, errors
 
 
-def _scanned(here: LinearizedFit, i: int, name: str, progress: Progress) -> tuple[LinearizedFit, float]:
-    """The value about the present one that explains most, how far it may be off, and the model with it."""
-    entries = list(here.experiment.config.effects)
-    entry, others = entries[i], [*entries[:i], *entries[i + 1 :]]
-    without = linearize_fit(with_effects(here.experiment, others, here.theta), progress, here, own_rows=True)
-    kind, seen = effect_types()[entry.effect], survey(without)
-    joint = here.experiment.equation.joints.index(str(entry.joint))
-    values = [ratio * float(value_of(entry, name)) for ratio in _SCAN]  # type: ignore[arg-type]
-    shape = {held.name: value_of(entry, held.name) or 0.0 for held in kind.nonlinear_parameters}
-    probes = [kind.probe(seen, joint, {**shape, name: value}) for value in values]  # type: ignore[attr-defined]
-    gains = [one.gain for one in screened(without, probes, progress, "trying values")]
+def _grid_search(
+    current: LinearizedFit, i: int, kind: type[JointEffect], name: str, progress: Progress
+) -> tuple[LinearizedFit, float]:
+    """Fit with the value near the present one that explains most, and the value's standard error.
+
+    Parameters
+    ----------
+    current
+        Fit of the model with the effect.
+    i, kind
+        Index of the effect, and its class.
+    name
+        The parameter.
+    progress
+        Told how far it has come.
+    """
+    entries = list(current.experiment.config.effects)
+    entry = entries[i]
+    others = [*entries[:i], *entries[i + 1 :]]
+    without_effect = with_effects(current.experiment, others, current.theta)
+    without = linearize_fit(without_effect, progress, current, own_rows=True)
+    summary = summarize_data(without)
+    joint = current.experiment.equation.joints.index(str(entry.joint))
+    nonlinear_values = {}
+    for parameter in kind.nonlinear_parameters:
+        value = parameter_value(entry, parameter.name)
+        nonlinear_values[parameter.name] = 0.0 if value is None else _number(entry, parameter.name)
+    values = [ratio * nonlinear_values[name] for ratio in _GRID]
+    probes = [kind.probe(summary, joint, {**nonlinear_values, name: value}) for value in values]
+    gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying values")]
+
     best = values[int(np.argmax(gains))]
-    near = max(gains) - (1 - _AS_GOOD) * abs(max(gains))
-    alike = [value for value, gain in zip(values, gains, strict=True) if gain >= near]
-    entries[i] = _with(entry, name, best)
-    error = max(max(alike) - min(alike), best * (_SCAN[1] / _SCAN[0] - 1)) / 2
-    return linearize_fit(with_effects(here.experiment, entries, here.theta), progress, here), error
+    limit = max(gains) - (1 - _NEAR_BEST) * abs(max(gains))
+    near_best = [value for value, gain in zip(values, gains, strict=True) if gain >= limit]
+    grid_step = best * (_GRID[1] / _GRID[0] - 1)
+    error = max(max(near_best) - min(near_best), grid_step) / 2
+    entries[i] = _with_value(entry, name, best)
+    fitted = linearize_fit(with_effects(current.experiment, entries, current.theta), progress, current)
+    return fitted, error
 
 
 def _is_positive(effect: str, name: str) -> bool:
-    held = effect_types()[effect].nonlinear_parameters
-    return any(one.name == name and one.positive for one in held)
+    parameters = effect_types()[effect].nonlinear_parameters
+    return any(parameter.name == name and parameter.positive for parameter in parameters)
 
 
-def _difference(here: LinearizedFit, names: Sequence[Key], values: Sequence[float], steps: Sequence[float]) -> Probe:
-    """The change of the residual with shape values, as a probe."""
-    others = []
-    for (i, name), value, step in zip(names, values, steps, strict=True):
-        entries = list(here.experiment.config.effects)
-        entries[i] = _with(entries[i], name, value + step)
-        others.append(with_effects(here.experiment, entries, here.theta).equation)
+def _parameter_probe(
+    current: LinearizedFit, keys: Sequence[ParameterKey], values: Sequence[float], differences: Sequence[float]
+) -> Probe:
+    """Probe of the change of the residual with nonlinear parameters, by finite differences."""
+    equations = []
+    for (i, name), value, difference in zip(keys, values, differences, strict=True):
+        entries = list(current.experiment.config.effects)
+        entries[i] = _with_value(entries[i], name, value + difference)
+        equations.append(with_effects(current.experiment, entries, current.theta).equation)
 
-    def columns(motion: Motion, present: Linearization) -> Mapping[int, Array]:
-        change = [
-            (present.residual - LinearizedModel(other, here.theta, present.measured_motion).residual) / step
-            for other, step in zip(others, steps, strict=True)
-        ]
-        return {j: np.stack([rows[j] for rows in change]) for j in range(len(motion.q))}
+    def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
+        changes = []
+        for equation, difference in zip(equations, differences, strict=True):
+            changed = LinearizedModel(equation, current.theta, model.measured_motion)
+            changes.append((model.residual - changed.residual) / difference)
+        return {j: np.stack([change[j] for change in changes]) for j in range(len(motion.q))}
 
-    return Probe("shape", None, None, columns, len(names), lambda c, information: None)
+    return Probe("shape", None, None, columns, len(keys), lambda c, information: None)

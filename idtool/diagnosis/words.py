@@ -1,42 +1,42 @@
-"""What was found, in words."""
+"""Sentences about the steps of a diagnosis."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from idtool.diagnosis.records import Candidate, Level, Step
+from idtool.diagnosis.records import Candidate, DiagnosisStep
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import Model
 
-_SHOWN = 4  # parameters in a sentence
+_MAX_PARAMETERS = 4  # in a sentence
 
 
-def sentence(step: Step, units: Mapping[str, str]) -> str:
-    """One step, for people.
+def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
+    """Summary of a step.
 
     Parameters
     ----------
     step
         The step.
     units
-        Of each joint's torque.
+        Unit of each joint's torque.
     """
     chosen = step.chosen
+    region = step.location.region
     if step.entry is None:
-        region = f" ({step.where.region})" if step.where.region else ""
-        return f"{chosen.on}: what is left has structure{region} that none of the effects explains"
-    means = effect_types()[chosen.effect].description
-    figures = ", ".join(
-        _figure(name, x, step.standard_error.get(name)) for name, x in list(step.parameters.items())[:_SHOWN]
-    )
-    region = "" if step.where.region in ("", "all along") else f" {step.where.region}"
-    return f"{chosen.on}:{region} {means} ({chosen.effect}: {figures}): {_shrinks(step, units)}"
+        where = f" ({region})" if region else ""
+        return f"{chosen.target}: the residual has structure{where} that no effect explains"
+    description = effect_types()[chosen.effect].description
+    shown = list(step.parameters.items())[:_MAX_PARAMETERS]
+    parameters = ", ".join(_parameter(name, value, step.standard_error.get(name)) for name, value in shown)
+    where = "" if region in ("", "all along") else f" {region}"
+    return f"{chosen.target}:{where} {description} ({chosen.effect}: {parameters}): {_improvement(step, units)}"
 
 
-def doubted(steps: Sequence[Step], model: Model) -> list[Step]:
-    """The same steps, with what speaks against the effects of one kind together."""
+def with_doubts(steps: Sequence[DiagnosisStep], model: Model) -> list[DiagnosisStep]:
+    """Steps with what speaks against their effects, those of one kind considered together."""
     entries: dict[str, list[EffectEntry]] = {}
     for step in steps:
         if step.entry is not None:
@@ -46,52 +46,47 @@ def doubted(steps: Sequence[Step], model: Model) -> list[Step]:
     return [replace(step, doubt=doubts.get(step.chosen.effect) or step.doubt) for step in steps]
 
 
-def _figure(name: str, value: object, error: object) -> str:
+def _parameter(name: str, value: object, error: object) -> str:
     if isinstance(value, float):
         return f"{name} {value:.3g}" + (f" ± {error:.2g}" if isinstance(error, float) else "")
+    return f"{name} {_value(value)}"
+
+
+def _value(value: object) -> str:
     if isinstance(value, list | tuple):
-        return f"{name} [{', '.join(_number(x) for x in value)}]"
-    return f"{name} {value}"
+        return f"[{', '.join(_value(x) for x in value)}]"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _number(x: object) -> str:
-    if isinstance(x, list | tuple):
-        return f"[{', '.join(_number(y) for y in x)}]"
-    return f"{x:.3g}" if isinstance(x, float) else str(x)
-
-
-def _shrinks(step: Step, units: Mapping[str, str]) -> str:
+def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
+    """Errors before and after a step."""
     joint = step.chosen.joint or "overall"
     unit = units.get(joint, next(iter(units.values())))
-    before, after = (_torque(one)[joint] for one in (step.before, step.after))
     kind = "held-out torque" if step.before.validation is not None else "torque"
-    said = f"{kind} RMS {before:.3g} → {after:.3g} {unit}"
+    text = f"{kind} RMS {step.before.torque[joint]:.3g} → {step.after.torque[joint]:.3g} {unit}"
     if step.before.simulation is not None and step.after.simulation is not None:
-        moved = "m" if unit == "N" else "rad"
-        said += f", rollout {step.before.simulation[joint]:.2g} → {step.after.simulation[joint]:.2g} {moved}"
-    return said
+        position_unit = "m" if unit == "N" else "rad"
+        before, after = step.before.simulation[joint], step.after.simulation[joint]
+        text += f", rollout {before:.2g} → {after:.2g} {position_unit}"
+    return text
 
 
-def _torque(one: Level) -> Mapping[str, float]:
-    return one.validation if one.validation is not None else one.train
+def fitted_along_sentence(entry: EffectEntry) -> str:
+    """Message about an effect that was fitted but is not reported."""
+    description = effect_types()[entry.effect].description
+    parameters = ", ".join(_parameter(name, value, None) for name, value in entry.parameters.items())
+    return f"{description} ({parameters}); it was fitted along, but is not part of the model"
 
 
-def aside(entry: EffectEntry) -> str:
-    """An effect that is no answer, for people."""
-    means = effect_types()[entry.effect].description
-    figures = ", ".join(_figure(name, value, None) for name, value in entry.parameters.items())
-    return f"{means} ({figures}); that was fitted along, and is not in the model"
-
-
-def superseded(out: Candidate, by: Candidate) -> str:
-    """Why an effect was taken out again, for people."""
+def removal_sentence(removed: Candidate, by: Candidate) -> str:
+    """Reason why an effect was removed again."""
     kind = effect_types()[by.effect]
-    why = f"with {by.effect} on {by.on}" if kind.reportable else f"where {kind.description}, as on {by.on},"
-    return f"{out.effect} on {out.on} was taken out again: {why} it pays no more"
+    why = f"with {by.effect} on {by.target}" if kind.reportable else f"where {kind.description}, as on {by.target},"
+    return f"{removed.effect} on {removed.target} was removed again: {why} it no longer explains enough"
 
 
-def separating(one: Candidate, other: Candidate) -> str:
-    """Which experiment tells two effects apart."""
+def distinguishing_experiment(first: Candidate, second: Candidate) -> str:
+    """Motion that would distinguish two effects."""
     kinds = effect_types()
-    hints = [f"{kinds[found.effect].excitation_hint} ({found.effect})" for found in (one, other)]
+    hints = [f"{kinds[candidate.effect].excitation_hint} ({candidate.effect})" for candidate in (first, second)]
     return f"log {hints[0]}, and {hints[1]}"

@@ -114,7 +114,7 @@ class CommandDelay:
         if self.standard_error is None:
             if self.given is not None:
                 return ()
-            message = "the commands do not tell it, 0 is taken"
+            message = "the commands do not determine it; 0 is used"
             return (Notice("command_delay_undetermined", "warning", setting, message, "log a motion, or give it"),)
         if self.contradicted and self.given is not None:
             fitted = _milliseconds(self.value, self.standard_error)
@@ -123,7 +123,7 @@ class CommandDelay:
             change = f"that takes {self.gain:.1%} off the torque error"
             friction = f" and mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
             message = f"{difference}; {change}{friction}"
-            return (Notice("command_delay_contradicted", "warning", setting, message, "give auto to have it fitted"),)
+            return (Notice("command_delay_contradicted", "warning", setting, message, "use auto to have it fitted"),)
         if self.given is None and self.value >= LONGEST_DELAY - _CONVERGED:
             most = f"{1e3 * LONGEST_DELAY:.0f} ms"
             message = f"{most} or more fits best"

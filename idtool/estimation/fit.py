@@ -135,7 +135,7 @@ def fit(
     validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
-        message = "nothing was held out: the training error says little of how the model predicts"
+        message = "no data were held out: the training error says little about prediction"
         advice = "leave --holdout above 0, or give another log with --validate"
         notices.append(Notice("nothing_held_out", "warning", None, message, advice))
     notices += fit_notices(experiment, identification, validation if held_out else train, held_out)

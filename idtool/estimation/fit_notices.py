@@ -54,12 +54,12 @@ def _solver_notices(experiment: Experiment, identification: Identification) -> I
     """Solvers that failed or fell short."""
     certificate = identification.estimate.certificate
     if experiment.config.solver.name == "clarabel" != certificate.name:
-        message = f"Clarabel could not solve the problem as it was stated directly; {certificate.name} solved it"
+        message = f"Clarabel could not solve the problem directly; {certificate.name} solved it"
         yield Notice("other_solver_used", "note", None, message)
     if stuck := stuck_note(certificate):
         yield Notice("not_certified", "warning", None, stuck)
     if unfinished := unfinished_note(certificate):
-        advice = "a larger regularization.weight holds them better"
+        advice = "increase regularization.weight"
         yield Notice("parameters_not_at_optimum", "warning", None, unfinished, advice)
 
 
@@ -67,12 +67,12 @@ def _realizability_notices(experiment: Experiment, identification: Identificatio
     """Bodies that are not realizable."""
     unreal = [body.name for body, pi in _bodies(identification) if not is_realizable(pi)]
     if unreal:
-        message = f"no body can have the parameters of {', '.join(unreal)}: a URDF may not hold them"
+        message = f"the parameters of {', '.join(unreal)} are not realizable: a URDF must not contain them"
         yield Notice("not_realizable", "problem", None, message)
     as_given = identification.prior is experiment.model.bodies
     moved = moved_priors(experiment.equation, identification.prior, identification.regularization) if as_given else ()
     if moved:
-        message = f"no body can have the prior of {', '.join(moved)}; what is next to it stands in for it"
+        message = f"the prior of {', '.join(moved)} is not realizable; the nearest realizable one is used"
         yield Notice("prior_not_realizable", "warning", None, message)
 
 
@@ -83,7 +83,7 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     prior = sum(float(body.pi[0]) for body in identification.prior)
     total = sum(float(pi[0]) for _, pi in _bodies(identification))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
-        message = f"the total mass is {total:.3g} kg, in the prior {prior:.3g} kg: the logs seldom tell it"
+        message = f"the total mass is {total:.3g} kg, in the prior {prior:.3g} kg: logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
     for body, pi in _bodies(identification):
@@ -93,7 +93,7 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
         masses = " and ".join(list(changes.values())[:2])
         message = (
             f"{join_names(list(changes))}: over three times heavier or lighter than in the prior ({masses}): the mass "
-            f"stands in for what the model lacks, such as rotors, springs or larger bounding ellipsoids"
+            "may compensate for something the model lacks, such as rotors, springs or larger bounding ellipsoids"
         )
         yield Notice("implausible_mass", "warning", None, message, advice)
 
@@ -112,16 +112,16 @@ def _shape_notices(experiment: Experiment, identification: Identification) -> It
         if flat:
             thin.setdefault(_THIN_SHAPES[flat - 1], []).append(body.name)
     for shape, names in thin.items():
-        unseen = "the motion does not show the inertia about every axis"
-        message = f"{join_names(names)}: nearly a {shape}, as no real link is: {unseen}"
+        unseen = "the motion does not excite the inertia about every axis"
+        message = f"{join_names(names)}: nearly a {shape}, unlike any real link: {unseen}"
         yield Notice("implausible_shape", "warning", None, message, advice)
     at_rim = [
         body.name for body, pi in _bodies(identification) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)
     ]
     if at_rim:
         message = (
-            f"{join_names(at_rim)}: all mass lies at the rim of the bounding ellipsoid: it may be too small, or the "
-            "mass stands in for what the model lacks, such as rotors"
+            f"{join_names(at_rim)}: all mass lies at the surface of the bounding ellipsoid: the ellipsoid may be "
+            "too small, or the mass may compensate for something the model lacks, such as rotors"
         )
         yield Notice("mass_at_rim", "warning", None, message)
 
@@ -163,6 +163,6 @@ def _error_notices(
         yield Notice("prior_error_large", "warning", None, message, advice)
     if held_out and own > prior:
         message = (
-            f"the identified model predicts what was held out worse than the URDF does ({own:.3g} against {prior:.3g})"
+            f"the identified model predicts the held-out data worse than the URDF does ({own:.3g} against {prior:.3g})"
         )
         yield Notice("worse_than_prior", "problem", None, message)

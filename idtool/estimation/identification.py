@@ -192,6 +192,6 @@ def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[Constra
     if not lacking:
         return sets, []
     bounds = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
-    message = f"no {bounds}, only full consistency is demanded: {', '.join(lacking)}"
+    message = f"no {bounds}, so only full physical consistency is required: {', '.join(lacking)}"
     advice = "add what is missing to the configuration; idtool ellipsoids finds bounding ellipsoids"
     return sets, [Notice("bodies_without_bounds", "warning", None, message, advice)]

@@ -178,7 +178,7 @@ def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Pro
     try:
         for batch in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
             if batch.diverged.any():
-                raise ModelError(mechanism.model.robot.path, "runs away under the logged command; check the controller")
+                raise ModelError(mechanism.model.robot.path, "diverges under the logged command; check the controller")
             for w, part in enumerate(batch.windows):
                 length = part.stop - part.start
                 simulated["q", part.start] = batch.q[:, w, :length]

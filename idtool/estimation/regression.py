@@ -74,7 +74,7 @@ def read_manifest(path: Path) -> tuple[Case, ...]:
     data = read_yaml(path)
     cases = data.get("cases") if isinstance(data, dict) else None
     if not isinstance(cases, list) or not cases:
-        raise ConfigError(path, "holds no cases; list them under cases")
+        raise ConfigError(path, "has no cases; list them under cases")
     return tuple(validate_record(Case, case, f"{path}: case {number}") for number, case in enumerate(cases, start=1))
 
 

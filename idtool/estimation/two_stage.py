@@ -267,11 +267,11 @@ def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) ->
     if smoothed:
         message = (
             "without a command and a controller for every joint, instruments are the measured motion below "
-            f"{np.max(smoothed):.3g} Hz: the noise that is left in it still biases"
+            f"{np.max(smoothed):.3g} Hz: its remaining noise still biases the parameters"
         )
         notices.append(Notice("instruments_from_motion", "note", None, message))
     if weak:
-        message = f"instruments are weak, some parameters may be as biased as by least squares: {join_names(weak)}"
+        message = f"instruments are weak; some parameters may be as biased as with least squares: {join_names(weak)}"
         notices.append(Notice("weak_instruments", "warning", None, message))
     if change > _NOT_CONVERGED:
         message = f"instruments have not settled: the last changed the torque by {change:.2g} of its noise"

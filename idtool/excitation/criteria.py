@@ -255,6 +255,6 @@ def favoured_indices(names: Sequence[str], base: BaseParameters, equation: Linea
         if not matches.any():
             matches = (base.B[:, indices] != 0).any(axis=1)  # that contain it
         if not matches.any():
-            raise ConfigError("--favour", f"the torque does not depend on {name}: no motion could tell it")
+            raise ConfigError("--favour", f"the torque does not depend on {name}: no motion can determine it")
         is_favoured |= matches
     return np.flatnonzero(is_favoured)

@@ -152,7 +152,7 @@ def _limits_of_joint(
             raise ConfigError(f"limits: {joint.name}", "has no position limits in the URDF; give `position: [a, b]`")
         lower = max(lower, -DEFAULT_RANGE)
         upper = min(upper, DEFAULT_RANGE)
-        assumed.setdefault("no position limit, half a turn to either side of zero is taken", []).append(joint.name)
+        assumed.setdefault("no position limit, half a turn to either side of zero is assumed", []).append(joint.name)
     velocity = min(own.velocity or math.inf, joint.velocity if joint.velocity > 0 else math.inf)
     if not math.isfinite(velocity):
         velocity = DEFAULT_VELOCITY[prismatic]

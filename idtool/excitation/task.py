@@ -147,7 +147,7 @@ def make_design_task(
     limits = full.with_margin(margin)
     base = structural_base_parameters(model, equation, equalities)
     if not len(base):
-        raise ModelError(model.robot.path, "has no parameter that a motion could tell: its torque is always zero")
+        raise ModelError(model.robot.path, "has no parameter that a motion could determine: its torque is always zero")
     sigma, typical, assumed = _scales(model, equation, limits, noise)
     return DesignTask(
         model=model,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.notice import Notice
-from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step
+from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
 from idtool.reporting.diagnosis_words import next_steps, summary
 from idtool.reporting.fit_report import fit_report
@@ -125,16 +125,16 @@ def _closed(diagnosis: Diagnosis) -> dict[str, float | None]:
     return gap_closed(before, after, diagnosis.floor)
 
 
-def _torque(level: Level) -> Mapping[str, float]:
+def _torque(level: ErrorSummary) -> Mapping[str, float]:
     """Torque errors on what was held out, else on the training data."""
     return level.train if level.validation is None else level.validation
 
 
-def _level(level: Level) -> ErrorLevel:
+def _level(level: ErrorSummary) -> ErrorLevel:
     return ErrorLevel(train=plain(level.train), validation=plain(level.validation), simulation=plain(level.simulation))
 
 
-def _worse(before: Level, after: Level) -> list[str]:
+def _worse(before: ErrorSummary, after: ErrorSummary) -> list[str]:
     """Joints, and ``overall``, whose rollouts a change has made worse although the torque of all has become better.
 
     An error that is not finite is that of rollouts that ran away.
@@ -160,9 +160,9 @@ def _candidate(candidate: Candidate) -> CandidateReport:
     )
 
 
-def _step(step: Step, model: Model) -> StepReport:
+def _step(step: DiagnosisStep, model: Model) -> StepReport:
     """One entry of ``steps``."""
-    chosen, where = step.chosen, step.where
+    chosen, location = step.chosen, step.location
     return StepReport(
         effect=chosen.effect,
         joint=chosen.joint,
@@ -170,13 +170,13 @@ def _step(step: Step, model: Model) -> StepReport:
         parameters=plain(step.parameters),
         standard_error=plain(step.standard_error),
         units=_units(step, model),
-        where=Location(joints=where.joints, windows=plain(where.windows), region=where.region),
+        where=Location(joints=location.joints, windows=plain(location.windows), region=location.region),
         evidence=Evidence(
             score=plain(chosen.score),
             standard_error=plain(chosen.standard_error),
             significance=plain(step.significance),
             pair=step.pair,
-            separate=step.separate,
+            separate=step.distinguishing_experiment,
             simulation_before=plain(step.before.simulation),
             simulation_after=plain(step.after.simulation),
             rollout_worse=_worse(step.before, step.after),
@@ -190,7 +190,7 @@ def _step(step: Step, model: Model) -> StepReport:
     )
 
 
-def _units(step: Step, model: Model) -> dict[str, str | None]:
+def _units(step: DiagnosisStep, model: Model) -> dict[str, str | None]:
     """The units of an effect's parameters; None of one that has none."""
     if step.entry is None:
         return dict.fromkeys(step.parameters)
@@ -198,5 +198,5 @@ def _units(step: Step, model: Model) -> dict[str, str | None]:
     return {name: None if units.get(name) == "1" else units.get(name) for name in step.parameters}
 
 
-def _residual(residual: Residual) -> ResidualMap:
+def _residual(residual: ResidualProfile) -> ResidualMap:
     return ResidualMap(**{name: plain(getattr(residual, name)) for name in ResidualMap.model_fields})

@@ -207,7 +207,7 @@ class SelfCollision:
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
-        message = f"links that touch by construction, not checked for collision: {join_names(names)}"
+        message = f"links that touch by construction are not checked for collision: {join_names(names)}"
         notice = Notice("links_touch", "note", None, message)
         pairs = tuple(pair for pair, out in zip(self.pairs, excluded, strict=True) if not out)
         new_index = np.cumsum(~excluded) - 1

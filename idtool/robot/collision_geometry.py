@@ -122,7 +122,7 @@ def read_convex_parts(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[
     if not missing:
         return tuple(parts), ()
     why = next(iter(missing.values()))
-    message = f"geometry is left out of the check for self-collision, of {join_names(missing)}: {why}"
+    message = f"the check for self-collision leaves out geometry of {join_names(missing)}: {why}"
     return tuple(parts), (Notice("geometry_not_read", "warning", None, message),)
 
 
@@ -179,7 +179,7 @@ def _convex_part(robot: Robot, element: etree._Element, link: str, frame: Frame)
         size = np.abs(numeric_attribute(geometry, "size", 3))
         return ConvexPart(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
     if geometry.tag not in ("sphere", "cylinder", "capsule"):
-        raise UnreadableGeometryError(f"{geometry.tag} is not a geometry that is read here")
+        raise UnreadableGeometryError(f"{geometry.tag} is not a supported geometry")
     radius = abs(float(numeric_attribute(geometry, "radius", 1)[0]))
     if geometry.tag == "sphere":
         return ConvexPart(link, coal.Sphere(radius), frame, radius)

@@ -164,7 +164,7 @@ def _part_points(urdf: Path, part: etree._Element) -> Array:
     if part.tag == "box":
         return 0.5 * _cube_corners() * numeric_attribute(part, "size", 3)
     if part.tag not in ("sphere", "cylinder", "capsule"):
-        raise UnreadableGeometryError(f"{part.tag} is not a geometry that is read here")
+        raise UnreadableGeometryError(f"{part.tag} is not a supported geometry")
     radius = abs(numeric_attribute(part, "radius", 1))
     if part.tag == "sphere":
         return radius * _ball_points()

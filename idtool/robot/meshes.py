@@ -71,15 +71,13 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
         If it is not found or cannot be read.
     """
     if name.partition("://")[0] in ("http", "https", "ftp"):
-        raise UnreadableGeometryError(f"mesh {name} is not on this machine, and nothing is fetched")
+        raise UnreadableGeometryError(f"mesh {name} is not on this machine and is not downloaded")
     path = next((path for path in _candidate_paths(urdf, name) if _is_file(path)), None)
     if path is None:
         raise UnreadableGeometryError(f"mesh {name} is not found")
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _FORMATS:
-        raise UnreadableGeometryError(
-            f"mesh {path} is of a format that is not read here; save it as {' or '.join(_FORMATS)}"
-        )
+        raise UnreadableGeometryError(f"mesh {path} has an unsupported format; save it as {' or '.join(_FORMATS)}")
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
@@ -214,7 +212,7 @@ def _collada_unit(root: etree._Element) -> float:
         return total
 
     if sum(size(node) for node in root.iterfind(".//{*}visual_scene/{*}node")) >= _MAX_NODES:
-        raise UnreadableGeometryError("has a scene that repeats itself without end")
+        raise UnreadableGeometryError("has a scene that contains itself")
     unit = root.find("{*}asset/{*}unit")
     return 1.0 if unit is None else float(numeric_attribute(unit, "meter", 1, default="1")[0])
 

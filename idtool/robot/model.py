@@ -121,8 +121,8 @@ class _Builder:
         bodies = self._with_known_coms(lumped)
         for body in bodies[:links]:
             if not body.pi[0] > 0:
-                message = "no mass in the URDF; its prior is empty"
-                advice = "give the link an inertial; else what the data do not determine of it means nothing"
+                message = "no mass in the URDF, so there is no prior for it"
+                advice = "give it an inertial; otherwise parameters that the data do not determine are meaningless"
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         gravity = np.asarray(self.config.gravity)
         return Model(self.robot, self.joints, bodies, gravity, tuple(self.notices))
@@ -143,17 +143,17 @@ class _Builder:
         if not chosen:
             own, logged = ", ".join(list(actuated)[:8]) or "none", ", ".join(self.logged[:8])
             raise ModelError(
-                self.robot.path, f"no actuated joint of it is in the logs; it has {own}, the logs have {logged}"
+                self.robot.path, f"none of its actuated joints is in the logs; it has {own}, the logs have {logged}"
             )
         strangers = [name for name in self.logged if name not in self.robot.joints]
         if strangers:
-            message = f"joints in the log that the URDF has not, ignored: {join_names(strangers)}"
-            advice = "nothing to do if they are not this robot's; else compare the names"
+            message = f"joints in the log but not in the URDF are ignored: {join_names(strangers)}"
+            advice = "if they belong to this robot, compare the names"
             self.notices.append(Notice("unknown_joints", "note", None, message, advice))
         locked = [name for name in actuated if name not in chosen]
         if locked:
             values = ", ".join(f"{name} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
-            advice = "if they stood elsewhere, say where under locked_joints"
+            advice = "if they stood elsewhere, give their positions under locked_joints"
             self.notices.append(Notice("joints_held_still", "note", None, f"joints held still: {values}", advice))
         return tuple(actuated[name] for name in chosen)
 
@@ -248,7 +248,7 @@ class _Builder:
 
     def _add_rotor(self, name: str, rotor: RotorConfig) -> None:
         if not name.isprintable():
-            raise ConfigError(f"rotors.{name}", "is a name in characters that cannot be printed; give it another")
+            raise ConfigError(f"rotors.{name}", "is a name with unprintable characters; choose another")
         ratios, offset = self._rotor_motion(name, rotor)
         mount = self._rotor_mount(name, rotor)
         pi = self._rotor_prior(name, rotor)
@@ -284,12 +284,12 @@ class _Builder:
         links = self.robot.links
         if name in links:
             if name in {body.name for body in self.bodies}:
-                raise ConfigError(key, "bears the name of a moving link; give the rotor a name of its own")
+                raise ConfigError(key, "has the name of a moving link; rename the rotor")
             if name in {joint.parent for joint in self.robot.joints.values()}:
                 raise ConfigError(key, "is a URDF link that carries other links; a rotor carries none")
             if rotor.parent is not None or rotor.origin is not None:
                 raise ConfigError(
-                    key, "bears the name of a URDF link, which has its place; leave parent and origin out"
+                    key, "has the name of a URDF link, which defines its placement; leave out parent and origin"
                 )
             return self.frames[name]
         if rotor.parent is not None and rotor.parent not in links:
@@ -302,7 +302,7 @@ class _Builder:
             )
         if rotor.parent in (None, driven.parent):
             return stator.compose(driven.R, driven.p)
-        raise ConfigError(f"{key}.origin", "is missing; say where the rotor sits in its parent")
+        raise ConfigError(f"{key}.origin", "is missing; give the rotor's placement in its parent")
 
     def _rotor_prior(self, name: str, rotor: RotorConfig) -> Array:
         if rotor.inertial is not None:
@@ -331,7 +331,7 @@ class _Builder:
         names = [body.name for body in bodies]
         for name in self.config.known_com:
             if name not in names:
-                hint = f"is no body of the model (give what is fixed to it along with it); {suggestion(name, names)}"
+                hint = f"is no body of the model (a body includes the links fixed to it); {suggestion(name, names)}"
                 raise ConfigError(f"known_com: {name}", hint)
         return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
 

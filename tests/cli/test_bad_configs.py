@@ -60,7 +60,7 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "known: an unknown body": (
         "known",
         {"mass": {"thigh": 0.6}},
-        "known.mass: thigh: is no body of the model (give what is fixed to it along with it); did you mean thigh_link?",
+        "known.mass: thigh: is no body of the model (a body includes the links fixed to it); did you mean thigh_link?",
     ),
     "known: a lumped link": ("known", {"mass": {"foot": 0.06}}, "known.mass: foot: is no body of the model"),
     "known: a negative mass": ("known", {"mass": {"thigh_link": -0.6}}, "known.mass.thigh_link.value: "),
@@ -81,12 +81,12 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "mirror: a circle": (
         "mirror",
         [{"body": "hip_rotor", "of": "knee_rotor"}, {"body": "knee_rotor", "of": "hip_rotor"}],
-        "is in the end a copy of itself; leave one of the circle free",
+        "is a copy of itself through others; remove one entry",
     ),
     "mirror: of two": (
         "mirror",
         [{"body": "hip_rotor", "of": "knee_rotor"}, {"body": "hip_rotor", "of": "abad_rotor"}],
-        "mirror: hip_rotor: is the copy of two; keep one entry",
+        "mirror: hip_rotor: is a copy of two others; keep one entry",
     ),
     "mirror: an unknown body": (
         "mirror",
@@ -119,8 +119,8 @@ KEYS: dict[str, tuple[str, Any, str]] = {
         {"thigh_link": [{"kind": "hull", "file": "thigh.stl"}]},
         "thigh.stl",
     ),
-    "a signal scaled by 0": ("log.scale", {"tau": {"hip": 0}}, "log.scale.tau.hip: a signal times 0 is lost"),
-    "a joint twice": ("joints", ["hip", "knee", "hip"], "joints: hip stands there twice; name each joint once"),
+    "a signal scaled by 0": ("log.scale", {"tau": {"hip": 0}}, "log.scale.tau.hip: a scale of 0 removes the signal"),
+    "a joint twice": ("joints", ["hip", "knee", "hip"], "joints: hip is listed twice; list each joint once"),
     "negative friction": ("friction", {"coulomb": -0.1}, "friction.coulomb: friction of -0.1 would drive the joint"),
     "no kind of regularization": ("regularization.kind", "ridge", "regularization.kind: "),
     "no constraint set": ("constraints", "tight", "constraints: "),

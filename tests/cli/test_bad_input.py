@@ -108,9 +108,9 @@ def test_a_write_that_fails_half_way(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 MANIFESTS = {
-    "empty": ("", "holds no cases"),
-    "a list": ("[1]", "holds no cases"),
-    "no cases": ("cases: []", "holds no cases"),
+    "empty": ("", "has no cases"),
+    "a list": ("[1]", "has no cases"),
+    "no cases": ("cases: []", "has no cases"),
     "not YAML": ("cases: [", "is not YAML"),
     "a case that is a word": ("cases: [leg]", "case 1: "),
     "a case without a URDF": ("cases: [{name: a}]", "urdf"),

@@ -255,10 +255,12 @@ def test_what_is_refused(tmp_path: Path, options: list[str], naming: str) -> Non
 
 def test_logs_that_do_not_say_what_drives_them(tmp_path: Path, config: Path) -> None:
     trajectory(tmp_path / "wave.csv")
-    refuse(tmp_path, "simulate", LEG, "wave.csv", "--config", config, naming="--track has the controller follow its q")
+    refuse(
+        tmp_path, "simulate", LEG, "wave.csv", "--config", config, naming="with --track the controller follows its q"
+    )
     done = idtool("simulate", LEG, "wave.csv", "--closed-loop", "--config", config, folder=tmp_path)
     assert (done.code, done.out) == (2, "")
-    assert "wave.csv: holds no command" in done.err
+    assert "wave.csv: has no command" in done.err
 
 
 def test_a_model_that_cannot_move_loses_nothing(tmp_path: Path) -> None:

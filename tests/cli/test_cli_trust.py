@@ -196,7 +196,7 @@ def test_a_simulation_that_does_not_follow_is_no_check(folder: Path) -> None:
     report = asked(folder / "ringing", log, "--config", config)
     assert "knee" in report["bias"]["weak"]
     (said,) = (note for note in report["warnings"] if note.startswith("instruments are weak"))
-    assert said.endswith(f"least squares is not checked for bias: {', '.join(report['bias']['weak'])}")
+    assert said.endswith(f"least squares was not checked for bias: {', '.join(report['bias']['weak'])}")
 
 
 def test_a_log_given_twice_is_named(folder: Path, logs: tuple[Path, Path]) -> None:
@@ -204,11 +204,11 @@ def test_a_log_given_twice_is_named(folder: Path, logs: tuple[Path, Path]) -> No
     copy = folder / "copy.csv"
     copy.write_bytes(logs[0].read_bytes())
     report = asked(folder / "twice", *logs, copy, "--config", CONFIG)
-    assert "data that are given twice make intervals too short; leave out copy.csv" in report["warnings"]
+    assert "duplicate data make intervals too short; leave out copy.csv" in report["warnings"]
 
 
 def test_different_logs_are_no_copies(report: dict[str, Any]) -> None:
-    assert not any("given twice" in note for note in report["warnings"])
+    assert not any("duplicate data" in note for note in report["warnings"])
 
 
 def test_the_table_of_many_logs_is_no_wider_than_that_of_few(folder: Path) -> None:

@@ -192,12 +192,12 @@ def test_a_joint_that_is_left_out_although_it_moves_is_said(tmp_path: Path, tabl
     for rows in (table, column_set(table, "q_abad", lambda i: shaking[i])):
         (tmp_path / "log.csv").write_text(csv_text(rows))
         warnings = fitted(tmp_path / "out", tmp_path / "leg.urdf", tmp_path / "log.csv")["warnings"]
-        said.append([warning for warning in warnings if warning.startswith("taken as standing still")])
+        said.append([warning for warning in warnings if warning.startswith("assumed to stand still")])
     ((moving,), still) = said
     assert moving.startswith(
-        f"taken as standing still, though they move in the log: abad (moves by {travel:.3g} rad, taken at 0.1); what "
+        f"assumed to stand still, but they move in the log: abad (moves by {travel:.3g} rad, taken at 0.1); the effect "
     )
-    assert moving.endswith("falsifies the parameters; add them to joints, or log them at rest")
+    assert moving.endswith("biases the parameters; add them to joints, or log them at rest")
     assert still == []
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from disturbed import Array, Hidden, after_reversals, contact, experiment_of, motion, nothing, on, quiet
 
+from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.linearized_fit import linearize_fit
-from idtool.diagnosis.localization import bursts
 
 WINDOWS = ((2.113, 4.207), (6.551, 7.009), (10.204, 14.498))
 
@@ -19,7 +19,9 @@ def test_contacts_are_found_although_the_model_is_fitted_to_them(tmp_path: Path)
     rows = np.abs(motion()[0] - 9.0) > 0.3
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), rows=rows, friction=friction)
-    np.testing.assert_allclose(bursts(experiment, linearize_fit(experiment, quiet).theta, quiet), WINDOWS, atol=0.01)
+    np.testing.assert_allclose(
+        find_bursts(experiment, linearize_fit(experiment, quiet).theta, quiet), WINDOWS, atol=0.01
+    )
 
 
 @pytest.mark.parametrize(
@@ -29,7 +31,7 @@ def test_a_contact_may_be_there_from_the_start_or_to_the_end(
     tmp_path: Path, begin: float, end: float, windows: tuple[tuple[float, float], ...]
 ) -> None:
     experiment = experiment_of(tmp_path, contact((begin, end)))
-    found = bursts(experiment, experiment.equation.prior, quiet)
+    found = find_bursts(experiment, experiment.equation.prior, quiet)
     assert len(found) == len(windows)
     np.testing.assert_allclose(np.reshape(found, (-1, 2)), np.reshape(windows, (-1, 2)), atol=0.01)
 
@@ -56,7 +58,7 @@ NO_CONTACTS: dict[str, Hidden] = {
 @pytest.mark.parametrize("hidden", NO_CONTACTS.values(), ids=NO_CONTACTS)
 def test_what_is_no_contact(tmp_path: Path, hidden: Hidden) -> None:
     experiment = experiment_of(tmp_path, hidden)
-    assert bursts(experiment, experiment.equation.prior, quiet) == ()
+    assert find_bursts(experiment, experiment.equation.prior, quiet) == ()
 
 
 def test_what_was_seen_neither_to_come_nor_to_go(tmp_path: Path) -> None:
@@ -64,9 +66,9 @@ def test_what_was_seen_neither_to_come_nor_to_go(tmp_path: Path) -> None:
     t = motion()[0]
     rows = np.minimum(np.abs(t - 5.8), np.abs(t - 8.2)) > 0.2
     experiment = experiment_of(tmp_path, contact((5.8, 8.2)), rows=rows)
-    assert bursts(experiment, experiment.equation.prior, quiet) == ()
+    assert find_bursts(experiment, experiment.equation.prior, quiet) == ()
 
 
 def test_with_several_logs_a_contact_has_no_windows(tmp_path: Path) -> None:
     experiment = experiment_of(tmp_path, contact(WINDOWS[0]), nothing)
-    assert bursts(experiment, experiment.equation.prior, quiet) == ()
+    assert find_bursts(experiment, experiment.equation.prior, quiet) == ()

@@ -18,10 +18,10 @@ from sentences import sentences
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import rounds
+from idtool.diagnosis import effect_search
 from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.records import Diagnosis
-from idtool.diagnosis.rounds import Search
 from idtool.dynamics.effects.parallel_spring import ParallelSpring
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
@@ -44,11 +44,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
 
 
 def diagnosed(experiment: Experiment) -> Diagnosis:
-    return diagnose(experiment, Options(effects=EFFECTS, simulated=False), quiet)
+    return diagnose(experiment, Options(effects=EFFECTS, simulate=False), quiet)
 
 
 def named(found: Diagnosis) -> set[tuple[str, str]]:
-    return {(step.chosen.effect, step.chosen.on) for step in found.steps if step.entry is not None}
+    return {(step.chosen.effect, step.chosen.target) for step in found.steps if step.entry is not None}
 
 
 def refuse_springs(entries: Iterable[EffectEntry]) -> None:
@@ -83,16 +83,16 @@ def test_an_effect_that_the_motion_does_not_tell_is_skipped(arm: Experiment, mon
 
 
 def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
-    inner = rounds.tried
+    inner = effect_search.fit_trial
 
-    def tried(before: Any, entries: Any, *others: Any) -> Any:
+    def fit_trial(before: Any, entries: Any, *others: Any) -> Any:
         refuse_springs(entries)
         return inner(before, entries, *others)
 
-    monkeypatch.setattr(rounds, "tried", tried)
+    monkeypatch.setattr(effect_search, "fit_trial", fit_trial)
     without_spring(diagnosed(arm), REASON)
-    search = Search(arm, EFFECTS, 3, quiet)
-    with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be there"):
+    search = EffectSearch(arm, EFFECTS, 3, quiet)
+    with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be added"):
         search.assume(*SPRING)
     search.assume(*OFFSET)
     assert [one.chosen.effect for one in search.added] == ["torque_offset"]
@@ -130,23 +130,23 @@ def test_an_effect_without_which_the_rest_cannot_be_fitted_stays(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The spring pays no more, but taking it out fails."""
-    search = Search(arm, EFFECTS, 3, quiet)
+    search = EffectSearch(arm, EFFECTS, 3, quiet)
     for effect, joint in (SPRING, OFFSET):
         search.assume(effect, joint)
-    inner, before = rounds.linearize_fit, search.here
+    inner, before = effect_search.linearize_fit, search.current
 
     def linearize_fit(experiment: Experiment, *others: Any, **options: Any) -> Any:
         if not any(entry.effect == ParallelSpring.id for entry in experiment.config.effects):
             raise ConfigError("effects", REASON)
         return inner(experiment, *others, **options)
 
-    monkeypatch.setattr(rounds, "linearize_fit", linearize_fit)
+    monkeypatch.setattr(effect_search, "linearize_fit", linearize_fit)
     search._prune()
-    assert search.here is before
-    monkeypatch.setattr(Search, "_needed", lambda self, one, others: False)
+    assert search.current is before
+    monkeypatch.setattr(EffectSearch, "_is_needed", lambda self, one, others: False)
     search._prune()
     assert [one.chosen.effect for one in search.added] == ["parallel_spring", "torque_offset"]
-    assert search.here is before
+    assert search.current is before
     assert not search.removed
 
 

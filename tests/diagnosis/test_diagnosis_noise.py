@@ -20,6 +20,6 @@ def test_sample_logs_hide_nothing(robot: str) -> None:
     train, held_out = (Path(SAMPLES, f"{robot}_{part}.mcap") for part in ("train", "validate"))
     config = read_config(SAMPLES / f"{robot}.yaml")
     tried = prepare(read_robot(SAMPLES / f"{robot}.urdf"), config, [train], [held_out])
-    found = diagnose(tried, Options(simulated=False), lambda stage, share: None)
+    found = diagnose(tried, Options(simulate=False), lambda stage, share: None)
     assert (found.verdict, found.steps, sentences(found.notices)) == ("no_disagreement", (), ())
     assert found.floor["overall"] == pytest.approx(found.after.train["overall"], rel=0.05)

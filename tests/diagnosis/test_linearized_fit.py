@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from reference import Reference
 from spatial_arm import ARM, JOINTS, NOISE, experiment, in_band, written
 
-from idtool.diagnosis.linearized_fit import LinearizedFit, held_out, linearize_fit
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit, validation_mse
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
@@ -41,14 +41,14 @@ def grounded(folder: Path, log: Log, **config: Any) -> tuple[Experiment, Lineari
 
 
 def test_what_is_left_of_a_block_is_what_least_squares_without_it_leaves(tmp_path: Path, log: Log) -> None:
-    tried, here = grounded(tmp_path, log, friction=OFFSET, **FREE)
-    rows = stacked(tried, here.noise, here.length)
+    tried, fitted = grounded(tmp_path, log, friction=OFFSET, **FREE)
+    rows = stacked(tried, fitted.noise, fitted.block_length)
     expected, _ = rows.left()
-    assert here.folds == rows.block.max() + 1 > 10
-    np.testing.assert_allclose(here.left(), expected, rtol=1e-5)
-    assert (expected / here.s.sum(axis=1)).max() > 1.02  # leaving it out tells
-    assert here.s.sum() == pytest.approx(np.square(rows.tau - rows.Y @ here.theta).sum(), rel=1e-9)
-    np.testing.assert_array_equal(here.rows.sum(axis=1), np.bincount(rows.block))
+    assert fitted.block_count == rows.block.max() + 1 > 10
+    np.testing.assert_allclose(fitted.cv_squared_error, expected, rtol=1e-5)
+    assert (expected / fitted.sse.sum(axis=1)).max() > 1.02  # leaving it out tells
+    assert fitted.sse.sum() == pytest.approx(np.square(rows.tau - rows.Y @ fitted.theta).sum(), rel=1e-9)
+    np.testing.assert_array_equal(fitted.row_counts.sum(axis=1), np.bincount(rows.block))
 
 
 def test_the_blocks_are_those_of_several_logs(tmp_path: Path, log: Log) -> None:
@@ -56,13 +56,15 @@ def test_the_blocks_are_those_of_several_logs(tmp_path: Path, log: Log) -> None:
     paths = [written(tmp_path / str(i), with_noise(x, MUCH, i)) for i, x in enumerate((first, second))]
     config = parse_config({"friction": OFFSET, **FREE}, "")
     tried = prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0)
-    here = linearize_fit(tried, silent)
+    fitted = linearize_fit(tried, silent)
     counts = [sum(len(batch.t) for batch in run.signals.batches(run.train)) for run in tried.runs]
-    assert here.folds == sum(-(-count // here.length) for count in counts)
-    np.testing.assert_allclose(here.left(), stacked(tried, here.noise, here.length).left()[0], rtol=1e-5)
-    alone = [linearize_fit(prepare(read_robot(urdf), config, [csv], holdout=0), silent, here) for urdf, csv in paths]
-    assert here.s.sum() > sum(one.s.sum() for one in alone)  # a model of both logs fits neither as well
-    assert here.rows.sum() == sum(one.rows.sum() for one in alone)
+    assert fitted.block_count == sum(-(-count // fitted.block_length) for count in counts)
+    np.testing.assert_allclose(
+        fitted.cv_squared_error, stacked(tried, fitted.noise, fitted.block_length).left()[0], rtol=1e-5
+    )
+    alone = [linearize_fit(prepare(read_robot(urdf), config, [csv], holdout=0), silent, fitted) for urdf, csv in paths]
+    assert fitted.sse.sum() > sum(one.sse.sum() for one in alone)  # a model of both logs fits neither as well
+    assert fitted.row_counts.sum() == sum(one.row_counts.sum() for one in alone)
 
 
 @pytest.mark.parametrize("damping", [0.2, -0.2])
@@ -70,14 +72,14 @@ def test_a_bound_is_stiff_where_it_is_reached_and_nothing_elsewhere(tmp_path: Pa
     """Damping below zero: without a block, the fit is that of a model that has no damping."""
     torque = damping * log["v"][:, 0]
     friction = {"turn": {"viscous": True, "coulomb": False, "offset": True}, "lift": OFFSET, "roll": OFFSET}
-    tried, here = grounded(tmp_path, with_torque(log, 0, torque), friction=friction, **FREE)
+    tried, fitted = grounded(tmp_path, with_torque(log, 0, torque), friction=friction, **FREE)
     index = next(i for i, c in enumerate(tried.equation.coefficients) if c.name == "viscous")
-    rows = stacked(tried, here.noise, here.length)
+    rows = stacked(tried, fitted.noise, fitted.block_length)
     keep = np.arange(rows.Y.shape[1]) != index
     with_it, without = rows.left()[0], rows.left(keep=keep)[0]
-    np.testing.assert_allclose(here.left(), without if damping < 0 else with_it, rtol=1e-3)
+    np.testing.assert_allclose(fitted.cv_squared_error, without if damping < 0 else with_it, rtol=1e-3)
     assert np.abs(with_it / without - 1).min() > 0.05  # one is not the other
-    moves = np.ptp(here.without @ here.ways[index])
+    moves = np.ptp(fitted.jackknife_shift @ fitted.directions[index])
     assert moves < 1e-5 if damping < 0 else moves > 1e-3
 
 
@@ -114,33 +116,33 @@ def test_where_bodies_lie_on_their_limits_the_others_are_as_free_as_they_are(tmp
     states = zip(data["q"], data["v"], data["a"], strict=True)
     wrong = [pin.computeJointTorqueRegressor(tree, found, *state)[:, -6:] @ TOO_LONG for state in states]
     data = with_noise({**data, "tau": data["tau"] + wrong}, MUCH)
-    tried, here = grounded(tmp_path, data, constraints="full", regularization={"kind": "none"})
-    rows = stacked(tried, here.noise, here.length)
-    inside = here.s.sum(axis=1)
-    at, expected = np.argsort(here.left() / inside)[-4:], []
+    tried, fitted = grounded(tmp_path, data, constraints="full", regularization={"kind": "none"})
+    rows = stacked(tried, fitted.noise, fitted.block_length)
+    inside = fitted.sse.sum(axis=1)
+    at, expected = np.argsort(fitted.cv_squared_error / inside)[-4:], []
     for f in at:
         out = rows.block == f
         theta = refit(rows.Y[~out], rows.tau[~out])
         expected.append(np.square(rows.tau[out] - rows.Y[out] @ theta).sum())
-    np.testing.assert_allclose((here.left() - inside)[at], expected - inside[at], rtol=0.1)
+    np.testing.assert_allclose((fitted.cv_squared_error - inside)[at], expected - inside[at], rtol=0.1)
     assert (rows.left()[0][at] < 0.8 * inside[at]).all()  # bodies that cannot be would have fitted far better
 
 
 def test_what_is_held_out_is_judged_by_pinocchio(tmp_path: Path, log: Log) -> None:
     urdf, csv = written(tmp_path, log)
     tried = prepare(read_robot(urdf), parse_config({"friction": OFFSET, **FREE}, ""), [csv], holdout=0.4)
-    here = linearize_fit(tried, silent)
+    fitted = linearize_fit(tried, silent)
     found = Reference(ARM, JOINTS, {"gravity": [0, 0, -9.81]})
-    bodies, offset = here.estimate.theta[:-3], here.estimate.theta[-3:]
+    bodies, offset = fitted.estimate.theta[:-3], fitted.estimate.theta[-3:]
     names = [body.name for body in tried.model.bodies]
     states = zip(log["q"], log["v"], log["a"], strict=True)
     torque = np.array([found.regressor(names, *state) @ bodies for state in states]) + offset
     (part,) = tried.runs[0].held_out
     assert part.start / len(log["t"]) == pytest.approx(0.6, abs=0.02)
     error = in_band(log["tau"] - torque)[part]
-    expected = np.mean(np.square(error), axis=0) / here.noise**2
-    np.testing.assert_allclose(held_out(here, tried.equation), expected, rtol=0.03)
-    assert np.isnan(held_out(grounded(tmp_path, log)[1], tried.equation)).all()
+    expected = np.mean(np.square(error), axis=0) / fitted.noise**2
+    np.testing.assert_allclose(validation_mse(fitted, tried.equation), expected, rtol=0.03)
+    assert np.isnan(validation_mse(grounded(tmp_path, log)[1], tried.equation)).all()
 
 
 def test_another_fit_counts_the_same_rows_in_the_same_units(tmp_path: Path, log: Log) -> None:
@@ -151,9 +153,9 @@ def test_another_fit_counts_the_same_rows_in_the_same_units(tmp_path: Path, log:
     dry = {"turn": {"viscous": False, "coulomb": True, "offset": True}, "lift": OFFSET, "roll": OFFSET}
     _, first = grounded(tmp_path, still, friction=dry, **FREE)
     tried, second = grounded(tmp_path, still, friction=OFFSET, **FREE)
-    assert first.rows.sum(axis=0)[0] < 0.6 * second.rows.sum(axis=0)[0]
+    assert first.row_counts.sum(axis=0)[0] < 0.6 * second.row_counts.sum(axis=0)[0]
     assert second.noise[0] > NOISE
     alike = linearize_fit(tried, silent, first)
-    np.testing.assert_array_equal(alike.rows, first.rows)
+    np.testing.assert_array_equal(alike.row_counts, first.row_counts)
     np.testing.assert_array_equal(alike.noise, first.noise)
-    np.testing.assert_array_equal(linearize_fit(tried, silent, first, own_rows=True).rows, second.rows)
+    np.testing.assert_array_equal(linearize_fit(tried, silent, first, own_rows=True).row_counts, second.row_counts)

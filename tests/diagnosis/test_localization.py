@@ -26,9 +26,10 @@ from disturbed import (
 from numpy.typing import NDArray
 
 from idtool.diagnosis.linearized_fit import linearize_fit
-from idtool.diagnosis.localization import localize_residual, residual_maps, unexplained, windows_of
-from idtool.diagnosis.regions import Scene, in_words
-from idtool.diagnosis.residual_series import ResidualSeries, series
+from idtool.diagnosis.localization import energy_windows, localize_residual, localize_unexplained
+from idtool.diagnosis.regions import JointResidual, describe_region
+from idtool.diagnosis.residual_maps import residual_maps
+from idtool.diagnosis.residual_series import ResidualSeries, residual_series
 from idtool.diagnosis.trial import with_effects
 from idtool.robot.config import EffectEntry
 
@@ -54,7 +55,7 @@ REGIONS: list[tuple[Hidden, str, list[float]]] = [
 @pytest.mark.parametrize(("hidden", "words", "bounds"), REGIONS, ids=[words for _, words, _ in REGIONS])
 def test_the_region_is_said_in_words(tmp_path: Path, hidden: Hidden, words: str, bounds: list[float]) -> None:
     experiment = experiment_of(tmp_path, hidden)
-    ((joint, where),) = unexplained(experiment, experiment.equation.prior, FLOOR, quiet).items()
+    ((joint, where),) = localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet).items()
     assert (joint, where.joints) == ("j1", ("j1",))
     number = r"(-?[\d.]+)"
     match = re.fullmatch(re.escape(words).replace(r"\{\}", number), where.region)
@@ -66,17 +67,19 @@ def test_a_torque_that_comes_with_another_joints_motion(tmp_path: Path) -> None:
     _, q, v, _ = motion()
     moves = np.abs(v[1]) > 0.3
     experiment = experiment_of(tmp_path, noisy(lambda *_: moves))
-    region = unexplained(experiment, experiment.equation.prior, FLOOR, quiet)["j1"].region
+    region = localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet)["j1"].region
     assert re.fullmatch(r"while j2 moves, above 0\.(3|2[89]|3[0-3]) rad/s", region)
     experiment = experiment_of(tmp_path, noisy(lambda *_: moves & (q[0] > 0.4)))
-    one, other = sorted(unexplained(experiment, experiment.equation.prior, FLOOR, quiet)["j1"].region.split(" and "))
+    one, other = sorted(
+        localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet)["j1"].region.split(" and ")
+    )
     assert re.fullmatch(r"above 0\.(4|3\d|4\d) rad", one)
     assert re.fullmatch(r"while j2 moves, above 0\.(3|2\d|3\d) rad/s", other)
 
 
 def test_noise_is_nowhere(tmp_path: Path) -> None:
     experiment = experiment_of(tmp_path, nothing)
-    assert not unexplained(experiment, experiment.equation.prior, FLOOR, quiet)
+    assert not localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet)
 
 
 def test_a_prismatic_joint_has_metres_and_several_joints_have_names() -> None:
@@ -89,7 +92,9 @@ def test_a_prismatic_joint_has_metres_and_several_joints_have_names() -> None:
     def said(within: NDArray[np.bool_]) -> str:
         energy = rng.normal(size=n) ** 2 * within
         still, none = np.full(2, 1e-3), np.zeros(n)
-        return in_words(Scene(found, 0, ("slide", "turn"), (True, False), still, 40.0, energy, none, True, True), ())
+        return describe_region(
+            JointResidual(found, 0, ("slide", "turn"), (True, False), still, 40.0, energy, none, True, True), ()
+        )
 
     assert re.fullmatch(r"below 0\.(5|49) m/s of slide", said(np.abs(v[0]) < 0.5))
     assert re.fullmatch(r"above 0\.5\d? m of slide", said(q[0] > 0.5))
@@ -104,7 +109,7 @@ def test_a_contact_is_located(tmp_path: Path) -> None:
     """In its windows, by all joints, whether it is explained or not."""
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), friction=friction)
-    assert set(unexplained(experiment, linearize_fit(experiment, quiet).theta, FLOOR, quiet)) == {"j1", "j2"}
+    assert set(localize_unexplained(experiment, linearize_fit(experiment, quiet).theta, FLOOR, quiet)) == {"j1", "j2"}
     parameters = {"windows": [list(window) for window in WINDOWS], "wrench": WRENCH}
     entry = EffectEntry(effect="external_contact", link="lower", parameters=parameters)
     with_it = with_effects(experiment, [entry])
@@ -126,8 +131,8 @@ def test_windows_are_few_and_short_or_none() -> None:
     found = ResidualSeries(t, np.full(len(t), 0.01), none, none, none, none, none[None], none == 0, (0,))
     pulses = 1.0 * (t % 0.4 < 0.1)
     energy = pulses * ((np.abs(t - 15) < 5) | (np.abs(t - 40) < 1))
-    np.testing.assert_allclose(windows_of(found, energy, t >= 0), [[10, 20], [39, 41]], atol=0.4)
-    assert windows_of(found, pulses, t >= 0) == ()
+    np.testing.assert_allclose(energy_windows(found, energy, t >= 0), [[10, 20], [39, 41]], atol=0.4)
+    assert energy_windows(found, pulses, t >= 0) == ()
 
 
 def test_what_a_step_explains_is_located(tmp_path: Path) -> None:
@@ -186,11 +191,11 @@ def test_maps_of_logs_follow_each_other(tmp_path: Path) -> None:
 def test_a_log_too_long_to_be_held_is_sampled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = experiment_of(tmp_path, on(0, lambda t, q, v, tau: 0.3 * np.sin(40 * t)))
     models = [(experiment.equation, experiment.equation.prior)]
-    whole = series(experiment, models, quiet, "")
-    monkeypatch.setattr("idtool.diagnosis.residual_series._MOST", whole.left.size * 3.0)
-    part = series(experiment, models, quiet, "")
-    assert len(whole.stretches) == 1
+    whole = residual_series(experiment, models, quiet, "")
+    monkeypatch.setattr("idtool.diagnosis.residual_series._MAX_NUMBERS", whole.residuals.size * 3.0)
+    part = residual_series(experiment, models, quiet, "")
+    assert len(whole.segments) == 1
     assert 0.3 * len(whole.t) < len(part.t) < 0.7 * len(whole.t)
     assert set(part.t) < set(whole.t)
-    long = replace(whole, starts=(0, 100))
-    assert long.stretches == (slice(0, 100), slice(100, len(whole.t)))
+    long = replace(whole, segment_starts=(0, 100))
+    assert long.segments == (slice(0, 100), slice(100, len(whole.t)))

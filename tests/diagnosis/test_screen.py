@@ -16,8 +16,8 @@ from spatial_arm import experiment, written
 from idtool.data.signals import Motion
 from idtool.diagnosis import screen
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.screen import Found, screened
-from idtool.diagnosis.survey import survey
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.summarize_data import summarize_data
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe, ProbeColumns
@@ -41,7 +41,7 @@ CONFIG: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> LinearizedFit:
+def base(tmp_path_factory: pytest.TempPathFactory) -> LinearizedFit:
     """An arm with friction, a spring on its lift, and torque that comes late."""
     log = imposed(6.0)
     log = with_torque(log, 0, 1.2 * np.sign(log["v"][:, 0]) + 1.0 * log["v"][:, 0])
@@ -54,20 +54,20 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> LinearizedFit:
 
 
 @pytest.fixture(scope="module")
-def rows(here: LinearizedFit) -> Stacked:
+def rows(base: LinearizedFit) -> Stacked:
     """Its rows."""
-    return stacked(here.experiment, here.noise, here.length)
+    return stacked(base.experiment, base.noise, base.block_length)
 
 
-def appended(here: LinearizedFit, probe: Probe) -> list[Array]:
+def appended(base: LinearizedFit, probe: Probe) -> list[Array]:
     """A probe's columns beside `rows`."""
     found: list[Array] = []
-    for batch in (batch for run in here.experiment.runs for batch in run.signals.batches(run.train)):
-        present = LinearizedModel(here.experiment.equation, here.theta, batch.motion)
-        made, kept = probe.columns(present.true_motion, present), here.experiment.equation.clean_samples(batch)
+    for batch in (batch for run in base.experiment.runs for batch in run.signals.batches(run.train)):
+        present = LinearizedModel(base.experiment.equation, base.theta, batch.motion)
+        made, kept = probe.columns(present.true_motion, present), base.experiment.equation.clean_samples(batch)
         for j, keep in enumerate(kept):
             own = batch.filter(made.get(j, np.zeros((probe.coefficient_count, len(batch.motion.t)))))
-            found.append(own[:, keep] / here.noise[j])
+            found.append(own[:, keep] / base.noise[j])
     return list(np.concatenate(found, axis=1))
 
 
@@ -87,16 +87,16 @@ def waves(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     return {1: np.sin(np.outer([3, 5, 7, 9], motion.q[1]))}
 
 
-def of(here: LinearizedFit, effect: str, joint: int | None) -> Probe:
+def of(base: LinearizedFit, effect: str, joint: int | None) -> Probe:
     """An effect's first probe, on a joint or on all."""
-    name = None if joint is None else here.experiment.equation.joints[joint]
-    return next(probe for probe in effect_types()[effect].probes(survey(here)) if probe.joint == name)
+    name = None if joint is None else base.experiment.equation.joints[joint]
+    return next(probe for probe in effect_types()[effect].probes(summarize_data(base)) if probe.joint == name)
 
 
-def probes(here: LinearizedFit) -> list[Probe]:
+def probes(base: LinearizedFit) -> list[Probe]:
     """Of all sizes and on several joints, some with shape values."""
-    found = [made(bump), of(here, "parallel_spring", 1), made(waves, 4), of(here, "time_delay", None)]
-    return [*found, of(here, "time_delay", 2), of(here, "stribeck_friction", 0), of(here, "parallel_spring", 0)]
+    found = [made(bump), of(base, "parallel_spring", 1), made(waves, 4), of(base, "time_delay", None)]
+    return [*found, of(base, "time_delay", 2), of(base, "stribeck_friction", 0), of(base, "parallel_spring", 0)]
 
 
 def free(probe: Probe) -> Probe:
@@ -104,7 +104,7 @@ def free(probe: Probe) -> Probe:
     return replace(probe, lower=(), upper=())
 
 
-def assert_same(found: Found, expected: Found, rtol: float = 1e-9) -> None:
+def assert_same(found: ScreenedProbe, expected: ScreenedProbe, rtol: float = 1e-9) -> None:
     """The same probe, coefficients and gains."""
     size = np.abs(expected.gains).max() + 1e-9
     np.testing.assert_allclose(found.c, expected.c, rtol=rtol, atol=1e-12)
@@ -114,11 +114,11 @@ def assert_same(found: Found, expected: Found, rtol: float = 1e-9) -> None:
 
 
 @pytest.mark.parametrize("index", range(7))
-def test_a_probe_is_least_squares_with_its_columns(here: LinearizedFit, rows: Stacked, index: int) -> None:
+def test_a_probe_is_least_squares_with_its_columns(base: LinearizedFit, rows: Stacked, index: int) -> None:
     """Gains and coefficients, their jackknife covariance, and the information that the model's columns leave."""
-    probe = free(probes(here)[index])
-    (found,) = screened(here, [probe], silent)
-    columns = appended(here, probe)
+    probe = free(probes(base)[index])
+    (found,) = screen_probes(base, [probe], silent)
+    columns = appended(base, probe)
     squares, c = rows.left(*columns)
     gains = rows.left()[0] - squares
     np.testing.assert_allclose(found.gains, gains, rtol=0, atol=2e-3 * np.abs(gains).max())
@@ -141,18 +141,18 @@ def test_several_logs_are_one_row_of_blocks(tmp_path: Path) -> None:
     paths = [written(tmp_path / str(i), log) for i, log in enumerate(logs)]
     config = parse_config({**CONFIG, "friction": {"viscous": False, "coulomb": False}}, "")
     both = linearize_fit(prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0), silent)
-    rows = stacked(both.experiment, both.noise, both.length)
-    (found,) = screened(both, [made(bump)], silent)
+    rows = stacked(both.experiment, both.noise, both.block_length)
+    (found,) = screen_probes(both, [made(bump)], silent)
     gains = rows.left()[0] - rows.left(*appended(both, made(bump)))[0]
-    assert len(gains) == both.folds
+    assert len(gains) == both.block_count
     np.testing.assert_allclose(found.gains, gains, rtol=0, atol=2e-3 * np.abs(gains).max())
 
 
-def test_what_is_there_is_found_to_its_size(here: LinearizedFit) -> None:
+def test_what_is_there_is_found_to_its_size(base: LinearizedFit) -> None:
     """The spring with what else is there; the delay, most of what is left."""
-    spring, late = screened(here, [of(here, "parallel_spring", 1), of(here, "time_delay", None)], silent)
-    assert spring.allowed
-    assert late.allowed
+    spring, late = screen_probes(base, [of(base, "parallel_spring", 1), of(base, "time_delay", None)], silent)
+    assert spring.is_possible
+    assert late.is_possible
     assert spring.c[0] == pytest.approx(STIFFNESS, abs=4 * np.sqrt(spring.covariance[0, 0]))
     assert late.c[0] == pytest.approx(LATE, abs=4 * np.sqrt(late.covariance[0, 0]))
     assert late.entry is not None
@@ -160,7 +160,7 @@ def test_what_is_there_is_found_to_its_size(here: LinearizedFit) -> None:
     for found in (spring, late):
         assert abs(found.c[0]) > 4 * np.sqrt(found.covariance[0, 0])
         assert found.gain > 2 * found.standard_error > 0
-    nothing = screened(here, [made(bump)], silent)[0]
+    nothing = screen_probes(base, [made(bump)], silent)[0]
     assert nothing.gain < 0.05 * late.gain
 
 
@@ -175,8 +175,10 @@ def twice(motion: Motion, present: Linearization) -> Mapping[int, Array]:
     return {1: np.stack([new, -2 * new, motion.v[1], 0 * new])}
 
 
-def test_what_the_model_can_make_itself_says_nothing(here: LinearizedFit) -> None:
-    found = screened(here, [made(viscous), made(twice, 4), made(lambda m, p: {1: np.cos(3 * m.q[1])[None]})], silent)
+def test_what_the_model_can_make_itself_says_nothing(base: LinearizedFit) -> None:
+    found = screen_probes(
+        base, [made(viscous), made(twice, 4), made(lambda m, p: {1: np.cos(3 * m.q[1])[None]})], silent
+    )
     said, several, alone = found
     np.testing.assert_array_equal(said.c, 0)
     np.testing.assert_array_equal(said.gains, 0)
@@ -185,48 +187,50 @@ def test_what_the_model_can_make_itself_says_nothing(here: LinearizedFit) -> Non
     assert several.c[3] == 0
 
 
-def test_what_physics_forbids_explains_nothing(here: LinearizedFit) -> None:
+def test_what_physics_forbids_explains_nothing(base: LinearizedFit) -> None:
     """A spring with its sign turned round would have the same gain."""
-    probe = of(here, "parallel_spring", 1)
+    probe = of(base, "parallel_spring", 1)
     turned = replace(probe, columns=lambda m, p: {j: -x for j, x in probe.columns(m, p).items()})
-    right, wrong, free_of_bounds = screened(here, [probe, turned, free(turned)], silent)
+    right, wrong, free_of_bounds = screen_probes(base, [probe, turned, free(turned)], silent)
     np.testing.assert_allclose(wrong.c, -right.c, rtol=1e-6)
-    assert right.allowed
-    assert not wrong.allowed
+    assert right.is_possible
+    assert not wrong.is_possible
     np.testing.assert_array_equal(wrong.gains, 0)
     np.testing.assert_allclose(free_of_bounds.gains, right.gains, rtol=1e-6, atol=1e-6)
     assert right.gain > 100
-    assert not replace(free_of_bounds, probe=replace(turned, lower=(), to_entry=lambda c, information: None)).allowed
+    assert not replace(
+        free_of_bounds, probe=replace(turned, lower=(), to_entry=lambda c, information: None)
+    ).is_possible
 
 
-def test_what_acts_in_its_own_time_is_fitted_to_that(here: LinearizedFit) -> None:
+def test_what_acts_in_its_own_time_is_fitted_to_that(base: LinearizedFit) -> None:
     """A column in one block alone: other blocks know nothing of it, and only one that is local is believed."""
-    begin, end = (here.length * k * 6e-3 + 0.1 for k in (4, 5))
+    begin, end = (base.block_length * k * 6e-3 + 0.1 for k in (4, 5))
 
     def window(motion: Motion, present: Linearization) -> Mapping[int, Array]:
         return {1: ((motion.t > begin) & (motion.t < end) & (motion.q[1] < 9)).astype(float)[None]}
 
-    apart, together = screened(here, [made(window), made(window, is_local=True)], silent)
+    apart, together = screen_probes(base, [made(window), made(window, is_local=True)], silent)
     np.testing.assert_allclose(apart.c, together.c)
     assert together.gain > max(apart.gain, 0) + 1
 
 
-@pytest.mark.parametrize(("name", "value"), [("_MEMORY", 1.0), ("_MEMORY", 3000.0), ("_AT_ONCE", 1)])
-def test_however_many_at_once(here: LinearizedFit, monkeypatch: pytest.MonkeyPatch, name: str, value: float) -> None:
-    every = probes(here)
-    expected = screened(here, every, silent)
+@pytest.mark.parametrize(("name", "value"), [("_MAX_NUMBERS", 1.0), ("_MAX_NUMBERS", 3000.0), ("_MAX_COLUMNS", 1)])
+def test_however_many_at_once(base: LinearizedFit, monkeypatch: pytest.MonkeyPatch, name: str, value: float) -> None:
+    every = probes(base)
+    expected = screen_probes(base, every, silent)
     calls: list[Sequence[Probe]] = []
-    inner = screen._summed
+    inner = screen._accumulate
 
     def counted(*arguments: Any) -> Any:
         calls.append(arguments[1])
         return inner(*arguments)
 
-    monkeypatch.setattr(screen, "_summed", counted)
+    monkeypatch.setattr(screen, "_accumulate", counted)
     monkeypatch.setattr(screen, name, value)
-    found = screened(here, every, silent)
+    found = screen_probes(base, every, silent)
     assert [one.probe for one in found] == every
     assert sum(len(some) for some in calls) == len(every)
-    assert len(calls) > 1 or name == "_AT_ONCE"
+    assert len(calls) > 1 or name == "_MAX_COLUMNS"
     for one, other in zip(found, expected, strict=True):
         assert_same(one, other, 1e-6)

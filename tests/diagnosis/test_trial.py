@@ -14,7 +14,14 @@ from spatial_arm import experiment, written
 
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.trial import Trial, is_fixed, tried, value_of, with_effects, with_fixed_inertia
+from idtool.diagnosis.trial import (
+    TrialFit,
+    fit_trial,
+    has_fixed_inertia,
+    parameter_value,
+    with_effects,
+    with_fixed_inertia,
+)
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
@@ -47,45 +54,46 @@ def grounded(folder: Path, log: Log, seed: int = 0, **config: Any) -> Linearized
     return linearize_fit(experiment(*paths, fitted=True, **{"friction": FRICTION, **config}), silent)
 
 
-def found(here: LinearizedFit, steps: int = 3, off: float = 0.8) -> Trial:
+def found(base: LinearizedFit, steps: int = 3, off: float = 0.8) -> TrialFit:
     """Both effects, from values that are off."""
     entries = [
         entry("stribeck_friction", stribeck=0.0, velocity=off * VELOCITY),
         entry("end_stop", stiffness=0.0, position=off * STOP),
     ]
-    done = tried(here, entries, (0, 1), silent, steps)
+    done = fit_trial(base, entries, (0, 1), silent, steps)
     return done
 
 
-def values(done: Trial) -> Array:
+def values(done: TrialFit) -> Array:
     """The Stribeck velocity and the stop's position."""
-    return np.array([value_of(done.entries[0], "velocity"), value_of(done.entries[1], "position")], dtype=float)
+    stribeck, stop = done.entries
+    return np.array([parameter_value(stribeck, "velocity"), parameter_value(stop, "position")], dtype=float)
 
 
 KEYS = ((0, "velocity"), (1, "position"))
 
 
-def errors(done: Trial) -> Array:
+def errors(done: TrialFit) -> Array:
     """Their standard errors."""
     return np.array([done.errors[key] for key in KEYS])
 
 
-def named(here: LinearizedFit) -> dict[str, float]:
+def named(base: LinearizedFit) -> dict[str, float]:
     """The fit's coefficients beside the inertia."""
-    pairs = zip(here.experiment.equation.coefficients, here.estimate.theta, strict=True)
+    pairs = zip(base.experiment.equation.coefficients, base.estimate.theta, strict=True)
     return {c.name: float(x) for c, x in pairs if c.effect != "rigid_body"}
 
 
 @pytest.mark.parametrize("off", [0.8, 1.2])
 def test_shape_values_are_found_from_a_fifth_off(tmp_path: Path, log: Log, off: float) -> None:
-    here = grounded(tmp_path, log)
-    done = found(here, 4, off)
+    base = grounded(tmp_path, log)
+    done = found(base, 4, off)
     assert (np.abs(values(done) - [VELOCITY, STOP]) < 4 * errors(done)).all()
     assert (errors(done) < [0.05 * VELOCITY, 0.01 * STOP]).all()
-    assert done.linearized.left().sum() < 1e-3 * here.left().sum()
+    assert done.linearized.total_cv_squared_error < 1e-3 * base.total_cv_squared_error
     expected = {"coulomb": 1.0, "stribeck": STRIBECK, "stiffness": STIFFNESS}
     assert named(done.linearized) == pytest.approx(expected, rel=0.02)
-    assert np.sqrt(here.left().sum() / here.rows.sum()) > 10 * NOISE / here.noise[0]
+    assert np.sqrt(base.total_cv_squared_error / base.row_counts.sum()) > 10 * NOISE / base.noise[0]
 
 
 def test_standard_errors_are_what_other_noise_does(tmp_path: Path, log: Log) -> None:
@@ -99,38 +107,38 @@ def test_standard_errors_are_what_other_noise_does(tmp_path: Path, log: Log) -> 
 
 
 def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: Path, log: Log) -> None:
-    here = grounded(tmp_path, log)
-    right = found(here, 1, 1.0)
+    base = grounded(tmp_path, log)
+    right = found(base, 1, 1.0)
     assert (np.abs(values(right) - [VELOCITY, STOP]) < 4 * errors(right)).all()
     entries = [
         entry("stribeck_friction", stribeck=0.0, velocity=0.8 * VELOCITY),
         entry("end_stop", stiffness=0.0, position=STOP),
     ]
-    done = tried(here, entries, [0], silent, 3)
+    done = fit_trial(base, entries, [0], silent, 3)
     assert values(done)[0] == pytest.approx(VELOCITY, rel=0.03)
     assert values(done)[1] == STOP
     assert set(done.errors) == {KEYS[0]}
-    fixed = tried(here, entries, [0], silent, 0)
+    fixed = fit_trial(base, entries, [0], silent, 0)
     assert fixed.errors == {}
-    assert fixed.linearized.left().sum() > done.linearized.left().sum()
+    assert fixed.linearized.total_cv_squared_error > done.linearized.total_cv_squared_error
 
 
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
-    here = grounded(tmp_path, log)
+    base = grounded(tmp_path, log)
     with pytest.raises(ConfigError, match="velocity of -1 cannot be"):
-        tried(here, [entry("stribeck_friction", stribeck=0.0, velocity=-1.0)], [0], silent)
+        fit_trial(base, [entry("stribeck_friction", stribeck=0.0, velocity=-1.0)], [0], silent)
 
 
 def test_an_effect_that_the_motion_does_not_tell_is_not_fitted(tmp_path: Path, log: Log) -> None:
     """Presliding whose state is known only once the joint has moved nearly as far as in the whole log."""
-    here = grounded(tmp_path, log)
+    base = grounded(tmp_path, log)
     way = float(np.abs(np.diff(log["q"][:, 0])).sum())
     short, long = (
         entry("presliding_hysteresis", amplitude=0.0, displacement=share * way / 4) for share in (0.04, 0.98)
     )
-    assert tried(here, [short], [0], silent, 0).linearized.rows.sum() == here.rows.sum()
-    with pytest.raises(ConfigError, match=r"joint hinge has \d+ of \d+ samples left in which all effects are defined"):
-        tried(here, [long], [0], silent, 0)
+    assert fit_trial(base, [short], [0], silent, 0).linearized.row_counts.sum() == base.row_counts.sum()
+    with pytest.raises(ConfigError, match=r"joint hinge has \d+ of \d+ samples at which all effects are defined"):
+        fit_trial(base, [long], [0], silent, 0)
 
 
 def fitted(tried: Experiment) -> LinearizedFit:
@@ -143,22 +151,22 @@ def test_fixed_inertia_is_the_urdfs_whatever_the_data_say(tmp_path: Path, log: L
     heavy = with_torque(log, 0, 0.5 * np.sin(log["q"][:, 0]))
     free = grounded(tmp_path, heavy).experiment
     prior = free.equation.prior[:10]
-    assert not is_fixed(free)
+    assert not has_fixed_inertia(free)
     assert np.abs(fitted(free).estimate.theta[:10] - prior).max() > 1e-2
-    here = with_fixed_inertia(free)
-    more = with_effects(here, [entry("stribeck_friction", stribeck=0.0, velocity=VELOCITY)])
-    for one in (here, more, with_effects(more, [])):
-        assert is_fixed(one)
+    base = with_fixed_inertia(free)
+    more = with_effects(base, [entry("stribeck_friction", stribeck=0.0, velocity=VELOCITY)])
+    for one in (base, more, with_effects(more, [])):
+        assert has_fixed_inertia(one)
         done = fitted(one)
         for theta in (done.theta, done.estimate.theta):
             np.testing.assert_allclose(theta[:10], prior, rtol=0, atol=1e-6)
         assert 0.8 < named(done)["coulomb"] < 1.6
-        assert done.ways[:10] == pytest.approx(0, abs=1e-6 * np.abs(done.ways).max())
-    assert not is_fixed(with_effects(free, []))
+        assert done.directions[:10] == pytest.approx(0, abs=1e-6 * np.abs(done.directions).max())
+    assert not has_fixed_inertia(with_effects(free, []))
 
 
 def test_what_else_is_known_is_kept(tmp_path: Path, log: Log) -> None:
     """A mass that was weighed would contradict the URDF's, friction is no part of that."""
     known = {"mass": {"bob": {"value": 3.0}}}
-    here = with_fixed_inertia(grounded(tmp_path, log, known=known).experiment)
-    np.testing.assert_allclose(fitted(here).estimate.theta[:10], here.equation.prior[:10], rtol=0, atol=1e-6)
+    base = with_fixed_inertia(grounded(tmp_path, log, known=known).experiment)
+    np.testing.assert_allclose(fitted(base).estimate.theta[:10], base.equation.prior[:10], rtol=0, atol=1e-6)

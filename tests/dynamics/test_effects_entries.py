@@ -115,9 +115,9 @@ def test_a_joint_may_have_an_effect_more_than_once_where_shapes_tell_them_apart(
     coefficients = [c for e in build_effects(model, parse_config({"effects": entries}, ""))[1:] for c in e.coefficients]
     assert len({c.key for c in coefficients}) == len(coefficients) == 6 + 8
     for pair in pairs[:2]:
-        with pytest.raises(ConfigError, match="is there twice for elbow"):
+        with pytest.raises(ConfigError, match="is listed twice for elbow"):
             effects_of(build, *pair, pair[0])
-    with pytest.raises(ConfigError, match="is there twice for elbow"):  # one spring does what two do
+    with pytest.raises(ConfigError, match="is listed twice for elbow"):  # one spring does what two do
         effects_of(build, *(entry("parallel_spring", stiffness=1, rest_position=x) for x in (0, 1)))
 
 

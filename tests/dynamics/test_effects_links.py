@@ -242,7 +242,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no link": (on_link("payload", None, **LOAD), "payload: acts on a link; give link, and no joint"),
     "a joint": ({**load(), "joint": "lift"}, "payload: acts on a link; give link, and no joint"),
     "an unknown link": (on_link("payload", "tol", **LOAD), "payload: tol is no link of the URDF; did you mean tool?"),
-    "the base": (on_link("payload", "base", **LOAD), "payload: link base moves with no joint; name one that does"),
+    "the base": (on_link("payload", "base", **LOAD), "payload: link base is moved by no joint; name one that is"),
     "a parameter missing": (
         on_link("payload", "tool", mass=1, com=[0, 0, 0]),
         "payload: needs the parameters mass, com",
@@ -251,12 +251,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "a centre in a plane": (load(com=[0, 0]), "payload: com is not a list of 3 numbers; give one"),
     "a centre of words": (load(com=["a", "b", "c"]), "payload: com is not a list of 3 numbers; give one"),
     "an inertia of nine": (load(inertia=[0] * 9), "payload: inertia is not a list of 6 numbers; give one"),
-    "no body's inertia": (load(inertia=[1, 0, 1, 0, 0, 3]), "payload: no body has this inertia about its centre"),
-    "a negative inertia": (load(inertia=[-1, 0, 1, 0, 0, 1]), "payload: no body has this inertia about its centre"),
+    "no body's inertia": (load(inertia=[1, 0, 1, 0, 0, 3]), "payload: inertia is not realizable"),
+    "a negative inertia": (load(inertia=[-1, 0, 1, 0, 0, 1]), "payload: inertia is not realizable"),
     "windows that are numbers": (push(windows=[0, 1]), "external_contact: windows is not a list of lists of 2 numbers"),
     "no windows": (push(windows=[]), "external_contact: windows is not a list of lists of 2 numbers; give one"),
-    "a window backwards": (push(windows=[[1, 0]]), "external_contact: windows must ascend"),
-    "windows that touch": (push(windows=[[0, 1], [1, 2]]), "external_contact: windows must ascend"),
+    "a window backwards": (push(windows=[[1, 0]]), "external_contact: windows must be in ascending order"),
+    "windows that touch": (push(windows=[[0, 1], [1, 2]]), "external_contact: windows must be in ascending order"),
     "a tilt of a link": (on_link("gravity_tilt", "tool", gravity=TILTED), "gravity_tilt: acts on the whole robot"),
     "a tilt in degrees": (on_link("gravity_tilt", None, gravity=5), "gravity_tilt: gravity is not a list of 3 numbers"),
 }
@@ -296,5 +296,5 @@ def test_a_link_has_one_load_and_a_base_one_gravity(tmp_path: Path) -> None:
         folder = tmp_path / twice["effect"]
         folder.mkdir()
         config = config_with(tmp_path / "twice.yaml", effects=[twice, twice])
-        said = f"effects: {twice['effect']}: is there twice{on}; keep one entry"
+        said = f"effects: {twice['effect']}: is listed twice{on}; keep one entry"
         refuse(folder, "fit", urdf, csv, "--config", config, "--out", "out", naming=said)

@@ -219,7 +219,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no joint": (entry("encoder_offset", None, offset=1), "encoder_offset: acts on a joint"),
     "an unknown joint": (entry("time_delay", "lit", delay=0.01), "lit is no moving joint; did you mean lift?"),
     "a link": ({**entry("time_delay", None, delay=0.01), "link": "fore"}, "time_delay: acts on a joint, or on all"),
-    "milliseconds": (entry("time_delay", delay=5), "time_delay: delay of 5 s cannot be told; give one within 1 s"),
+    "milliseconds": (entry("time_delay", delay=5), "delay of 5 s cannot be identified; give one within 1 s"),
 }
 
 
@@ -236,5 +236,5 @@ def test_one_entry_of_a_kind_a_joint(tmp_path: Path, log: Log) -> None:
         folder = tmp_path / twice["effect"]
         folder.mkdir()
         config = config_with(tmp_path / "twice.yaml", effects=[twice, twice])
-        said = f"effects: {twice['effect']}: is there twice{on}; keep one entry"
+        said = f"effects: {twice['effect']}: is listed twice{on}; keep one entry"
         refuse(folder, "fit", urdf, csv, "--config", config, "--out", "out", naming=said)

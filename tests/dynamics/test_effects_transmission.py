@@ -265,7 +265,15 @@ def test_a_gear_may_give_and_play(build: Build) -> None:
 def test_without_a_rotor_it_cannot_be_simulated(tmp_path: Path, elastic: Log, given: dict[str, Any]) -> None:
     urdf, csv = written(tmp_path, {name: x[:600] for name, x in elastic.items()})
     config = config_with(tmp_path / "arm.yaml", **RIGID, effects=[given])
-    refuse(tmp_path, "simulate", urdf, csv, "--out", "out/a.csv", naming="cannot be simulated: a joint has no inertia")
+    refuse(
+        tmp_path,
+        "simulate",
+        urdf,
+        csv,
+        "--out",
+        "out/a.csv",
+        naming="cannot be simulated: a joint has zero or negative inertia",
+    )
     inertia = entry("rotor_inertia", given["joint"], inertia=0.04)
     config_with(config, **RIGID, effects=[inertia, given])
     assert idtool("simulate", urdf, csv, "--out", tmp_path / "a.csv", "--quiet").code == 0

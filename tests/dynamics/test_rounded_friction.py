@@ -18,7 +18,7 @@ from sentences import sentences
 import idtool
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.records import Candidate, Diagnosis
-from idtool.diagnosis.words import superseded
+from idtool.diagnosis.words import removal_sentence
 from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
@@ -106,7 +106,7 @@ def diagnosed(folder: Path, stiffness: float, rounding: float = 0.0) -> Diagnosi
     ]
     config = parse_config({"effects": rotors}, "")
     tried = prepare(read_robot(folder / "arm.urdf"), config, [folder / "log.csv"])
-    return diagnose(tried, Options(simulated=False), lambda stage, share: None)
+    return diagnose(tried, Options(simulate=False), lambda stage, share: None)
 
 
 def is_the_spring(found: Diagnosis) -> None:
@@ -133,7 +133,7 @@ def test_friction_that_is_rounded_off_in_speed_is_no_disagreement(tmp_path: Path
     """It is fitted along, and the model is as it was."""
     found = diagnosed(tmp_path, 0.0, ROUNDING)
     assert (found.verdict, found.steps, found.last) == ("no_disagreement", (), found.first)
-    notes = [note for note in sentences(found.notices) if "changes its direction over a range of speeds" in note]
+    notes = [note for note in sentences(found.notices) if "changes its sign over a range of speeds" in note]
     assert [note.split(":")[0] for note in sorted(notes)] == ["elbow", "shoulder"]
 
 
@@ -150,9 +150,9 @@ def test_why_a_step_was_taken_out_is_said_in_known_words() -> None:
     spring, drag, rounded = (
         Candidate(name, "j1", None, 0.5, 0.01, 1) for name in ("parallel_spring", "quadratic_drag", "rounded_friction")
     )
-    text = "parallel_spring on j1 was taken out again: "
-    assert superseded(spring, drag) == f"{text}with quadratic_drag on j1 it pays no more"
-    found = superseded(spring, rounded)
+    text = "parallel_spring on j1 was removed again: "
+    assert removal_sentence(spring, drag) == f"{text}with quadratic_drag on j1 it no longer explains enough"
+    found = removal_sentence(spring, rounded)
     assert found.startswith(f"{text}where friction changes its direction")
     assert "rounded_friction" not in found
 

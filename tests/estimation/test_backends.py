@@ -102,7 +102,7 @@ def test_where_clarabel_fails_cvxpy_takes_over(robot_of: Robots, monkeypatch: py
     ours = estimate_of(s)
 
     def fails(*_: Any) -> None:
-        raise SolverError("solver", "broke down on these numbers")
+        raise SolverError("solver", "failed on these numbers")
 
     monkeypatch.setattr("idtool.estimation.problem.estimate.solve_conic", fails)
     theirs = estimate_of(s)
@@ -126,7 +126,7 @@ def test_a_fallback_is_said_in_a_warning(tmp_path: Path, monkeypatch: pytest.Mon
     def fails(problem: Problem, start: Any, settings: Any) -> Any:
         calls.append(problem)
         if len(calls) <= 4:  # the attempts at the fit itself
-            raise SolverError("solver", "broke down on these numbers")
+            raise SolverError("solver", "failed on these numbers")
         return solve_conic(problem, start, settings)
 
     monkeypatch.setattr("idtool.estimation.problem.estimate.solve_conic", fails)

@@ -376,5 +376,5 @@ def test_a_breakdown_of_the_solvers_own_is_an_error(state: State, monkeypatch: p
 
     problem = state({"set": "full"}).problem
     monkeypatch.setattr("idtool.estimation.problem.conic.clarabel.DefaultSolver", panicking)
-    with pytest.raises(SolverError, match=r"^solver: broke down on these numbers \(index out of bounds\); check units"):
+    with pytest.raises(SolverError, match=r"^solver: failed on these numbers \(index out of bounds\); check units"):
         solve(problem)

@@ -28,8 +28,8 @@ def said(config: Callable[[dict[str, Any]], None] = lambda data: None, quick: bo
 def test_of_data_as_they_should_be_nothing_is_said() -> None:
     """But that a scale would tell what the torque does not."""
     (only,) = said(quick=False).splitlines()
-    assert only.startswith("the torque does not tell the mass of abad_link")
-    assert only.endswith("weigh what moves and give known.total_mass")
+    assert only.startswith("the torque does not determine the mass of abad_link")
+    assert only.endswith("weigh the moving part and give known.total_mass")
 
 
 def test_a_robot_that_was_weighed_is_not_to_be_weighed() -> None:
@@ -41,7 +41,7 @@ def test_a_robot_that_was_weighed_is_not_to_be_weighed() -> None:
     ("signals", "naming"),
     [
         ({"tau": RIGHT.tau * [1, -1, 1]}, "hip: tau has the opposite sign"),
-        ({"tau": RIGHT.tau[:, [0, 2, 1]]}, "its torque stands under"),
+        ({"tau": RIGHT.tau[:, [0, 2, 1]]}, "its torque is recorded under"),
         ({"tau": 1000 * RIGHT.tau}, "mN·m"),
         ({"q": np.degrees(RIGHT.q), "v": np.degrees(RIGHT.v)}, "abad: q is in degrees"),
     ],
@@ -50,7 +50,7 @@ def test_a_robot_that_was_weighed_is_not_to_be_weighed() -> None:
 def test_data_that_cannot_be_right_are_named_with_the_remedy(signals: dict[str, Any], naming: str) -> None:
     found = said(quick=False, **signals)
     assert naming in found
-    assert "`log.scale`" in found or "put the order of tau right" in found
+    assert "`log.scale`" in found or "correct the order of tau" in found
 
 
 def test_a_known_mass_in_grams_is_refused_by_its_name() -> None:

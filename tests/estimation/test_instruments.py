@@ -95,7 +95,7 @@ def test_a_coarse_encoder_costs_little(coarse: Log, kind: str) -> None:
         for f, columns in zip(found.full, of(coarse, None).equation.active(), strict=True)
     ]
     assert all(least > 3 * instrumental for least, instrumental in torque)
-    assert any("noise that is left" in warning for warning in sentences(found.notices)) == (kind == "smoothed")
+    assert any("remaining noise" in warning for warning in sentences(found.notices)) == (kind == "smoothed")
 
 
 @pytest.mark.slow

@@ -144,5 +144,5 @@ def test_bounds_that_a_copy_loses_are_said(robot_of: Robots, turned: bool) -> No
     bodies[copy] = replace(bodies[copy], ellipsoids=(own,))
     said = sentences(with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.equalities).notices)
     assert [warning for warning in said if "HR_link1" in warning] == (
-        ["copies, bounded as what they are copies of and not as configured: HR_link1"] if turned else []
+        ["copies have the bounds of their originals, not those configured: HR_link1"] if turned else []
     )

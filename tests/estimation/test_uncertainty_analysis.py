@@ -208,7 +208,7 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
     times = 9.0
     np.testing.assert_allclose(analysis_with(1.0).uncertainty.of(base()), 3 * plain.of(base()), rtol=1e-6)
     for analysis in (many, few):
-        assert any("correlated for longer than" in said for said in texts(analysis.notices))
+        assert any("correlated over more than" in said for said in texts(analysis.notices))
 
 
 @pytest.fixture

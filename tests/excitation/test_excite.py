@@ -201,7 +201,7 @@ def test_an_interrupted_search_gives_the_best_so_far(tmp_path: Path, monkeypatch
     ("options", "told"),
     [
         (["--favour", "uper"], "--favour: uper is no body, joint or coefficient; did you mean upper?"),
-        (["--favour", "upper.m"], "--favour: the torque does not depend on upper.m: no motion could tell it"),
+        (["--favour", "upper.m"], "--favour: the torque does not depend on upper.m: no motion can determine it"),
         (["--noise", "c=1"], "--noise: c is no moving joint; there are: a, b"),
         (["--noise", "-1"], "--noise: -1 is not NUMBER or JOINT=NUMBER, above 0"),
         (["--start", "a=1.95"], "--start: a = 1.95 is not within"),

@@ -11,7 +11,14 @@ import numpy as np
 from commands import LEG, csv_text, sample_table
 
 from idtool.common.notice import Notice
-from idtool.diagnosis.records import Candidate, Diagnosis, Level, Residual, Step, Where
+from idtool.diagnosis.records import (
+    Candidate,
+    Diagnosis,
+    DiagnosisStep,
+    ErrorSummary,
+    ResidualLocation,
+    ResidualProfile,
+)
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import Config, EffectEntry, read_config
@@ -34,9 +41,9 @@ def _fit(folder: Path, config: Config) -> Fit:
     return fit(experiment, lambda stage, share: None, simulate=True)
 
 
-def level(*values: float, simulated: float | None = 0.03) -> Level:
+def level(*values: float, simulated: float | None = 0.03) -> ErrorSummary:
     """Errors of the three joints; those held out are a tenth larger."""
-    return Level(_rms(*values), _rms(*(1.1 * x for x in values)), simulated and _rms(*(simulated,) * 3))
+    return ErrorSummary(_rms(*values), _rms(*(1.1 * x for x in values)), simulated and _rms(*(simulated,) * 3))
 
 
 def _rms(*values: float) -> dict[str, float]:
@@ -49,24 +56,24 @@ def candidate(effect: str, joint: str | None = "hip", score: float = 0.4, reason
     return Candidate(effect, joint, None, score, 0.03, 2, reason)
 
 
-def step_of(**changes: Any) -> Step:
+def step_of(**changes: Any) -> DiagnosisStep:
     """Stribeck friction on the hip, which the data cannot tell from load-dependent friction."""
     contents: dict[str, Any] = {
         "chosen": candidate("stribeck_friction", score=0.64),
         "entry": STRIBECK,
         "parameters": {"stribeck": 1.9123, "velocity": 0.15},
         "standard_error": {"stribeck": 0.2, "velocity": None},
-        "where": Where(("hip",), ((1.25, 2.5), (4.0, 4.5)), "below 0.15 rad/s"),
+        "location": ResidualLocation(("hip",), ((1.25, 2.5), (4.0, 4.5)), "below 0.15 rad/s"),
         "significance": 21.0,
         "pair": True,
-        "separate": "slow strokes of the hip with and without a load",
+        "distinguishing_experiment": "slow strokes of the hip with and without a load",
         "alternatives": (candidate("load_dependent_friction", score=0.6, reason="explains less"),),
         "rejected": (candidate("backlash", score=0.1, reason="within two standard errors of zero"),),
         "before": level(0.2, 1.3, 0.4),
         "after": level(0.2, 0.6, 0.4, simulated=0.012),
         "sentence": "hip: friction rises below 0.15 rad/s",
     }
-    step = Step(**{**contents, **changes})
+    step = DiagnosisStep(**{**contents, **changes})
     if "chosen" not in changes or "entry" in changes:
         return step
     given = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in step.parameters.items()}
@@ -74,16 +81,16 @@ def step_of(**changes: Any) -> Step:
     return replace(step, entry=entry)
 
 
-def unknown_of(before: Level) -> Step:
+def unknown_of(before: ErrorSummary) -> DiagnosisStep:
     """What is left on the knee."""
-    where = Where(("knee",), (), "near the upper end of its travel")
-    alone = {"pair": False, "separate": "", "alternatives": (), "rejected": (), "significance": 9.0}
+    where = ResidualLocation(("knee",), (), "near the upper end of its travel")
+    alone = {"pair": False, "distinguishing_experiment": "", "alternatives": (), "rejected": (), "significance": 9.0}
     return step_of(
         chosen=candidate("unknown", "knee", score=0.0),
         entry=None,
         parameters={},
         standard_error={},
-        where=where,
+        location=where,
         before=before,
         after=before,
         sentence="knee: something structured is left",
@@ -91,7 +98,7 @@ def unknown_of(before: Level) -> Step:
     )
 
 
-def residual(scale: float, points: int = 30, lines: int = 1000) -> Residual:
+def residual(scale: float, points: int = 30, lines: int = 1000) -> ResidualProfile:
     """A residual that grows with what it is drawn against, with one line in each spectrum."""
     names = ("position", "velocity", "torque", "time")
     at = np.linspace(-1, 1, points)
@@ -99,10 +106,10 @@ def residual(scale: float, points: int = 30, lines: int = 1000) -> Residual:
     peaks = np.full(lines, 0.01 * scale)
     peaks[lines // 3] = scale
     every: Callable[[Any], Mapping[str, Any]] = lambda values: dict.fromkeys(names, values)  # noqa: E731
-    return Residual(every(at), every(scale * at), every(scale * np.abs(at)), x, peaks, x, peaks)
+    return ResidualProfile(every(at), every(scale * at), every(scale * np.abs(at)), x, peaks, x, peaks)
 
 
-def diagnosis_of(first: Fit, last: Fit, *steps: Step, **changes: Any) -> Diagnosis:
+def diagnosis_of(first: Fit, last: Fit, *steps: DiagnosisStep, **changes: Any) -> Diagnosis:
     """A diagnosis with these steps."""
     joints = first.experiment.equation.joints
     contents: dict[str, Any] = {

@@ -97,7 +97,7 @@ def pages() -> list[Path]:
 
 
 def blocks(page: Path) -> list[Block]:
-    """The fenced blocks of a page, which holds no commands elsewhere."""
+    """The fenced blocks of a page, which has no commands elsewhere."""
     found, lines = [], page.read_text().splitlines()
     opened: tuple[str, int] | None = None
     for k, line in enumerate(lines, start=1):

@@ -18,8 +18,8 @@ from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, l
 from rich.console import Console
 
 from idtool.diagnosis.diagnose import _verdict
-from idtool.diagnosis.records import Candidate, Diagnosis, Level, Step
-from idtool.diagnosis.words import doubted
+from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary
+from idtool.diagnosis.words import with_doubts
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -208,7 +208,7 @@ def test_rollouts_that_got_worse_while_torque_got_better(
 
 
 def test_without_held_out_data_the_training_error_stands_in(found: Diagnosis) -> None:
-    def trained(of: Level) -> Level:
+    def trained(of: ErrorSummary) -> ErrorSummary:
         return replace(of, validation=None)
 
     step = step_of(before=trained(found.before), after=trained(found.after))
@@ -235,15 +235,15 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     model = found.last.experiment.model
     moving = sum(body.pi[0] for body in model.bodies)
 
-    def loaded(share: float) -> list[Step]:
+    def loaded(share: float) -> list[DiagnosisStep]:
         links = ("thigh_link", "shank_link")
         loads = [replace(candidate("payload", None), link=link) for link in links]
         parameters = {"mass": share * moving / 2, "com": [0.0] * 3, "inertia": [0.0] * 6}
         return [step_of(chosen=load, parameters=parameters) for load in loads]
 
-    assert doubted(loaded(0.99), model) == loaded(0.99)
+    assert with_doubts(loaded(0.99), model) == loaded(0.99)
     assert _verdict(loaded(0.99)) == "explained"
-    steps = doubted([*loaded(1.01), step_of()], model)
+    steps = with_doubts([*loaded(1.01), step_of()], model)
     assert [bool(step.doubt) for step in steps] == [True, True, False]
     assert f"the payload on thigh_link and shank_link, {1.01 * moving:.3g} kg, is heavier than all" in steps[0].doubt
     assert _verdict(steps) == "partly_explained"

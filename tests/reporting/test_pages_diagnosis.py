@@ -14,7 +14,7 @@ from pages import SCRIPT, Page, complete, evaluation_of, notice_of
 from records import partial
 from rollouts import experiment_of, rollouts_of
 
-from idtool.diagnosis.records import Diagnosis, Level, Where
+from idtool.diagnosis.records import Diagnosis, ErrorSummary, ResidualLocation
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.figures import figure
@@ -36,7 +36,7 @@ def found(leg: tuple[Fit, Fit]) -> Diagnosis:
         chosen=candidate("time_delay", None, score=0.3),
         parameters={"delay": 0.0051},
         standard_error={"delay": 0.0002},
-        where=Where((), (), ""),
+        location=ResidualLocation((), (), ""),
         before=step_of().after,
         after=level(0.2, 0.55, 0.35, simulated=0.011),
         sentence="all joints: the torque is 5.1 ms late",
@@ -65,8 +65,8 @@ def test_names_and_texts_stay_text(found: Diagnosis) -> None:
         chosen=candidate(SCRIPT, SCRIPT),
         entry=STRIBECK,
         parameters={SCRIPT: SCRIPT},
-        where=Where((SCRIPT,), (), SCRIPT),
-        separate=SCRIPT,
+        location=ResidualLocation((SCRIPT,), (), SCRIPT),
+        distinguishing_experiment=SCRIPT,
         sentence=SCRIPT,
         alternatives=(candidate(SCRIPT, SCRIPT, reason=SCRIPT),),
         rejected=(candidate(BEHIND, BEHIND, reason=BEHIND),),
@@ -192,8 +192,8 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
 
 
 def test_a_page_without_rollouts_or_held_out_data(found: Diagnosis) -> None:
-    def poor(of: Level) -> Level:
-        return Level(of.train, None, None)
+    def poor(of: ErrorSummary) -> ErrorSummary:
+        return ErrorSummary(of.train, None, None)
 
     steps = tuple(replace(step, before=poor(step.before), after=poor(step.after)) for step in found.steps)
     last, first = (replace(fit, simulation=None) for fit in (found.last, found.first))

@@ -172,10 +172,10 @@ def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any])
 
 
 def test_a_warning_comes_with_what_to_do(fitted: Fit, report: dict[str, Any]) -> None:
-    report["notices"] = [notice_of("joints held still: tail at 0", "say where under locked_joints")]
+    report["notices"] = [notice_of("joints held still: tail at 0", "give their positions under locked_joints")]
     text = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text
     assert "joints held still: tail at 0" in text
-    assert "say where under locked_joints" in text
+    assert "give their positions under locked_joints" in text
 
 
 def test_what_is_known_otherwise_is_beside_what_was_identified(fitted: Fit, report: dict[str, Any]) -> None:

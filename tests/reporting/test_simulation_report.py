@@ -89,7 +89,7 @@ def test_a_prior_that_cannot_be_simulated_is_null_and_a_note() -> None:
     assert report is not None
     assert report["prior"] is report["prior_lost"] is report["horizon"][0]["prior"] is None
     assert sentences(simulation_notices(rollouts, "model")) == (
-        "2 of 10 simulations of the model ran away and were stopped",
+        "2 of 10 simulations of the model diverged and were stopped",
         "no simulation of the prior: why",
     )
 

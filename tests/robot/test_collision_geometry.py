@@ -75,7 +75,7 @@ def test_a_mesh_that_is_missing_is_said(build: Build) -> None:
     model = build(arm(solid(SPHERE.format(0.1)), missing, solid(SPHERE.format(0.1)) + missing), ["j1", "j2"])
     found = checked(model)
     (warning,) = sentences(found.notices)
-    assert warning.startswith("geometry is left out of the check for self-collision, of upper, tip: line 1: mesh")
+    assert warning.startswith("the check for self-collision leaves out geometry of upper, tip: line 1: mesh")
     assert "package://robot/lost.stl is not found" in warning
     assert found.clearance(np.zeros((2, 1))) == pytest.approx([0.6], abs=1e-5)
     model = build(arm(missing, missing, missing), ["j1", "j2"])
@@ -90,8 +90,8 @@ def test_a_mesh_that_is_missing_is_said(build: Build) -> None:
         ("<sphere/>", "sphere radius '' should be a finite number"),
         ('<box size="1 1"/>', "box size '1 1' should be 3 finite numbers"),
         ('<box size="1 1 1e300"/>', "box size '1 1 1e300' should be 3 finite numbers"),
-        ('<cone radius="1"/>', "cone is not a geometry that is read here"),
-        ('<mesh filename="https://x/y.stl"/>', "nothing is fetched"),
+        ('<cone radius="1"/>', "cone is not a supported geometry"),
+        ('<mesh filename="https://x/y.stl"/>', "is not downloaded"),
     ],
 )
 def test_strange_geometry_is_left_out_and_said(build: Build, shape: str, why: str) -> None:

@@ -72,9 +72,9 @@ Refusal = Callable[[str | bytes], str]
         ("bounding_shapes: {a: [{kind: [box]}]}", "bounding_shapes.a.0: needs a kind"),
         ("bounding_shapes: {a: {kind: box, size: [1, 1, 1]}}", "bounding_shapes.a: input should be a list"),
         # Slips that would pass for something else.
-        ("log: {scale: {tau: {hip: 0}}}", "log.scale.tau.hip: a signal times 0 is lost"),
-        ("log: {scale: {q: {hip: -0.0}}}", "log.scale.q.hip: a signal times 0 is lost"),
-        ("joints: [hip, knee, hip]", "joints: hip stands there twice; name each joint once"),
+        ("log: {scale: {tau: {hip: 0}}}", "log.scale.tau.hip: a scale of 0 removes the signal"),
+        ("log: {scale: {q: {hip: -0.0}}}", "log.scale.q.hip: a scale of 0 removes the signal"),
+        ("joints: [hip, knee, hip]", "joints: hip is listed twice; list each joint once"),
         ("friction: {viscous: -0.1}", "friction.viscous: friction of -0.1 would drive the joint; give 0 or more"),
         ("friction: {hip: {coulomb: {value: -2}}}", "friction.hip.coulomb: friction of -2 would drive the joint"),
     ],

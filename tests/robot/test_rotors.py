@@ -140,10 +140,10 @@ def test_a_rotor_on_a_belt_and_one_on_a_mimic_joint(build: Build) -> None:
         ({"motor": ROTOR | {"parent": "abad"}}, "rotors.motor.parent: abad is no link; did you mean abad_link?"),
         ({"motor": ROTOR | {"parent": "shank"}}, "rotors.motor.origin: is missing"),
         ({"motor": {"joint": "hip", "gear_ratio": 8}}, "rotors.motor.inertial: is missing"),
-        ({"thigh": ROTOR}, "rotors.thigh: bears the name of a moving link"),
+        ({"thigh": ROTOR}, "rotors.thigh: has the name of a moving link"),
         ({"base": ROTOR}, "rotors.base: is a URDF link that carries other links"),
-        ({"hip_motor": ROTOR | {"parent": "base"}}, "rotors.hip_motor: bears the name of a URDF link"),
-        ({"hip_motor": ROTOR | {"origin": {}}}, "rotors.hip_motor: bears the name of a URDF link"),
+        ({"hip_motor": ROTOR | {"parent": "base"}}, "rotors.hip_motor: has the name of a URDF link"),
+        ({"hip_motor": ROTOR | {"origin": {}}}, "rotors.hip_motor: has the name of a URDF link"),
     ],
 )
 def test_a_rotor_that_cannot_be(build: Build, leg: str, rotor: dict[str, Any], expected: str) -> None:

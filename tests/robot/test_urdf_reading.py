@@ -117,10 +117,10 @@ PAIR = '<robot name="r"><link name="l0"/><link name="l1">{}</link>{}</robot>'
         (chain(link(1, '<origin xyz="0 0 up"/>')), "is not a well-formed URDF"),
         (
             chain(link(1, '<dynamics damping="nan"/>')),
-            "joint j1: its dynamics or mimic holds a value that is not a fin",
+            "joint j1: its dynamics or mimic has a value that is not a fin",
         ),
-        (chain(link(1), link(2, '<mimic joint="j1" multiplier="inf"/>')), "joint j2: its dynamics or mimic holds"),
-        (PAIR.format(INERTIAL.format("nan"), link(1)), "link l1: its inertial holds a value that is not a finite"),
+        (chain(link(1), link(2, '<mimic joint="j1" multiplier="inf"/>')), "joint j2: its dynamics or mimic has"),
+        (PAIR.format(INERTIAL.format("nan"), link(1)), "link l1: its inertial has a value that is not a finite"),
         (PAIR.format(INERTIAL.format("heavy"), link(1)), "is not a well-formed URDF"),
         (PAIR.format(INERTIAL.format("1").replace('iyy="1" ', ""), link(1)), "link l1: its inertia lacks iyy"),
     ],

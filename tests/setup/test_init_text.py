@@ -124,7 +124,7 @@ def test_what_is_read_is_never_written_over(tmp_path: Path, name: str) -> None:
 
 def test_logs_of_another_robot_are_refused(tmp_path: Path) -> None:
     run = as_csv(tmp_path / "run.csv", arm(1.0), ("left", "right", "up"))
-    naming = "no actuated joint of it is in the logs; it has turn, lift, roll, the logs have left, right, up"
+    naming = "none of its actuated joints is in the logs; it has turn, lift, roll, the logs have left, right, up"
     refuse(tmp_path, "init", robot(tmp_path), run, naming=naming, file="arm.urdf")
 
 

@@ -1,7 +1,7 @@
-"""Data faults: what is wrong with the logs themselves, before physics is blamed for it.
+"""Data faults: mistakes in the logs, which are looked for before effects that the model lacks.
 
 The faults that a log shows by itself are findings of its inspection, `idtool.data.inspection`. Those that only the
-model tells are found here: signs, order and units of the channels, and torques that are cut off. A torque that is late
+model shows are found here: signs, order and units of the channels, and torques that are cut off. A torque that is late
 against the position is the effect `time_delay`, and no fault.
 
 =================== ==================================================================================================
@@ -34,7 +34,7 @@ from idtool.data.inspection.channel_findings import STUCK
 from idtool.data.inspection.velocity_findings import DISAGREEMENT
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
 from idtool.diagnosis.data_faults.channel_search import ChannelSearch
-from idtool.diagnosis.data_faults.torque_scale import cut_off, torque_unit
+from idtool.diagnosis.data_faults.torque_scale import clipped_torque, wrong_torque_unit
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 __all__ = ["find_data_faults"]
@@ -43,9 +43,9 @@ __all__ = ["find_data_faults"]
 def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice, ...]:
     """Faults of the logs.
 
-    Single channels and the clock are judged by themselves, from stretches spread over the logs. Signs, order and units
-    are judged by whether realizable bodies with friction can explain the torque once a mistake is undone, from a sample
-    of bounded length.
+    Single channels and the clock are checked by themselves, from segments spread over the logs. Signs, order and units
+    are checked by whether realizable bodies with friction can explain the torque once a mistake is undone, from a
+    sample of bounded length.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice
 
     Returns
     -------
-    One fault a kind and joint, in the order of the table above; none in data as it should be.
+    One fault per kind and joint, in the order of the table above; empty if there is none.
     """
     logs = [run.signals.log for run in experiment.runs]
     inspections: list[Inspection] = []
@@ -74,7 +74,7 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice
 
 
 def inspection_faults(inspection: Inspection, joints: Sequence[str]) -> list[Notice]:
-    """The findings of an inspection that are faults, of the log and of the model's joints."""
+    """Findings of an inspection that are faults, of the log and of the model's joints."""
     faults = []
     for finding in inspection.findings:
         if data_fault(finding) is not None and (finding.subject is None or finding.subject in joints):
@@ -85,23 +85,23 @@ def inspection_faults(inspection: Inspection, joints: Sequence[str]) -> list[Not
 def _model_faults(
     experiment: Experiment, fit: ChannelFit, inspections: Sequence[Inspection], progress: Progress
 ) -> Iterator[Notice]:
-    """Faults that the model tells."""
+    """Faults that only the model shows."""
     model = experiment.model
     commands = [run.signals.command for run in experiment.runs]
     computed = {name for j, name in enumerate(model.names) if any(command.joints[j] for command in commands)}
-    limits, gains = _limits(model.names, inspections), _gains(inspections)
-    search = ChannelSearch(fit, model.joints, limits, gains, computed, progress)
+    limits = _position_ranges(model.names, inspections)
+    search = ChannelSearch(fit, model.joints, limits, _velocity_gains(inspections), computed, progress)
     yield from search.faults()
-    yield from torque_unit(fit, search.position, search.T)
+    yield from wrong_torque_unit(fit, search.position, search.T)
     for j, name in enumerate(model.names):
         for inspection in inspections:
             tau = inspection.joints[name].signals.get("tau")
             if tau is not None and not tau.constant and tau.stuck > STUCK:
-                yield from cut_off(fit, j, inspection.joints[name])
+                yield from clipped_torque(fit, j, inspection.joints[name])
                 break
 
 
-def _limits(joints: Sequence[str], inspections: Sequence[Inspection]) -> Array:
+def _position_ranges(joints: Sequence[str], inspections: Sequence[Inspection]) -> Array:
     """Least and greatest q of each joint, shape (nv, 2)."""
     limits = []
     for name in joints:
@@ -110,8 +110,8 @@ def _limits(joints: Sequence[str], inspections: Sequence[Inspection]) -> Array:
     return np.array(limits)
 
 
-def _gains(inspections: Sequence[Inspection]) -> dict[str, float]:
-    """Gain of v over dq/dt, by joint, where the two agree but for it; of the last log that tells."""
+def _velocity_gains(inspections: Sequence[Inspection]) -> dict[str, float]:
+    """Gain of v over dq/dt by joint, where the two agree otherwise; from the last log in which they do."""
     gains = {}
     for inspection in inspections:
         for name, joint in inspection.joints.items():
@@ -121,7 +121,7 @@ def _gains(inspections: Sequence[Inspection]) -> dict[str, float]:
 
 
 def _merged(faults: Sequence[tuple[int | None, Notice]], logs: Sequence[str]) -> tuple[Notice, ...]:
-    """One fault a kind and joint: that of the first log that has it, which is named where there are several logs.
+    """One fault per kind and joint: that of the first log that has it, which is named if there are several logs.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Fit of realizable bodies to the torque, with a log's channels taken for something else than they say.
+"""Fit of realizable bodies to the torque, with mistakes in a log's channels undone.
 
-A bounded sample of the logs is fitted by the model with all that a joint may well have beside its bodies: friction,
-an offset, a spring and a rotor. So no torque is called impossible that one of them explains. What remains impossible
-is what physics forbids whatever the robot: friction that drives, inertia below zero, one mass felt by two joints as
-two. Channels that were swapped, turned round or scaled ask for just that. The URDF's masses have next to no say.
+A bounded sample of the logs is fitted by a model with everything that a joint is likely to have besides its bodies:
+friction, an offset, a spring and a rotor. So torque that one of them explains is not taken as a fault. What remains is
+what physics rules out for any robot: friction that drives, negative inertia, one mass that two joints feel as two.
+Channels that were swapped, inverted or scaled require just that. The URDF's masses have next to no influence.
 
 Letters: nv joints, n samples in the band; u_j share of the power of joint j's torque that is left unexplained; T
 (nv, nv) true torques from the logged ones.
@@ -31,11 +31,12 @@ from idtool.robot.sets import choose_set
 
 Change = Callable[[Motion], Motion]
 
-_PARTS, _ROWS = 8, 384  # stretches of the logs, and samples in the band of each
-_MOST = 64  # stretches, where gaps make them shorter
-EXPLAINED = 1e-3  # of a torque's power: a smaller rest is no better explained
-_QUIET = 1e-6  # of a torque's power that its noise is taken to have at least
-_FEWEST = 4.0  # rows for each coefficient, for a joint to have a say
+_SEGMENTS = 8  # of the logs
+_SEGMENT_ROWS = 384  # samples in the band of each
+_MAX_SEGMENTS = 64  # where gaps make them shorter
+MIN_UNEXPLAINED = 1e-3  # of a torque's power: a smaller rest is no better explained
+_MIN_NOISE = 1e-6  # of a torque's power
+_ROWS_PER_COEFFICIENT = 4.0  # that a joint needs to be evaluated
 _RANK = 1e-8  # of the largest singular value
 
 
@@ -47,12 +48,12 @@ class ChannelFit:
     equation
         The torque equation with all plain effects.
     batches
-        Stretches of the logs, evenly spread.
+        Segments of the logs, evenly spread.
     motions
         The same in the band and decimated, n samples each.
     groups
-        Joints that have a body in common, directly or by others; nothing that is done to one group's channels
-        concerns another.
+        Joints that have a body in common, directly or through others. A change of one group's channels does not
+        affect another group.
     prior
         Parameters of all bodies by the URDF, shape (10 bodies,).
 
@@ -66,8 +67,9 @@ class ChannelFit:
         self.bodies = experiment.model.bodies
         self.sets = tuple(choose_set(body, "full") for body in self.bodies)
         names = experiment.model.names
-        self.equation = LinearModel(names, build_effects(experiment.model, _generous(experiment.config, names)))
-        self.batches = tuple(_spread(experiment))
+        config = _with_plain_effects(experiment.config, names)
+        self.equation = LinearModel(names, build_effects(experiment.model, config))
+        self.batches = tuple(_sample_batches(experiment))
         self.motions = tuple(map(_in_band, self.batches))
         self.groups = _groups(experiment.model.support())
         self.prior = np.concatenate([body.pi for body in self.bodies])
@@ -76,11 +78,12 @@ class ChannelFit:
         """The sample with position, velocity and acceleration changed, reduced to factors."""
         total: tuple[Factor, ...] | None = None
         for motion, batch in zip(self.motions, self.batches, strict=True):
-            factors = tuple(Factor.from_columns(rows, batch.low_pass.redundancy) for rows in self._rows(change(motion)))
+            redundancy = batch.low_pass.redundancy
+            factors = tuple(Factor.from_columns(columns, redundancy) for columns in self._columns(change(motion)))
             total = factors if total is None else tuple(a + b for a, b in zip(total, factors, strict=True))
         return ReducedSample(self, total or ())
 
-    def _rows(self, motion: Motion) -> Iterator[Array]:
+    def _columns(self, motion: Motion) -> Iterator[Array]:
         """Per joint its columns and all torques where it moves, shape (m_j + nv, n)."""
         moving = np.ones(motion.q.shape, dtype=bool)
         for effect in self.equation.effects:
@@ -88,21 +91,24 @@ class ChannelFit:
                 moving[joint] &= ~mask
         blocks = self.equation.columns(motion)
         torques = np.stack([block[-1] for block in blocks])
-        for block, columns in zip(blocks, moving, strict=True):
-            yield np.vstack([block[:-1], torques])[:, columns]
+        for block, mask in zip(blocks, moving, strict=True):
+            yield np.vstack([block[:-1], torques])[:, mask]
 
     @cached_property
     def excess(self) -> Array:
-        """log10 of the size of each torque over what the URDF's bodies take, 0 where one is zero; shape (nv,)."""
-        power = np.zeros((2, len(self.equation.joints)))
+        """log10 of the rms of each torque over that of the URDF's bodies, 0 where one is zero; shape (nv,)."""
+        rigid_power = np.zeros(len(self.equation.joints))
+        power = np.zeros(len(self.equation.joints))
         for motion in self.motions:
             for j, block in enumerate(self.equation.columns(motion)):
-                power[:, j] += np.square(self.rigid(j, block)).sum(), np.square(block[-1]).sum()
-        known = power.all(axis=0)
-        return np.where(known, 0.5 * np.log10(np.where(known, power[1], 1) / np.where(known, power[0], 1)), 0.0)
+                rigid_power[j] += np.square(self.rigid_torque(j, block)).sum()
+                power[j] += np.square(block[-1]).sum()
+        is_known = (rigid_power > 0) & (power > 0)
+        ratio = np.where(is_known, power, 1) / np.where(is_known, rigid_power, 1)
+        return np.where(is_known, 0.5 * np.log10(ratio), 0.0)
 
-    def rigid(self, j: int, block: Array) -> Array:
-        """Torque of joint j that the URDF's bodies take, from the joint's columns, shape (n,)."""
+    def rigid_torque(self, j: int, block: Array) -> Array:
+        """Torque of joint j for the motion of the URDF's bodies, from the joint's columns, shape (n,)."""
         active = self.equation.active()[j]
         bodies = active[active < len(self.prior)]
         return np.asarray(self.prior[bodies] @ block[: len(bodies)])
@@ -110,21 +116,21 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class ReducedSample:
-    """The sample reduced, positions being what they are taken for and torques as logged.
+    """The sample reduced to factors, with some positions and with torques as logged.
 
     Attributes
     ----------
     fit
         The sample.
     factors
-        Per joint, that of [Y_j, all torques]; none where no stretch is long enough.
+        Per joint, that of [Y_j, all torques]; empty if no segment is long enough.
     """
 
     fit: ChannelFit
     factors: tuple[Factor, ...]
 
     def unexplained(self, T: Array) -> Array | None:
-        """Share of each torque's power that bodies that can be leave unexplained.
+        """Share of each torque's power that realizable bodies leave unexplained.
 
         Parameters
         ----------
@@ -133,40 +139,44 @@ class ReducedSample:
 
         Returns
         -------
-        u, at least 1e-3, shape (nv,), and so for a joint that tells nothing; None where no fit was found.
+        u, at least 1e-3, shape (nv,); 1e-3 for a joint that hardly moves. None if no fit was found.
         """
         if not self.factors:
             return None
-        nv, fit = len(self.factors), self.fit
-        data = tuple(
-            replace(f, R=np.column_stack([f.R[:, :-nv], f.R[:, -nv:] @ row]))
-            for f, row in zip(self.factors, T, strict=True)
-        )
-        power = np.array([np.square(f.R[:, -1]).sum() / max(f.rows, 1) for f in data])
+        nv = len(self.factors)
+        data = []
+        for factor, row in zip(self.factors, T, strict=True):
+            R = np.column_stack([factor.R[:, :-nv], factor.R[:, -nv:] @ row])
+            data.append(replace(factor, R=R))
+        power = np.array([np.square(factor.R[:, -1]).sum() / max(factor.rows, 1) for factor in data])
         noise = np.sqrt(self.free(T) * power)
         noise[noise == 0] = 1.0
+        fit = self.fit
         try:
-            theta = estimate(fit.equation, fit.bodies, data, fit.sets, WEAK_PRIOR, noise=noise).theta
-        except (SolverError, np.linalg.LinAlgError):  # channels may be beyond all sense
+            theta = estimate(fit.equation, fit.bodies, tuple(data), fit.sets, WEAK_PRIOR, noise=noise).theta
+        except (SolverError, np.linalg.LinAlgError):  # channels may be too wrong for any fit
             return None
-        left = [f.squared_error(theta[columns]) for f, columns in zip(data, fit.equation.active(), strict=True)]
-        u = np.array([_quotient(x, float(np.square(f.R[:, -1]).sum())) for x, f in zip(left, data, strict=True)])
-        return np.where(self.mute, EXPLAINED, np.maximum(u, EXPLAINED))
+        u = np.empty(nv)
+        for j, (factor, active) in enumerate(zip(data, fit.equation.active(), strict=True)):
+            u[j] = _power_share(factor.squared_error(theta[active]), float(np.square(factor.R[:, -1]).sum()))
+        return np.where(self.hardly_moving, MIN_UNEXPLAINED, np.maximum(u, MIN_UNEXPLAINED))
 
     @property
-    def mute(self) -> Mask:
-        """Joints that move too little to tell anything, shape (nv,)."""
-        return np.array([factor.rows < _FEWEST * factor.R.shape[1] for factor in self.factors])
+    def hardly_moving(self) -> Mask:
+        """Joints that move too little to be evaluated, shape (nv,)."""
+        return np.array([factor.rows < _ROWS_PER_COEFFICIENT * factor.R.shape[1] for factor in self.factors])
 
     def free(self, T: Array) -> Array:
-        """Share of each torque that any coefficients whatever leave, joint by joint: u can't be less; shape (nv,)."""
-        pairs = zip(T, self._powers, strict=True)
-        return np.array([_quotient(row @ rest @ row, row @ whole @ row) for row, (rest, whole) in pairs])
+        """Share of each torque that unconstrained coefficients leave, joint by joint: a bound on u; shape (nv,)."""
+        shares = []
+        for row, (rest, whole) in zip(T, self._powers, strict=True):
+            shares.append(_power_share(row @ rest @ row, row @ whole @ row))
+        return np.array(shares)
 
     @property
     def exchanged(self) -> Array:
-        """Share of joint k's torque that any coefficients whatever leave in joint j's equation, shape (nv, nv)."""
-        return np.array([list(map(_quotient, np.diag(rest), np.diag(whole))) for rest, whole in self._powers])
+        """Share of joint k's torque that unconstrained coefficients leave in joint j's equation, shape (nv, nv)."""
+        return np.array([list(map(_power_share, np.diag(rest), np.diag(whole))) for rest, whole in self._powers])
 
     @cached_property
     def _powers(self) -> list[tuple[Array, Array]]:
@@ -182,12 +192,12 @@ class ReducedSample:
         return powers
 
 
-def _quotient(rest: float, power: float) -> float:
-    """Share of the rest in a torque's power, at least 1e-6; 1 of none."""
-    return max(float(rest / power), _QUIET) if power > 0 else 1.0
+def _power_share(rest: float, power: float) -> float:
+    """Share of a rest in a torque's power, at least 1e-6; 1 without any torque."""
+    return max(float(rest / power), _MIN_NOISE) if power > 0 else 1.0
 
 
-def _generous(config: Config, joints: tuple[str, ...]) -> Config:
+def _with_plain_effects(config: Config, joints: tuple[str, ...]) -> Config:
     """The configuration with all plain effects on every joint."""
     present = {(entry.effect, entry.joint) for entry in config.effects}
     plain = [kind for kind in effect_types().values() if kind.is_commonplace and issubclass(kind, JointEffect)]
@@ -195,19 +205,21 @@ def _generous(config: Config, joints: tuple[str, ...]) -> Config:
     return config.model_copy(update={"effects": (*config.effects, *added)})
 
 
-def _spread(experiment: Experiment) -> Iterator[Batch]:
-    """Stretches evenly spread over all logs, of bounded length in all."""
-    pieces, wanted = [], 0.0
+def _sample_batches(experiment: Experiment) -> Iterator[Batch]:
+    """Segments evenly spread over all logs, of bounded total length."""
+    segments = []
+    full_segments = 0.0  # that the logs contain
     for run in experiment.runs:
-        length = _ROWS * run.signals.low_pass.stride
-        for whole in run.signals.ranges:
-            starts = range(whole.start, whole.stop, length)
-            pieces += [(run.signals, slice(start, min(start + length, whole.stop))) for start in starts]
-            wanted += (whole.stop - whole.start) / length
-    count = min(len(pieces), max(_PARTS, round(_PARTS * len(pieces) / max(wanted, 1.0))), _MOST)
-    for i in np.linspace(0, len(pieces) - 1, count).astype(int):
-        signals, part = pieces[i]
-        yield from signals.batches([part])
+        length = _SEGMENT_ROWS * run.signals.low_pass.stride
+        for part in run.signals.ranges:
+            for start in range(part.start, part.stop, length):
+                segments.append((run.signals, slice(start, min(start + length, part.stop))))
+            full_segments += (part.stop - part.start) / length
+    wanted = round(_SEGMENTS * len(segments) / max(full_segments, 1.0))
+    count = min(len(segments), max(_SEGMENTS, wanted), _MAX_SEGMENTS)
+    for i in np.linspace(0, len(segments) - 1, count).astype(int):
+        signals, segment = segments[i]
+        yield from signals.batches([segment])
 
 
 def _in_band(batch: Batch) -> Motion:
@@ -218,7 +230,7 @@ def _in_band(batch: Batch) -> Motion:
 
 
 def _groups(support: Mask) -> tuple[Indices, ...]:
-    """Joints that share bodies, from which of the nv joints move which body, shape (bodies, nv)."""
+    """Joints that share bodies, from the mask of the nv joints that move each body, shape (bodies, nv)."""
     group = np.arange(support.shape[1])
     for moved in support:
         together = np.isin(group, group[moved])

@@ -1,9 +1,8 @@
-"""Signs, order and units of the channels, by what bodies can be.
+"""Search for wrong signs, order and units of the channels, by whether realizable bodies explain the torque.
 
-Where bodies that can be explain the torque as logged, nothing is wrong that matters here. Where they do not, every
-mistake of `channel_mistakes` is undone in turn, in all independent parts of the robot at once. One is believed when
-the rest of the torque shrinks manifold by it: a wrong model, a missing effect or noise are no better off with a channel
-turned or swapped.
+If they explain the torque as logged, there is no fault that matters. If they do not, every mistake of
+`channel_mistakes` is undone in turn, in all independent groups of joints at once. One is accepted if it reduces the
+unexplained torque manyfold: for a wrong model, a missing effect or noise, an inverted or swapped channel is no help.
 
 Letters as in `channel_fit`.
 """
@@ -21,22 +20,24 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.notice import Notice
 from idtool.data.inspection.velocity_findings import is_another_unit
 from idtool.data.signals import Motion
-from idtool.diagnosis.data_faults.channel_fit import EXPLAINED, Change, ChannelFit
+from idtool.diagnosis.data_faults.channel_fit import MIN_UNEXPLAINED, Change, ChannelFit
 from idtool.diagnosis.data_faults.channel_mistakes import Mistake, possible_mistakes, torque_order
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import Joint
 
 _SUSPICIOUS = 0.005  # u above which mistakes are looked for
-_GAIN = 1.5  # what the sum over the joints of log u has to fall by; without a mistake none of 200 logs gained 0.5
-_LESS = 0.35  # to which the mean of u has to fall
-_LEFT = 0.15  # mean of u above which nothing is believed in the end
-_ALIKE = 0.7  # of the sum that has to fall: of two that differ by less the former is believed
-_ROUNDS = 4
-_HOPELESS = 1e9  # u where no fit is found at all
+_MIN_GAIN = 1.5  # reduction of the sum over the joints of log u; without a mistake none of 200 logs had more than 0.5
+_MAX_MEAN_RATIO = 0.35  # of the mean of u, after over before
+_MAX_FINAL_MEAN = 0.15  # of u, above which no fault is reported in the end
+_EQUAL_GAIN = 0.7  # difference of two gains below which the preferred mistake is taken
+_MAX_ROUNDS = 4
+_NO_FIT = 1e9  # u where no fit is found at all
 _STAGE = "looking for wrong channels"
-_ORDER = 2.0  # by which the sum has to fall by any coefficients whatever in another order of the torques
-_RANGES = 10.0  # of the URDF that a joint can't cover, whatever the torque says
-_TURNS = 8 * np.pi  # rad that a joint without limits may be taken to cover
+_MIN_ORDER_GAIN = 2.0  # as `_MIN_GAIN`, of another order of the torques, with unconstrained coefficients
+_FAR_BEYOND = 10.0  # times the URDF's range, that a joint can't cover
+_MAX_TRAVEL = 8 * np.pi  # rad of a joint without limits
+
+GroupMistakes = dict[int | None, Mistake]  # by index of the group; None for a mistake in several groups
 
 
 @dataclass
@@ -50,15 +51,15 @@ class ChannelSearch:
     joints
         The nv joints.
     limits
-        Least and greatest q of each, shape (nv, 2).
+        Least and greatest logged q of each, shape (nv, 2).
     gains
-        Of v over dq/dt, by joint, where the two agree.
+        Gain of v over dq/dt by joint, where the two agree.
     computed
-        Names of joints whose torque is the controller's.
+        Names of joints whose torque is computed by the controller's law.
     progress
         Told the stage and how far it has come.
     accepted
-        Mistakes that are believed, in turn.
+        Mistakes that were accepted, in turn.
     """
 
     fit: ChannelFit
@@ -76,23 +77,25 @@ class ChannelSearch:
         self._sample = self.fit.reduced(self.position)
 
     def faults(self) -> Iterator[Notice]:
-        """All faults of signs, order and units that the motion tells."""
+        """All faults of signs, order and units that the motion shows."""
         self.progress(_STAGE, 0.0)
         u = self._sample.unexplained(self.T)
-        if u is None and self._outside():  # units may be so wrong that no fit is found
-            u = np.full(len(self.joints), _HOPELESS)
+        if u is None and self._out_of_range():  # units may be so wrong that no fit is found
+            u = np.full(len(self.joints), _NO_FIT)
         if u is not None:
-            yield from self._mistakes(u)
-            yield from self._beyond(u)
-        yield from self._velocities()
+            yield from self._mistake_faults(u)
+            yield from self._position_faults(u)
+        yield from self._velocity_faults()
 
-    def _mistakes(self, u: Array) -> Iterator[Notice]:
-        """Undo one mistake after the other, as long as that helps; yield those that make sense in the end."""
+    def _mistake_faults(self, u: Array) -> Iterator[Notice]:
+        """Faults found by undoing one mistake after the other, of groups that are explained in the end."""
         faults: list[tuple[Indices, Notice]] = []
-        order = self._order(u)
-        chosen: dict[int | None, Mistake] = {None: order} if order is not None and self._helps(u, order) else {}
-        for _ in range(_ROUNDS):
-            chosen = chosen or self._best(u)
+        chosen: GroupMistakes = {}
+        order = self._better_torque_order(u)
+        if order is not None and self._reduces_unexplained(u, order):
+            chosen = {None: order}
+        for _ in range(_MAX_ROUNDS):
+            chosen = chosen or self._best_mistakes(u)
             after = self._unexplained_without(list(chosen.values())) if chosen else None
             if after is None:
                 break
@@ -101,142 +104,149 @@ class ChannelSearch:
                 for fault in mistake.faults(self._names, u[group].mean(), after[group].mean(), self.computed):
                     faults.append((group, fault))
             self._accept(list(chosen.values()))
-            u, chosen = after, {}
+            u = after
+            chosen = {}
         for group, fault in faults:
-            if u[group].mean() < _LEFT:
+            if u[group].mean() < _MAX_FINAL_MEAN:
                 yield fault
 
-    def _helps(self, u: Array, mistake: Mistake) -> bool:
+    def _reduces_unexplained(self, u: Array, mistake: Mistake) -> bool:
         after = self._unexplained_without([mistake])
-        return after is not None and _gain(u, after, np.arange(len(u))) > _GAIN
+        return after is not None and _gain(u, after, np.arange(len(u))) > _MIN_GAIN
 
-    def _accept(self, chosen: list[Mistake]) -> None:
-        self.T, self.position = self._without(chosen)
+    def _accept(self, mistakes: list[Mistake]) -> None:
+        self.T, self.position = self._with_undone(mistakes)
         self._sample = self.fit.reduced(self.position)
-        self.accepted += chosen
+        self.accepted += mistakes
 
-    def _without(self, mistakes: list[Mistake]) -> tuple[Array, Change]:
+    def _with_undone(self, mistakes: list[Mistake]) -> tuple[Array, Change]:
         """Torques and positions with more mistakes undone."""
-        T, position = self.T, self.position
+        T = self.T
+        position = self.position
         for mistake in mistakes:
             T = mistake.T @ T
             if mistake.position is not None:
-                position = _after(position, mistake.position)
+                position = _composed(position, mistake.position)
         return T, position
 
     def _unexplained_without(self, mistakes: list[Mistake]) -> Array | None:
-        """Shares u with more mistakes undone, shape (nv,); None without a fit, or where other joints are mute."""
-        T, position = self._without(mistakes)
+        """Shares u with more mistakes undone, shape (nv,); None without a fit, or if other joints hardly move."""
+        T, position = self._with_undone(mistakes)
         sample = self._sample if position is self.position else self.fit.reduced(position)
-        return sample.unexplained(T) if np.array_equal(sample.mute, self._sample.mute) else None
+        if not np.array_equal(sample.hardly_moving, self._sample.hardly_moving):
+            return None
+        return sample.unexplained(T)
 
-    def _best(self, u: Array) -> dict[int | None, Mistake]:
-        """By independent part of the robot, the mistake that is best undone next, with those that do as well."""
-        lists = self._suspected(u)
-        gains: dict[int, list[float]] = {g: [] for g in range(len(lists))}
-        steps = list(zip_longest(*lists))
+    def _best_mistakes(self, u: Array) -> GroupMistakes:
+        """For each group, the mistake that is best undone next, with those that are as good."""
+        suspects = self._suspected_mistakes(u)
+        gains: list[list[float]] = [[] for _ in suspects]
+        steps = list(zip_longest(*suspects))  # the k-th mistake of all groups at once
         for k, step in enumerate(steps):
             self.progress(_STAGE, k / len(steps))
             after = self._unexplained_without([mistake for mistake in step if mistake])
             for g, mistake in enumerate(step):
                 if mistake:
                     gains[g].append(-np.inf if after is None else _gain(u, after, self.fit.groups[g]))
-        best: dict[int | None, Mistake] = {}
-        for g, own in gains.items():
-            if own and max(own) > _GAIN:
-                first, *others = (mistake for mistake, x in zip(lists[g], own, strict=True) if x > max(own) - _ALIKE)
-                best[g] = replace(first, others=tuple(others))
+
+        best: GroupMistakes = {}
+        for g, own_gains in enumerate(gains):
+            if not own_gains or max(own_gains) <= _MIN_GAIN:
+                continue
+            limit = max(own_gains) - _EQUAL_GAIN
+            first, *others = (mistake for mistake, x in zip(suspects[g], own_gains, strict=True) if x > limit)
+            best[g] = replace(first, others=tuple(others))
         return best
 
-    def _suspected(self, u: Array) -> list[list[Mistake]]:
-        """By independent part of the robot, the mistakes that may have been made.
+    def _suspected_mistakes(self, u: Array) -> list[list[Mistake]]:
+        """For each group, the mistakes that may have been made.
 
-        A mistake of the torques alone is left out where no fit could be so good, not even one of any coefficients.
+        A mistake of the torques alone is left out if even unconstrained coefficients gain too little from undoing it.
         """
-        outside = self._outside()
-        turned = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
-        lists = []
+        out_of_range = self._out_of_range()
+        inverted = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
+        suspects = []
         for group in self.fit.groups:
-            suspicious = max(u[group]) > _SUSPICIOUS
-            own: list[Mistake] = []
-            if suspicious:
-                own = possible_mistakes(list(map(int, group)), self.joints, turned, outside, self.fit.excess)
-            if max(u) == _HOPELESS:
-                own = [mistake for mistake in own if mistake.fault == "wrong_unit"]
-            if any(j in outside and self._names[j] in self.computed for j in group):
-                own = []  # the torque is computed from what can't be, and tells nothing
-            lists.append([one for one in own if one.position or self._largest_gain(u, one, group) > _GAIN])
-        return lists
+            mistakes: list[Mistake] = []
+            if max(u[group]) > _SUSPICIOUS:
+                indices = list(map(int, group))
+                mistakes = possible_mistakes(indices, self.joints, inverted, out_of_range, self.fit.excess)
+            if max(u) == _NO_FIT:
+                mistakes = [mistake for mistake in mistakes if mistake.fault == "wrong_unit"]
+            if any(j in out_of_range and self._names[j] in self.computed for j in group):
+                mistakes = []  # the torque is computed from impossible positions and shows nothing
+            suspects.append([one for one in mistakes if one.position or self._largest_gain(u, one, group) > _MIN_GAIN])
+        return suspects
 
     def _largest_gain(self, u: Array, mistake: Mistake, group: Indices) -> float:
-        """The most that undoing a mistake of the torques alone may gain."""
-        least = np.maximum(self._sample.free(mistake.T @ self.T), EXPLAINED)
+        """Bound on the gain from undoing a mistake of the torques alone."""
+        least = np.maximum(self._sample.free(mistake.T @ self.T), MIN_UNEXPLAINED)
         return float(np.log(u[group] / least[group]).sum())
 
-    def _order(self, u: Array) -> Mistake | None:
-        """Another order of the torques, where the joints' own equations ask for one."""
-        if max(u) < _SUSPICIOUS or max(u) == _HOPELESS or len(u) < 2:
+    def _better_torque_order(self, u: Array) -> Mistake | None:
+        """Another order of the torques that fits the joints' own equations far better."""
+        if max(u) < _SUSPICIOUS or max(u) == _NO_FIT or len(u) < 2:
             return None
-        cost = np.log(np.maximum(self._sample.exchanged, EXPLAINED))
+        cost = np.log(np.maximum(self._sample.exchanged, MIN_UNEXPLAINED))
         _, order = linear_sum_assignment(cost)
-        if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _ORDER:
+        if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _MIN_ORDER_GAIN:
             return None
         return torque_order([int(k) for k in order], self._names)
 
-    def _outside(self) -> set[int]:
-        """Joints whose q lies beyond their limits by more than their range, or of many turns."""
-        outside = set()
+    def _out_of_range(self) -> set[int]:
+        """Joints whose q lies beyond their limits by more than their range, or covers many turns."""
+        out_of_range = set()
         for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
-            range_ = joint.upper - joint.lower
-            if 0 < range_ < np.inf:
-                beyond = max(high - joint.upper, joint.lower - low) > range_
+            limit_range = joint.upper - joint.lower
+            if 0 < limit_range < np.inf:
+                is_beyond = max(high - joint.upper, joint.lower - low) > limit_range
             else:
-                beyond = joint.kind != "prismatic" and high - low > _TURNS
-            if beyond:
-                outside.add(j)
-        return outside - self._of_wrong_unit()
+                is_beyond = joint.kind != "prismatic" and high - low > _MAX_TRAVEL
+            if is_beyond:
+                out_of_range.add(j)
+        return out_of_range - self._with_wrong_unit()
 
-    def _of_wrong_unit(self) -> set[int]:
+    def _with_wrong_unit(self) -> set[int]:
         """Joints whose wrong unit is among the accepted mistakes."""
         return {j for mistake in self.accepted if mistake.fault == "wrong_unit" for j in mistake.joints}
 
-    def _beyond(self, u: Array) -> Iterator[Notice]:
-        """Positions that can't be, where the torque does not mind or, being computed from them, can't tell."""
-        known = self._of_wrong_unit()
-        outside = self._outside()
+    def _position_faults(self, u: Array) -> Iterator[Notice]:
+        """Impossible positions that the torque does not show, or that it is computed from."""
+        known = self._with_wrong_unit()
+        out_of_range = self._out_of_range()
         for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
-            range_ = joint.upper - joint.lower
-            spoilt = j in outside and joint.name in self.computed and u[j] > _LEFT
-            far = 0 < range_ < np.inf and high - low > max(_RANGES * range_, np.pi)
-            if j not in known and (far or spoilt):
+            limit_range = joint.upper - joint.lower
+            spoils_torque = j in out_of_range and joint.name in self.computed and u[j] > _MAX_FINAL_MEAN
+            is_far = 0 < limit_range < np.inf and high - low > max(_FAR_BEYOND * limit_range, np.pi)
+            if j not in known and (is_far or spoils_torque):
                 travel = f"q goes from {low:.4g} to {high:.4g}, by the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
-                message = f"{travel}, as degrees, mm or counts do"
+                message = f"{travel}, as if in degrees, mm or counts"
                 yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
-    def _velocities(self) -> Iterator[Notice]:
-        """Velocities that have another sign or unit than their positions, where it is not the positions' fault."""
-        put_right = {(mistake.fault, j) for mistake in self.accepted if mistake.position for j in mistake.joints}
+    def _velocity_faults(self) -> Iterator[Notice]:
+        """Velocities with another sign or unit than their positions, unless the positions are wrong."""
+        corrected = {(mistake.fault, j) for mistake in self.accepted if mistake.position for j in mistake.joints}
         for j, joint in enumerate(self.joints):
             gain = self.gains.get(joint.name, 1.0)
-            if gain < 0 and ("wrong_sign", j) not in put_right:
+            if gain < 0 and ("wrong_sign", j) not in corrected:
                 ratio = f"v is {gain:.3g} times the derivative of q, which agrees with tau"
                 yield Notice("wrong_sign", "problem", joint.name, ratio, "set the `log.scale` of v to -1")
-            if is_another_unit(gain) and ("wrong_unit", j) not in put_right:
+            if is_another_unit(gain) and ("wrong_unit", j) not in corrected:
                 ratio = f"v is {abs(gain):.4g} times the derivative of q in size"
                 advice = f"set the `log.scale` of v to {1 / gain:.4g}"
                 yield Notice("wrong_unit", "problem", joint.name, ratio, advice)
 
 
-def _gain(before: Array, after: Array, which: Indices) -> float:
-    """By how much the sum of log u falls over some of the joints; none where their mean does not fall by as much."""
-    if after[which].mean() > _LESS * before[which].mean():
+def _gain(before: Array, after: Array, group: Indices) -> float:
+    """Reduction of the sum of log u over some joints; −inf if their mean is not reduced enough."""
+    if after[group].mean() > _MAX_MEAN_RATIO * before[group].mean():
         return -np.inf
-    return float(np.log(before[which] / after[which]).sum())
+    return float(np.log(before[group] / after[group]).sum())
 
 
 def _as_logged(motion: Motion) -> Motion:
     return motion
 
 
-def _after(first: Change, then: Change) -> Change:
+def _composed(first: Change, then: Change) -> Change:
     return lambda motion: then(first(motion))

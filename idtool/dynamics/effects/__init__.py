@@ -80,7 +80,7 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
         if effect.key in entry_keys:
             owner = entry.joint or entry.link
             subject = f" for {printable(owner)}" if owner else ""
-            raise ConfigError(entry_location(entry), f"is there twice{subject}; keep one entry")
+            raise ConfigError(entry_location(entry), f"is listed twice{subject}; keep one entry")
         entry_keys.add(effect.key)
         effects[effect.key] = effect
     return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))

@@ -48,7 +48,7 @@ class Backlash(FixedJointEffect):
     """
 
     id = "backlash"
-    description = "play lets the load go after each reversal of the torque"
+    description = "play decouples the load after each reversal of the torque"
     excitation_hint = "quick reversals of the carried torque, and slow ones"
     nonlinear_parameters = (
         NonlinearParameter("width", ("rad", "m"), positive=True),

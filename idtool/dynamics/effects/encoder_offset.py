@@ -24,7 +24,7 @@ class EncoderOffset(FixedJointEffect):
 
     id = "encoder_offset"
     is_countable = True
-    description = "the encoder's zero is not the joint's"
+    description = "the encoder's zero differs from the joint's"
     excitation_hint = "standstill over the whole travel, the base turned over or tilted by a known angle"
     nonlinear_parameters = (NonlinearParameter("offset", ("rad", "m")),)
 

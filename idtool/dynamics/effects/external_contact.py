@@ -66,8 +66,8 @@ class ExternalContact(LinkEffect):
         windows = read_rows(entry, "windows", 2)
         wrench = read_vector(entry, "wrench", 6)
         if (np.diff(windows.ravel()) < _RAMP).any():
-            problem = f"windows must ascend, each, and the time between two, being {_RAMP:g} s or longer"
-            advice = "put them in order, and make one of those that touch"
+            problem = f"windows must be in ascending order, with at least {_RAMP:g} s in each and between two"
+            advice = "sort them, and merge those that touch"
             raise ConfigError(entry_location(entry), f"{problem}; {advice}")
         return cls(model, str(entry.link), frame, windows, wrench)
 

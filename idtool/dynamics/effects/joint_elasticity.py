@@ -45,7 +45,7 @@ class JointElasticity(FixedJointEffect):
     """
 
     id = "joint_elasticity"
-    description = "the joint gives under load"
+    description = "the joint is elastic under load"
     excitation_hint = "quick reversals at high and at low load"
     order = 1
     uses_measured_torque = True

@@ -82,7 +82,7 @@ def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
     ancestor = link
     while ancestor not in frames:
         if ancestor not in parent_joints:
-            raise ConfigError(entry_location(entry), f"link {printable(link)} moves with no joint; name one that does")
+            raise ConfigError(entry_location(entry), f"link {printable(link)} is moved by no joint; name one that is")
         joint = parent_joints[ancestor]
         if joint.kind != "fixed":
             reason = f"hangs on joint {printable(joint.name)}, which is held still"

@@ -78,10 +78,8 @@ class Payload(LinkEffect):
             raise ConfigError(entry_location(entry), f"mass of {mass:g} cannot be; give one above 0")
         about_com = pseudo_inertia(from_mass_com_inertia(mass, np.zeros(3), inertia))[:3, :3]
         if np.linalg.eigvalsh(about_com)[0] < -_ROUNDING * np.abs(inertia).max():
-            problem = (
-                "no body has this inertia about its centre: its moments break a triangle inequality or are negative"
-            )
-            advice = "give [ixx, ixy, iyy, ixz, iyz, izz] of one that can be"
+            problem = "inertia is not realizable: its principal moments violate a triangle inequality or are negative"
+            advice = "give [ixx, ixy, iyy, ixz, iyz, izz] of a real body"
             raise ConfigError(entry_location(entry), f"{problem}; {advice}")
         return cls(model, str(entry.link), frame, from_mass_com_inertia(mass, com, inertia))
 
@@ -111,8 +109,8 @@ class Payload(LinkEffect):
         links = " and ".join(str(entry.link) for entry in entries)
         return (
             f"the payload on {links}, {mass:.3g} kg, is heavier than all moving links and rotors of the URDF, "
-            f"{robot:.3g} kg: it may stand in for what the model lacks, such as rotors, or for masses of the URDF that "
-            "are wrong; weigh the robot and diagnose with known.total_mass and --inertia refit, or log motion that "
+            f"{robot:.3g} kg: it may compensate for something the model lacks, such as rotors, or for wrong masses of "
+            "the URDF; weigh the robot and diagnose with known.total_mass and --inertia refit, or log motion that "
             "lifts the load in other postures"
         )
 

@@ -48,7 +48,7 @@ class TimeDelay(FixedEffect):
 
     id = "time_delay"
     is_countable = True
-    description = "the torque is recorded late against the position (below zero: early)"
+    description = "the torque is recorded later than the position (negative: earlier)"
     excitation_hint = "quick motion with sharp changes of torque"
     init_trial = InitSearch(
         name="a delay",
@@ -81,7 +81,7 @@ class TimeDelay(FixedEffect):
         joint = None if entry.joint is None else read_joint_index(entry, entry.joint, model)
         delay = read_number(entry, "delay")
         if not abs(delay) <= _MAX_DELAY:
-            message = f"delay of {delay:g} s cannot be told; give one within {_MAX_DELAY:g} s"
+            message = f"delay of {delay:g} s cannot be identified; give one within {_MAX_DELAY:g} s"
             raise ConfigError(entry_location(entry), message)
         return cls(model, delay, joint)
 

@@ -34,7 +34,7 @@ class TorqueSaturation(TorqueSensorEffect):
     """
 
     id = "torque_saturation"
-    description = "the measured torque bends away from the true one at high load"
+    description = "the measured torque saturates at high load"
     excitation_hint = "standstill and slow motion at high and at low load"
     generalizes = ("torque_gain",)
     nonlinear_parameters = (

@@ -131,7 +131,7 @@ def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
             overruled.append(own.name)
     notices = model.notices
     if overruled:
-        message = f"copies, bounded as what they are copies of and not as configured: {join_names(overruled)}"
+        message = f"copies have the bounds of their originals, not those configured: {join_names(overruled)}"
         notices = (*notices, Notice("copies_bounds_overruled", "warning", None, message))
     return replace(model, bodies=tuple(bodies), notices=notices)
 
@@ -170,7 +170,7 @@ def _copies(mirrors: Sequence[Mirror], names: list[str], kind: str) -> dict[int,
             if given not in names:
                 raise ConfigError(f"mirror: {given}", f"is no moving {kind} of the model; {suggestion(given, names)}")
         if name in entries:
-            raise ConfigError(f"mirror: {name}", "is the copy of two; keep one entry")
+            raise ConfigError(f"mirror: {name}", "is a copy of two others; keep one entry")
         entries[name] = entry
 
     copies = {}
@@ -182,7 +182,7 @@ def _copies(mirrors: Sequence[Mirror], names: list[str], kind: str) -> dict[int,
             signs = signs * reflection(entries[original].plane)
             original = entries[original].of
             if original in visited:
-                raise ConfigError(f"mirror: {name}", "is in the end a copy of itself; leave one of the circle free")
+                raise ConfigError(f"mirror: {name}", "is a copy of itself through others; remove one entry")
             visited.add(original)
         copies[names.index(name)] = (names.index(original), signs)
     return copies
@@ -207,7 +207,7 @@ def _mass_constraints(config: Config, names: list[str], p: int) -> list[Constrai
     constraints = []
     for name, measured in config.known.mass.items():
         if name not in names:
-            hint = f"is no body of the model (give what is fixed to it along with it); {suggestion(name, names)}"
+            hint = f"is no body of the model (a body includes the links fixed to it); {suggestion(name, names)}"
             raise ConfigError(f"known.mass: {name}", hint)
         row = np.zeros(p)
         row[PI_SIZE * names.index(name)] = 1.0

@@ -89,12 +89,12 @@ class Experiment:
         fitted = {run.signals.log.path.resolve() for run in self.runs if run.train}
         validated = {run.signals.log.path.resolve() for run in self.runs if not run.train}
         for path in sorted(fitted & validated):
-            message = "fitted to and validated on, so that its error says little"
+            message = "used for both fitting and validation, so its error says little"
             notices.append(Notice("validated_on_training_log", "warning", path.name, message))
         controller = self.config.controller
         by_command = any(run.signals.command.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            message = "auto, and no command is fitted to here: 0 is taken; fit finds it"
+            message = "auto, but nothing is fitted here: 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
@@ -117,8 +117,8 @@ class Experiment:
                 moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
         if moved:
             message = (
-                f"taken as standing still, though they move in the log: {', '.join(moved)}; what their motion does to "
-                "the other joints' torque is not in the model and falsifies the parameters"
+                f"assumed to stand still, but they move in the log: {', '.join(moved)}; the effect of their motion "
+                "on the other joints' torque is not in the model and biases the parameters"
             )
             advice = "add them to joints, or log them at rest"
             yield Notice("moving_joints_held_still", "warning", None, message, advice)
@@ -197,8 +197,8 @@ class Experiment:
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
-            what = f"no stretch without a gap is long enough for the filter; the longest has {longest:.3g} s"
-            raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect tells where samples are missing")
+            what = f"no part without a gap is long enough for the filter; the longest has {longest:.3g} s"
+            raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
         if still:
             what = "hardly moves in the part to fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
@@ -303,7 +303,7 @@ def _check_signals(log: Log, joints: Sequence[str]) -> None:
             finite = np.isfinite(column)
             largest = max(np.max(column, where=finite, initial=0.0), -np.min(column, where=finite, initial=0.0))
             if largest > _LARGEST:
-                raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; take out what is no reading")
+                raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; remove invalid readings")
 
 
 def _split(signals: Signals, share: float) -> Run:
@@ -344,5 +344,5 @@ def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Arr
     coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
     values = {c.key: c.prior for c in coefficients}
     if {body.name for body in model.bodies} != {body.name for body in experiment.model.bodies}:
-        raise ModelError(robot.path, "has not the same bodies as the model; compare URDFs of one robot")
+        raise ModelError(robot.path, "does not have the same bodies as the model; compare URDFs of one robot")
     return np.array([values.get(c.key, 0.0) for c in experiment.equation.coefficients])

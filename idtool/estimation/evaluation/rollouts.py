@@ -262,7 +262,7 @@ def simulation_notices(rollouts: RolloutEvaluation | None, model: str) -> list[N
             advice = "fit within full or a tighter constraint set; give a prior's links and rotors their inertias"
             notices.append(Notice("simulation_failed", "warning", None, message, advice))
         elif diverged := rollouts.diverged.get(name):
-            message = f"{diverged} of {rollouts.windows} simulations of {which} ran away and were stopped"
-            advice = "simulate for shorter with simulation.window; look for a joint of little inertia"
+            message = f"{diverged} of {rollouts.windows} simulations of {which} diverged and were stopped"
+            advice = "use a shorter simulation.window; look for a joint with little inertia"
             notices.append(Notice("simulation_diverged", "warning", None, message, advice))
     return notices

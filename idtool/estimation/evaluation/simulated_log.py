@@ -64,7 +64,7 @@ def as_logged(log: Log) -> Log:
         If nothing in it moves a joint.
     """
     if not {"tau", "qcmd"} & log.signals.keys():
-        raise LogError(log.path, "holds neither torque nor command; --track has the controller follow its q")
+        raise LogError(log.path, "has neither torque nor command; with --track the controller follows its q")
     return log
 
 
@@ -77,7 +77,7 @@ def under_controller(log: Log) -> Log:
         If there is no command.
     """
     if "qcmd" not in log.signals:
-        raise LogError(log.path, "holds no command; --closed-loop needs qcmd_<joint>, or --track to follow q itself")
+        raise LogError(log.path, "has no command; --closed-loop needs qcmd_<joint>, or --track to follow q itself")
     return replace(log, signals={name: x for name, x in log.signals.items() if name != "tau"})
 
 
@@ -131,7 +131,7 @@ def simulated_log(
                 part = slice(part.start, part.start + kept)
                 rollouts.append(_Rollout(signals, part, q[:, :kept], v[:, :kept], tau[:, :kept]))
     if not rollouts:
-        raise ModelError(experiment.model.robot.path, "runs away as soon as it is started; its inertias are too small")
+        raise ModelError(experiment.model.robot.path, "diverges as soon as it is simulated; its inertias are too small")
     return SimulatedLog(
         log=_log_of(path, joints, rollouts),
         measured=np.concatenate([rollout.measured_q.T for rollout in rollouts]),

@@ -200,7 +200,7 @@ class Barrier:
             return x
         x = x + np.linalg.lstsq(self._E, self._e - self._E @ x, rcond=None)[0]
         if np.abs(self._E @ x - self._e).max() > _EQUATION_TOLERANCE:
-            raise SolverError("known", "facts contradict each other; give one of them a standard_error")
+            raise SolverError("known", "known values contradict each other; give one of them a standard_error")
         return x
 
 

@@ -150,7 +150,7 @@ def extreme_conic(
     if "DualInfeasible" in str(answer.status):
         return None
     if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-        raise SolverError("solver", f"found no end of what the data allow ({answer.status})")
+        raise SolverError("solver", f"found no bound of what the data allow ({answer.status})")
     return np.asarray(start + np.asarray(answer.x)[: problem.variables])
 
 
@@ -262,5 +262,5 @@ def _run(P: Any, q: Array, rows: _Rows, settings: Mapping[str, Any]) -> Any:
     except BaseException as error:  # a panic of the solver's own is no Exception
         if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
             raise
-        raise SolverError("solver", f"broke down on these numbers ({error}); check units and magnitudes") from None
+        raise SolverError("solver", f"failed on these numbers ({error}); check units and magnitudes") from None
     return answer

@@ -111,7 +111,7 @@ def _placeholder_notice(reasons: Mapping[str, str], densities: Sequence[float], 
     lowest, highest = f"{min(densities):.0f}", f"{max(densities):.0f}"
     density = lowest if lowest == highest else f"{lowest} to {highest}"
     message = (
-        f"the URDF's inertia is a placeholder for {join_names(list(reasons))} ({first_reason}): the prior is an even "
+        f"the URDF's inertia is a placeholder for {join_names(list(reasons))} ({first_reason}): the prior is a uniform "
         f"density of {density} kg/m³, {source}"
     )
     return Notice("placeholder_inertia", "warning", None, message)

@@ -30,7 +30,7 @@ _BIAS_UNCHECKED = Notice(
     "bias_unchecked",
     "note",
     None,
-    "least squares is not checked for bias: the logs are long, or instruments cannot be had",
+    "least squares was not checked for bias: the logs are too long, or no instruments are available",
     "see --method iv",
 )
 _AGREEMENT = 1.5  # ratio of two standard errors of the same coefficient, above which they do not agree
@@ -207,19 +207,19 @@ def _at_least_spectral(uncertainty: Uncertainty, independent: Mapping[str, float
 def _cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[Notice]:
     if robust.bootstrap is None:
         seconds = sum(len(log) * log.seconds for log in data)
-        few = f"{seconds:.2g} s are less than the {FEWEST_CLUSTERS} blocks it takes to see how the residual scatters"
-        message = f"{few}: standard errors follow from its spectrum alone"
+        few = f"{seconds:.2g} s of data make fewer than the {FEWEST_CLUSTERS} blocks that standard errors need"
+        message = f"{few}: they follow from the residual's spectrum alone"
         return [Notice("few_blocks", "warning", None, message, "log for longer")]
     notices = []
     if robust.correlated_beyond_clusters:
-        long = f"the residual is correlated for longer than the {robust.cluster_seconds:.2g} s"
-        message = f"{long} that a block can last here: standard errors may be too small"
+        long = f"the residual is correlated over more than the {robust.cluster_seconds:.2g} s"
+        message = f"{long} of the longest possible block: standard errors may be too small"
         advice = "log for longer, or model what is missing"
         notices.append(Notice("correlated_residual", "warning", None, message, advice))
     ratio = robust.bootstrap_ratio
     if ratio is not None and not 1 / _AGREEMENT < ratio < _AGREEMENT:
         message = f"resampled standard errors are {ratio:.2g} times the analytic ones"
-        advice = "trust neither to a factor of two"
+        advice = "both may be wrong by a factor of two"
         notices.append(Notice("standard_errors_disagree", "warning", None, message, advice))
     return notices
 
@@ -230,9 +230,7 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     notices = []
     if logs.duplicates:
         advice = f"leave out {join_names(logs.duplicates)}"
-        notices.append(
-            Notice("duplicate_data", "warning", None, "data that are given twice make intervals too short", advice)
-        )
+        notices.append(Notice("duplicate_data", "warning", None, "duplicate data make intervals too short", advice))
     if logs.agrees.all():
         return notices
     count = int(np.count_nonzero(~logs.agrees))
@@ -240,7 +238,7 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     if logs.outlier is not None:
         outlier = logs.logs[logs.outlier]
         return [*notices, Notice("logs_disagree", "warning", None, f"{differ}; the odd one out is {outlier}")]
-    message = f"{differ}: intervals from these logs together are too short for them"
+    message = f"{differ}: their intervals from all logs together are too short"
     return [*notices, Notice("logs_disagree", "warning", None, message)]
 
 
@@ -252,8 +250,8 @@ def _mass_notices(parameters: Identifiability | None, experiment: Experiment) ->
     masses = parameters.sources[::PI_SIZE]
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
-        message = f"the torque does not tell the mass of {join_names(unknown)}"
-        yield Notice("mass_undetermined", "warning", None, message, "weigh what moves and give known.total_mass")
+        message = f"the torque does not determine the mass of {join_names(unknown)}"
+        yield Notice("mass_undetermined", "warning", None, message, "weigh the moving part and give known.total_mass")
 
 
 def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]:
@@ -261,7 +259,7 @@ def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]
         return []
     notices = []
     if bias.weak and not is_instrumental:  # instrumental variables have said so before
-        message = f"instruments are weak, so that least squares is not checked for bias: {join_names(bias.weak)}"
+        message = f"instruments are weak, so least squares was not checked for bias: {join_names(bias.weak)}"
         notices.append(Notice("weak_instruments", "note", None, message))
     if not bias.differs.any():
         return notices
@@ -278,5 +276,5 @@ def _prediction_notices(torque_errors: Prediction, joints: Sequence[str]) -> lis
     unknown = [name for name, share in shares if share > _UNKNOWN_SHARE]
     if not unknown:
         return []
-    what = "moves as the fitted logs did not, in directions that their data do not determine"
+    what = "differs from the fitted logs, in directions that their data do not determine"
     return [Notice("new_motion_held_out", "warning", None, f"held-out motion of {join_names(unknown)} {what}")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from idtool.diagnosis.records import Residual
+from idtool.diagnosis.records import ResidualProfile
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.figures import by_unit
@@ -20,7 +20,7 @@ from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, wi
 from idtool.reporting.results.fit import FitReport
 from idtool.reporting.sections.fit import BodiesSection, FrictionSection, TorqueErrorsSection
 
-Maps = tuple[Mapping[str, Residual], Mapping[str, Residual]]
+Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]
 
 _RESIDUALS = ("Where the torque error lives", "residuals.html")
 _NAMES, _MODELS = ("prior", "identified"), "the URDF given and of the identified model"

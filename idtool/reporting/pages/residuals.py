@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.records import Residual
+from idtool.diagnosis.records import ResidualProfile
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
 from idtool.reporting.pages.charts import significant
 from idtool.reporting.results.diagnosis import DiagnosisReport, ErrorLevel
@@ -70,8 +70,8 @@ def _held_out(level: ErrorLevel) -> Mapping[str, float | None]:
 
 
 def residual_views(
-    before: Mapping[str, Residual],
-    after: Mapping[str, Residual],
+    before: Mapping[str, ResidualProfile],
+    after: Mapping[str, ResidualProfile],
     units: Mapping[str, str],
     names: tuple[str, str],
     of: str,
@@ -101,7 +101,7 @@ def residual_views(
     return {"names": dict(zip(("before", "after"), names, strict=True)), "of": of, "joints": views}
 
 
-def _views(before: Residual, after: Residual, tau: str, points: int) -> list[dict[str, Any]]:
+def _views(before: ResidualProfile, after: ResidualProfile, tau: str, points: int) -> list[dict[str, Any]]:
     models = {"before": before, "after": after}
     q = position_units({"": tau})[""]
     binned: list[dict[str, Any]] = [
@@ -126,7 +126,7 @@ def _views(before: Residual, after: Residual, tau: str, points: int) -> list[dic
     return [{"after": {"at": [], "rms": []}, **view} for view in views]
 
 
-def _binned(residual: Residual, name: str, points: int) -> dict[str, list[float | None]]:
+def _binned(residual: ResidualProfile, name: str, points: int) -> dict[str, list[float | None]]:
     kept = _largest(residual.rms[name], points)
     columns = {"at": residual.against[name], "mean": residual.mean[name], "rms": residual.rms[name]}
     return {key: significant(values[kept].tolist()) for key, values in columns.items()}

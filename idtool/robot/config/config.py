@@ -23,7 +23,7 @@ from idtool.robot.config.terms import EffectEntry, Friction, friction_tag
 def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"{name} stands there twice; name each joint once")
+            raise ValueError(f"{name} is listed twice; list each joint once")
     return names
 
 

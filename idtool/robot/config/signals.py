@@ -13,7 +13,7 @@ from idtool.robot.config.terms import UncertainValue
 
 def _nonzero(factor: float) -> float:
     if factor == 0:
-        raise ValueError("a signal times 0 is lost; to leave a joint out, leave it out of joints")
+        raise ValueError("a scale of 0 removes the signal; to leave out a joint, remove it from joints")
     return factor
 
 
@@ -50,7 +50,7 @@ def _delay(data: Any) -> str | float | UncertainValue:
     if data == "auto":
         return "auto"
     if isinstance(data, str):
-        raise ValueError(f"{data} is no delay; give auto, or a number in s")
+        raise ValueError(f"{data} is not a delay; give auto, or a number in s")
     delay = data if isinstance(data, UncertainValue) else UncertainValue.model_validate(data)
     if delay.value < 0:
         raise ValueError(f"a delay of {delay.value:g} s is none; give 0 or more, or auto")

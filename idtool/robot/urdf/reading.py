@@ -156,7 +156,7 @@ def parse_robot(path: Path, data: bytes) -> Robot:
         If it is not a URDF, or its links and joints make no tree.
     """
     if len(data) > _MAX_BYTES:
-        raise ModelError(path, f"is larger than {_MAX_BYTES >> 20} MiB, which no URDF is")
+        raise ModelError(path, f"is larger than {_MAX_BYTES >> 20} MiB, too large for a URDF")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise ModelError(path, "is in UTF-16; save it as UTF-8")
     try:
@@ -234,7 +234,7 @@ def _check_required(path: Path, element: etree._Element) -> None:
     if not element.get("name"):
         raise ModelError(where, "has no name; give it one")
     if not element.get("name", "").isprintable():
-        raise ModelError(where, "has a name in characters that cannot be printed; give it another")
+        raise ModelError(where, "has a name with unprintable characters; rename it")
     if element.tag == "joint":
         for tag in ("parent", "child"):
             end = element.find(tag)
@@ -257,7 +257,7 @@ def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
     R = origin[:3, :3]
     pi = from_mass_com_inertia(mass, origin[:3, 3], R @ inertia @ R.T)
     if pi.shape != (PI_SIZE,) or not (np.abs(pi) < _MAX_VALUE).all():
-        raise ModelError(path, f"link {link.name}: its inertial holds a value that is not a finite number")
+        raise ModelError(path, f"link {link.name}: its inertial has a value that is not a finite number")
     return pi
 
 
@@ -282,7 +282,7 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
         mimic = Mimic(joint.mimic.joint, float(joint.mimic.multiplier), float(joint.mimic.offset))
     values = [damping, friction, *((mimic.multiplier, mimic.offset) if mimic else ())]
     if not (np.abs(values) < _MAX_VALUE).all():
-        raise ModelError(where, "its dynamics or mimic holds a value that is not a finite number")
+        raise ModelError(where, "its dynamics or mimic has a value that is not a finite number")
 
     limit = joint.limit
     has_position_limits = limit and joint.type != "continuous"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from spatial_arm import RATE, experiment, in_band, written
 
-from idtool.diagnosis.floor import Floor, noise_floor
+from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,11 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.mean(np.square(in_band(x[:, None])[RATE // 2 : -RATE // 2]))))
 
 
-def floor_of(folder: Path, log: Log, extra: Array, **config: Any) -> Floor:
+def floor_of(folder: Path, log: Log, extra: Array, **config: Any) -> NoiseFloor:
     """That of the true model under further torque."""
     paths = written(folder, with_torque(log, 0, extra), HINGE, text=PENDULUM)
     tried = experiment(*paths, fitted=True, **config)
-    return noise_floor(tried, tried.equation.prior, silent)
+    return estimate_noise_floor(tried, tried.equation.prior, silent)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_noise_is_found_to_its_size(tmp_path: Path, log: Log, white: float, quic
     assert found.rms[0] == pytest.approx(rms(own), rel=0.1)
     assert found.noise[0] == pytest.approx(rms(own), rel=0.1)
     assert found.residual[0] == pytest.approx(rms(own), rel=0.05)
-    assert found.slow[0] < 1.6
+    assert found.slow_power_ratio[0] < 1.6
 
 
 @pytest.mark.parametrize(("white", "quick"), [(0.1, 0.0), (0.0, 3.0), (0.07, 2.0)])
@@ -79,7 +79,7 @@ def test_what_a_model_lacks_is_no_noise(tmp_path: Path, log: Log, white: float, 
     assert found.rms[0] == pytest.approx(rms(own), rel=0.15)
     assert found.residual[0] == pytest.approx(rms(own + structure(log)), rel=0.02)
     assert found.residual[0] > 10 * found.noise[0]
-    assert found.slow[0] > 100
+    assert found.slow_power_ratio[0] > 100
 
 
 def test_a_line_is_no_noise(tmp_path: Path, log: Log) -> None:
@@ -113,4 +113,4 @@ def test_a_short_log_has_its_residual_for_a_floor(tmp_path: Path, log: Log) -> N
     found = floor_of(tmp_path, short, structure(short))
     np.testing.assert_array_equal(found.rms, found.residual)
     np.testing.assert_array_equal(found.noise, found.residual)
-    np.testing.assert_array_equal(found.slow, 1)
+    np.testing.assert_array_equal(found.slow_power_ratio, 1)

@@ -1,0 +1,375 @@
+"""Search for missing effects, in rounds: the best effect is added, all are refitted, and superseded ones are removed.
+
+Torque that is held over a sample is recorded half a sample early, and every log has a delay of about that size. So a
+delay of all joints within a sample is fitted along, without a name: otherwise it looks like joint elasticity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.common.exceptions import ConfigError
+from idtool.diagnosis.bursts import find_bursts
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.model_selection import (
+    MIN_SHARE,
+    FittedCandidate,
+    ProbeKey,
+    SelectionStep,
+    block_gains,
+    fitted_record,
+    is_reportable,
+    is_worthwhile,
+    probe_key,
+)
+from idtool.diagnosis.records import Candidate
+from idtool.diagnosis.selection_round import (
+    MIN_PARAMETER_SIGNIFICANCE,
+    Bursts,
+    find_best_effect,
+    fit_assumed_effect,
+    not_fitted_reason,
+)
+from idtool.diagnosis.trial import FAILURES, ParameterKey, fit_trial, with_effects
+from idtool.diagnosis.words import removal_sentence
+from idtool.dynamics.effects import effect_types
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.robot.config import EffectEntry
+
+REVERSAL_MARGIN = 0.04  # s from reversals
+_MORE_INFORMATION = 4.0  # times, that a joint's rows away from reversals must have: half the standard errors
+_LESS_INFORMATION = 0.5  # times, that every joint's rows must keep
+_REVERSAL_SHARE = 0.5  # of the squared residual, that an effect which acts at reversals must explain with those rows
+_MAX_STEPS = 3  # of all nonlinear parameters after an effect was added
+
+
+@dataclass
+class AddedEffect:
+    """An effect in the model, with the evidence for it.
+
+    Attributes
+    ----------
+    entry
+        Its configuration entry.
+    selection
+        The round that chose it.
+    chosen
+        Its record.
+    errors
+        Standard errors of its nonlinear parameters, by name.
+    """
+
+    entry: EffectEntry
+    selection: SelectionStep
+    chosen: Candidate
+    errors: dict[str, float] = field(default_factory=dict)
+
+
+class EffectSearch:
+    """Adds effects, and removes those that later ones have superseded.
+
+    Attributes
+    ----------
+    current
+        The model so far.
+    initial
+        The model before any effect was added.
+    added
+        The effects found, in their order.
+    removed
+        Effects that were removed again, a plain sentence each.
+    last_round
+        The round that found nothing more.
+    reversal_joints
+        Joints whose friction differs around reversals, which were excluded in the end.
+    failed
+        Reason why the model could not be fitted with an effect, by effect and target.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    effects
+        Ids of the effects to try; None: all.
+    max_effects
+        Number of effects that are added at most.
+    progress
+        Told the stage and how far it has come.
+    """
+
+    def __init__(
+        self, experiment: Experiment, effects: Sequence[str] | None, max_effects: int, progress: Progress
+    ) -> None:
+        self._effects = effects
+        self._max_effects = max_effects
+        self.progress = progress
+        self.added: list[AddedEffect] = []
+        self.removed: list[str] = []
+        self.last_round: SelectionStep | None = None
+        self.reversal_joints: tuple[str, ...] = ()
+        self.failed: dict[tuple[str, str], str] = {}
+        self._skipped: set[ProbeKey] = set()
+        self._configured = experiment.config.effects
+        self._dt = max(run.signals.log.dt for run in experiment.runs)
+        self._background: tuple[EffectEntry, ...] = ()
+        self.current = linearize_fit(experiment, progress)
+        self._try_refit([])
+        self.initial = self.current
+
+    @property
+    def reported(self) -> list[AddedEffect]:
+        """The effects found that a diagnosis names, in their order."""
+        return [effect for effect in self.added if is_reportable(effect.entry.effect)]
+
+    def assume(self, effect: str, target: str | None) -> None:
+        """Add an effect however little it explains.
+
+        Raises
+        ------
+        ConfigError
+            If the model cannot have it.
+        """
+        selection = fit_assumed_effect(self.current, self.progress, effect, target, self._bursts())
+        if selection.winner is None or self._add(selection, selection.winner):
+            what = f"{effect}:{target or 'any joint'} cannot be added"
+            raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
+
+    def run(self) -> None:
+        """Add effects until none is worthwhile; away from reversals, if the residual is much smaller there.
+
+        Around a reversal no robot's friction follows a law with a sign, nor does a simulator's that rounds it. The
+        residual of that must not hide smaller effects, nor count as unknown. An effect that acts at reversals, such as
+        Stribeck friction, is named only if it explains most of the residual there.
+        """
+        if self._joints_clearer_away_from_reversals():
+            self._set_reversal_margin(REVERSAL_MARGIN)
+            self._add_effects()
+            self._set_reversal_margin(0.0)
+            self._add_effects(_REVERSAL_SHARE)
+        else:
+            self._add_effects()
+        self.reversal_joints = self._joints_clearer_away_from_reversals()
+        if self.reversal_joints:
+            self._set_reversal_margin(REVERSAL_MARGIN)
+            self._add_effects()
+        self._drop_undetermined_parameters()
+
+    def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
+        """Remove an effect with which the whole model cannot be fitted."""
+        self.added = [other for other in self.added if other is not effect]
+        self.failed[effect.chosen.effect, effect.chosen.target] = not_fitted_reason(failure)
+        self._try_refit([other.entry for other in self.added])
+
+    def entries(self, count: int) -> list[EffectEntry]:
+        """The configuration's effects and the first ones found, nonlinear parameters with their errors."""
+        return [*self._configured, *(_with_errors(effect) for effect in self.reported[:count])]
+
+    def final_experiment(self) -> Experiment:
+        """The experiment with all effects found."""
+        entries = self.entries(len(self.reported))
+        return with_effects(self.current.experiment, entries, self.current.estimate.theta)
+
+    @property
+    def _given(self) -> tuple[EffectEntry, ...]:
+        """Effects that were not found: the configuration's and the background's."""
+        return (*self._configured, *self._background)
+
+    def _set_reversal_margin(self, margin: float) -> None:
+        """Use the rows at least so far from reversals [s]."""
+        self.current = linearize_fit(self.current.experiment, self.progress, reversal_margin=margin)
+        self._try_refit([effect.entry for effect in self.added])
+
+    def _joints_clearer_away_from_reversals(self) -> tuple[str, ...]:
+        """Joints whose rows away from reversals have far more information; none if another joint's have far less."""
+        try:
+            away = linearize_fit(self.current.experiment, self.progress, reversal_margin=REVERSAL_MARGIN)
+        except FAILURES:
+            return ()
+        information = _information(self.current)
+        information_away = _information(away)
+        if (information_away < _LESS_INFORMATION * information).any():
+            return ()
+        is_clearer = information_away > _MORE_INFORMATION * information
+        joints = away.experiment.equation.joints
+        return tuple(name for name, clearer in zip(joints, is_clearer, strict=True) if clearer)
+
+    def _add_effects(self, min_share: float = MIN_SHARE) -> None:
+        """Rounds of the search, until nothing more is found or the same effects come up again."""
+        earlier: set[frozenset[tuple[str, str | None]]] = set()
+        while len(self.reported) < self._max_effects:
+            effects = self._effects if min_share == MIN_SHARE else self._reversal_effects()
+            selection = find_best_effect(
+                self.current, self.initial, self.progress, effects, self._bursts(), min_share, self._skipped
+            )
+            self.last_round = selection
+            for candidate in selection.failed:
+                self.failed[candidate.effect, candidate.target] = candidate.reason
+            if selection.winner is None:
+                break
+            if failure := self._add(selection, selection.winner):
+                self._skip(selection.winner, failure)
+                continue
+            self._prune()
+            state = frozenset((effect.chosen.effect, effect.chosen.target) for effect in self.added)
+            if state in earlier:
+                break
+            earlier.add(state)
+
+    def _reversal_effects(self) -> tuple[str, ...]:
+        """Ids of the effects to try that act at reversals."""
+        ids = []
+        for id, kind in effect_types().items():
+            if (kind.is_friction or kind.acts_at_reversals) and (self._effects is None or id in self._effects):
+                ids.append(id)
+        return tuple(ids)
+
+    def _bursts(self) -> Bursts:
+        """Time intervals with an unusually large residual; none once an effect explains them."""
+        if any(effect_types()[effect.chosen.effect].acts_in_bursts for effect in self.added):
+            return ()
+        return find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
+
+    def _add(self, selection: SelectionStep, winner: FittedCandidate) -> Exception | None:
+        """Add an effect; the failure, if the model cannot be fitted with it."""
+        self.added.append(AddedEffect(winner.trial.entries[-1], selection, fitted_record(winner, self.current)))
+        failure = self._try_refit([effect.entry for effect in self.added])
+        if failure:
+            self.added.pop()
+        return failure
+
+    def _skip(self, candidate: FittedCandidate, failure: Exception) -> None:
+        """Do not try a candidate again."""
+        self._skipped.add(probe_key(candidate.probe))
+        record = fitted_record(candidate, self.current)
+        self.failed[record.effect, record.target] = not_fitted_reason(failure)
+
+    def _try_refit(self, entries: Sequence[EffectEntry]) -> Exception | None:
+        """Refit; if that fails, restore everything and return the failure."""
+        current = self.current
+        background = self._background
+        try:
+            self._refit(entries)
+        except FAILURES as failure:
+            self.current = current
+            self._background = background
+            return failure
+        return None
+
+    def _refit(self, entries: Sequence[EffectEntry]) -> None:
+        """Refit all effects, their nonlinear parameters together, with new weights of the joints."""
+        background = _missing_background([*self._configured, *entries])
+        errors: Mapping[ParameterKey, float] = {}
+        for trial_background in (self._background or background, ()) if background else ((),):
+            errors = self._fit_with([*trial_background, *entries])
+            first = len(self._configured)
+            self._background = self.current.experiment.config.effects[first : first + len(trial_background)]
+            if all(effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background):
+                break
+            # more of it than any log has: it is left for the search to find
+        first = len(self._given)
+        fitted_entries = self.current.experiment.config.effects[first:]
+        for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True)):
+            effect.entry = entry
+            effect.errors = {name: error for (k, name), error in errors.items() if k == first + i}
+
+    def _fit_with(self, entries: Sequence[EffectEntry]) -> Mapping[ParameterKey, float]:
+        """Fit with effects besides those of the configuration; standard errors of their nonlinear parameters."""
+        experiment = with_effects(self.current.experiment, [*self._configured, *entries], self.current.theta)
+        margin = self.current.reversal_margin
+        self.current = linearize_fit(experiment, self.progress, reversal_margin=margin)
+        if not entries:
+            return {}
+        first = len(self._configured)
+        moving = range(first, first + len(entries))
+        trial = fit_trial(self.current, experiment.config.effects, moving, self.progress, _MAX_STEPS)
+        self.current = trial.linearized
+        return trial.errors
+
+    def _prune(self) -> None:
+        """Remove effects, but for the newest, that are no longer worthwhile."""
+        i = 0
+        while len(self.added) > 1 and i < len(self.added) - 1:
+            others = [effect.entry for k, effect in enumerate(self.added) if k != i]
+            if self._is_needed(self.added[i], [*self._given, *others]):
+                i += 1
+                continue
+            removed = self.added.pop(i)
+            if self._try_refit(others):  # the rest cannot be fitted without it
+                self.added.insert(i, removed)
+                i += 1
+                continue
+            if is_reportable(removed.chosen.effect):
+                self.removed.append(removal_sentence(removed.chosen, self.added[-1].chosen))
+
+    def _is_needed(self, effect: AddedEffect, others: Sequence[EffectEntry]) -> bool:
+        """True if an effect is still worthwhile beside the others, on the rows at which theirs are defined."""
+        current = self.current
+        margin = effect.selection.base.reversal_margin
+        try:
+            if current.reversal_margin != margin:
+                current = linearize_fit(current.experiment, self.progress, reversal_margin=margin)
+            reduced = with_effects(current.experiment, others, self.current.theta)
+            without = linearize_fit(reduced, self.progress, current, own_rows=True)
+            with_effect = linearize_fit(current.experiment, self.progress, without)
+        except FAILURES:  # no evidence against it
+            return True
+        gain = float(block_gains(without, with_effect).sum())
+        on_joint = effect.chosen.joint is not None
+        return is_worthwhile(gain, without, effect.selection.inflation, on_joint, effect.chosen.parameters)
+
+    def _drop_undetermined_parameters(self) -> None:
+        """Leave out optional parameters that the data do not determine."""
+        entries = [_without_undetermined(effect) for effect in self.added]
+        if any(entry is not effect.entry for entry, effect in zip(entries, self.added, strict=True)):
+            self._try_refit(entries)
+
+
+def _information(fit: LinearizedFit) -> Array:
+    """Information of the rows on an offset of each joint's torque, shape (nv,)."""
+    return np.asarray(fit.row_counts.sum(axis=0) / np.square(fit.noise))
+
+
+def _missing_background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ...]:
+    """Effects of which every log has a little, but for those among the entries."""
+    present = {(entry.effect, entry.joint, entry.link) for entry in entries}
+    missing = []
+    for kind in effect_types().values():
+        entry = kind.background_entry()
+        if entry is not None and (entry.effect, entry.joint, entry.link) not in present:
+            missing.append(entry)
+    return tuple(missing)
+
+
+def _without_undetermined(effect: AddedEffect) -> EffectEntry:
+    """Entry of an effect without the optional parameters that do not differ from 0 within their errors."""
+    undetermined = set()
+    for parameter in effect_types()[effect.entry.effect].nonlinear_parameters:
+        name = parameter.name
+        if parameter.optional_maximum is not None and name in effect.entry.parameters:
+            least = MIN_PARAMETER_SIGNIFICANCE * effect.errors.get(name, 0.0)
+            if not float(effect.entry.parameters[name]) > least:
+                undetermined.add(name)
+    if not undetermined:
+        return effect.entry
+    kept = {name: value for name, value in effect.entry.parameters.items() if name not in undetermined}
+    return effect.entry.model_copy(update={"parameters": kept})
+
+
+def _with_errors(effect: AddedEffect) -> EffectEntry:
+    """Entry of an effect, its nonlinear parameters with their standard errors."""
+    given = {name: _with_error(effect, name, value) for name, value in effect.entry.parameters.items()}
+    return effect.entry.model_copy(update={"parameters": given})
+
+
+def _with_error(effect: AddedEffect, name: str, value: Any) -> Any:
+    """A nonlinear parameter, or a list of them, with standard errors if they are known."""
+    if isinstance(value, list):
+        return [_with_error(effect, f"{name}.{k}", x) for k, x in enumerate(value)]
+    error = effect.errors.get(name, 0.0)
+    is_known = isinstance(value, float) and np.isfinite(error) and error > 0
+    return {"value": value, "standard_error": error} if is_known else value

@@ -1,0 +1,83 @@
+"""Generic probes: functions of state, and lines in time, of any form.
+
+They show structure in a residual that no effect of the library explains. Each is a `Probe` as any effect is, evaluated
+by what it explains on blocks of time that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.data.signals import Motion
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.probe import Probe
+
+UNKNOWN = "unknown"
+_BUMPS = 14  # over a range, of a function of one variable
+_WAVES = 40  # random ones, of a function of several variables (Rahimi & Recht 2007)
+_LINES = 160  # frequencies in time
+_LOWEST_HZ = 0.5
+_HIGHEST = 0.9  # of the band
+_SLOW = 0.15  # of the rms speed, at which a function of speed changes fastest
+_SEED = 0
+
+
+def generic_probes(summary: DataSummary) -> Iterator[Probe]:
+    """Functions of a joint's position, of its speed, of both, of all joints' state, and lines in time."""
+    names = summary.model.names
+    frequencies = np.geomspace(_LOWEST_HZ, _HIGHEST * summary.band_hz, _LINES)
+    for j, name in enumerate(names):
+        yield _probe(name, j, _BUMPS, partial(_position_columns, summary, j), {"of": 0.0})
+        yield _probe(name, j, _BUMPS, partial(_speed_columns, summary, j), {"of": 1.0})
+        yield _probe(name, j, _WAVES, partial(_state_columns, summary, [j]), {"of": 2.0})
+        if len(names) > 1:
+            yield _probe(name, j, _WAVES, partial(_state_columns, summary, list(range(len(names)))), {"of": 3.0})
+        for hertz in map(float, frequencies):
+            yield _probe(name, j, 2, partial(_line_columns, hertz), {"of": 4.0, "hertz": hertz})
+
+
+def _probe(
+    name: str, joint: int, count: int, joint_columns: Callable[[Motion], Array], values: Mapping[str, float]
+) -> Probe:
+    def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
+        return {joint: joint_columns(motion)}
+
+    return Probe(UNKNOWN, name, None, columns, count, lambda c, information: None, values)
+
+
+def _bumps(x: Array) -> Array:
+    """Overlapping bumps over [0, 1], shape (k, N)."""
+    centers = np.linspace(0, 1, _BUMPS)[:, None]
+    return np.asarray(np.exp(-0.5 * np.square((x - centers) * _BUMPS)))
+
+
+def _position_columns(summary: DataSummary, joint: int, motion: Motion) -> Array:
+    return _bumps((motion.q[joint] - summary.q_min[joint]) / max(summary.q_range[joint], 1e-9))
+
+
+def _speed_columns(summary: DataSummary, joint: int, motion: Motion) -> Array:
+    scaled = np.arcsinh(motion.v[joint] / (_SLOW * max(summary.rms_velocity[joint], 1e-9)))
+    highest = np.arcsinh(3 / _SLOW)
+    return _bumps((scaled + highest) / (2 * highest))
+
+
+def _state_columns(summary: DataSummary, joints: Sequence[int], motion: Motion) -> Array:
+    """Waves in random directions over position and speed of joints, shape (k, N)."""
+    rng = np.random.default_rng(_SEED)
+    own = list(joints)
+    position = (motion.q[own] - summary.q_min[own, None]) / np.maximum(summary.q_range[own, None], 1e-9) * 3
+    speed = motion.v[own] / np.maximum(summary.rms_velocity[own, None], 1e-9)
+    state = np.concatenate([position, speed])
+    directions = rng.normal(size=(_WAVES, len(state))) / np.sqrt(len(own))
+    phases = rng.uniform(0, 2 * np.pi, (_WAVES, 1))
+    return np.asarray(np.cos(directions @ state + phases))
+
+
+def _line_columns(hertz: float, motion: Motion) -> Array:
+    angle = 2 * np.pi * hertz * motion.t
+    return np.stack([np.sin(angle), np.cos(angle)])

@@ -1,0 +1,150 @@
+"""Noise floor: the residual that no model could go below, from the residual's own spectrum.
+
+Noise of torque sensors is white; that of encoders grows with the fourth power of the frequency once it has become an
+acceleration. What a model lacks follows the motion, whose power is at low frequencies, or occurs in bursts. So the
+power density above the motion's frequencies, in the quieter moments, is fitted with N0 + N4 f^4, which is taken as the
+noise down to 0 Hz. While a joint rests, friction can be anything up to its level, so no model can explain the residual
+there either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import periodogram
+
+from idtool.common.arrays import Array, Mask
+from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+
+_NOISE_BAND = (0.3, 0.95)  # of the band, in which the residual's spectrum is taken as noise
+_ITERATIONS = 4
+_LINE = 4.0  # times the noise: a line of the spectrum, not noise
+_WINDOW = 64  # samples of a periodogram, at the decimated rate
+_QUIET = 0.25  # quantile of the periodograms
+_QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile of noise, over its mean
+_MIN_WINDOWS = 12
+_MIN_MOVING = 0.7  # share of a window in which the joint moves
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Noise in the residual, by joint.
+
+    Attributes
+    ----------
+    rms
+        Residual that noise and rest leave in the band, shape (nv,) [N·m or N].
+    noise, residual
+        Noise, and residual of the model, while the joint moves, shape (nv,) [N·m or N].
+    slow_power_ratio
+        Power of the residual at the motion's frequencies over that of the noise there, shape (nv,).
+    """
+
+    rms: Array
+    noise: Array
+    residual: Array
+    slow_power_ratio: Array
+
+    def without_structure(self, shares: Array) -> NoiseFloor:
+        """Floor if shares of the residual's power, shape (nv,), are known to be structure."""
+        noise_share = np.clip(1 - shares, 0.0, 1.0)
+        noise = np.minimum(self.noise, self.residual * np.sqrt(noise_share))
+        power = np.square(self.rms) - np.square(self.noise) + np.square(noise)
+        return replace(self, noise=noise, rms=np.sqrt(np.maximum(power, 0.0)))
+
+
+def estimate_noise_floor(
+    experiment: Experiment, theta: Array, progress: Progress, reversal_margin: float = 0.0
+) -> NoiseFloor:
+    """Noise floor from the residual of a model, on the held-out data if there are any, else on the training data.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    theta
+        Its coefficients, shape (p,).
+    progress
+        Told how far it has come.
+    reversal_margin
+        Least distance in time from reversals at which a joint counts as moving [s].
+    """
+    held_out = any(run.held_out for run in experiment.runs)
+    low_pass = experiment.runs[0].signals.low_pass
+    dt = experiment.runs[0].signals.log.dt
+    joint_count = len(experiment.equation.joints)
+    moving_squares = np.zeros(joint_count)
+    resting_squares = np.zeros(joint_count)
+    moving_count = np.zeros(joint_count)
+    resting_count = np.zeros(joint_count)
+    periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
+    for run in experiment.runs:
+        parts = run.held_out if held_out else run.train
+        for batch in tracked(run.signals.batches(parts), parts, progress, "looking for the noise floor"):
+            e = batch.filter(LinearizedModel(experiment.equation, theta, batch.motion).residual)
+            moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
+            moving_squares += (np.square(e) * moving).sum(axis=1)
+            resting_squares += (np.square(e) * ~moving).sum(axis=1)
+            moving_count += moving.sum(axis=1)
+            resting_count += (~moving).sum(axis=1)
+            for j in range(joint_count):
+                periodograms[j] += _periodograms(e[j], moving[j], dt * low_pass.stride)
+
+    residual = np.sqrt(moving_squares / np.maximum(moving_count, 1))
+    f = np.fft.rfftfreq(_WINDOW, dt * low_pass.stride).astype(np.float64)
+    passed_power = _passed_power(low_pass.kernel, f, dt)
+    noise = residual.copy()
+    slow_power_ratio = np.ones(joint_count)
+    for j, powers in enumerate(periodograms):
+        if len(powers) >= _MIN_WINDOWS:
+            rms, slow_power_ratio[j] = _noise_of(f, np.array(powers), passed_power, experiment.band_hz)
+            noise[j] = min(rms, residual[j])
+    squares = np.square(noise) * moving_count + resting_squares
+    total = squares / np.maximum(moving_count + resting_count, 1)
+    return NoiseFloor(np.sqrt(total), noise, residual, slow_power_ratio)
+
+
+def _periodograms(e: Array, moving: Mask, dt: float) -> list[Array]:
+    """Periodograms of windows in which the joint moves most of the time, interpolated where it does not."""
+    if not moving.any():
+        return []
+    samples = np.arange(len(e))
+    interpolated = np.interp(samples, samples[moving], e[moving])
+    windows = []
+    for start in range(0, len(e) - _WINDOW + 1, _WINDOW // 2):
+        share = moving[start : start + _WINDOW].mean()
+        if share > _MIN_MOVING:
+            windows.append(interpolated[start : start + _WINDOW] / np.sqrt(share))
+    if not windows:
+        return []
+    return list(periodogram(np.array(windows), 1 / dt, window="hann", detrend=False)[1])
+
+
+def _noise_of(f: Array, powers: Array, passed_power: Array, band: float) -> tuple[float, float]:
+    """Rms of the noise in the band, and the ratio of the residual's slow power to that of the noise."""
+    quiet = np.quantile(powers, _QUIET, axis=0) / _QUIET_OF_MEAN
+    noise = _noise_density(f, quiet / np.maximum(passed_power, 1e-300), band) * passed_power
+    slow = f < _NOISE_BAND[0] * band
+    rms = float(np.sqrt(noise.sum() * (f[1] - f[0])))
+    return rms, float(powers.mean(axis=0)[slow].sum() / noise[slow].sum())
+
+
+def _passed_power(kernel: Array, f: Array, dt: float) -> Array:
+    """Share of the power at each frequency that the filter lets pass."""
+    lag = np.arange(len(kernel)) - len(kernel) // 2
+    return np.square(np.cos(2 * np.pi * np.outer(f, lag) * dt) @ kernel)
+
+
+def _noise_density(f: Array, density: Array, band: float) -> Array:
+    """N0 + N4 f^4 at all frequencies, fitted to the density above the motion's, without its lines."""
+    use = (f > _NOISE_BAND[0] * band) & (f < _NOISE_BAND[1] * band)
+    columns = np.column_stack([np.ones_like(f), (f / band) ** 4])
+    noise = np.full_like(f, np.median(density[use]))
+    for _ in range(_ITERATIONS):
+        own = use & (density < _LINE * noise)
+        c, _ = nnls(columns[own] / noise[own, None], density[own] / noise[own])
+        noise = np.maximum(columns @ c, 1e-3 * noise)
+    return np.asarray(noise)

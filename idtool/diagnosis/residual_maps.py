@@ -1,0 +1,83 @@
+"""`residual_maps`: residual torque of each joint by state, time and frequency, for drawing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.diagnosis.records import ResidualProfile
+from idtool.diagnosis.residual_series import ResidualSeries, residual_series
+from idtool.diagnosis.spectra import angle_spectrum, power_density
+from idtool.estimation.dataset.experiment import Experiment, Progress
+
+_STATE_BINS = 60
+_TIME_BINS = 120
+_MIN_SAMPLES = 3  # in a bin that is drawn
+_LOW_SPEED = 0.1  # quantile of the speed, below which bins of velocity have one width
+
+
+def residual_maps(experiment: Experiment, theta: Array, progress: Progress) -> dict[str, ResidualProfile]:
+    """Residual torque by joint, in the band, on training and held-out parts together.
+
+    Several logs follow each other in time. Samples at which the sign of a joint's friction is not known are left out.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    theta
+        Coefficients, shape (p,).
+    progress
+        Told how far it has come.
+    """
+    series = residual_series(experiment, [(experiment.equation, theta)], progress, "mapping what is left")
+    joints = experiment.equation.joints
+    return {name: _profile(series, j, experiment.band_hz) for j, name in enumerate(joints)}
+
+
+def _profile(series: ResidualSeries, j: int, band: float) -> ResidualProfile:
+    valid = series.valid[j]
+    residual = series.residuals[0, j]
+    q = series.q[j, valid]
+    v = series.v[j, valid]
+    a = series.a[j, valid]
+    tau = series.tau[j, valid]
+    variables = {
+        "position": (q, _uniform_edges(q, _STATE_BINS)),
+        "velocity": (v, _velocity_edges(v)),
+        "acceleration": (a, _uniform_edges(a, _STATE_BINS)),
+        "torque": (tau, _uniform_edges(tau, _STATE_BINS)),
+        "time": (series.t[valid], _uniform_edges(series.t, _TIME_BINS)),
+    }
+    centers, mean, rms = {}, {}, {}
+    for name, (values, edges) in variables.items():
+        centers[name], mean[name], rms[name] = _binned(values, edges, residual[valid])
+    frequency, density = power_density(residual, valid, series.dt, series.segments, band)
+    angle, amplitude = angle_spectrum(residual[valid], q, v, band)
+    return ResidualProfile(centers, mean, rms, frequency, np.sqrt(density), angle, amplitude)
+
+
+def _uniform_edges(x: Array, count: int) -> Array:
+    """Edges of bins of one width."""
+    return np.linspace(float(x.min()), float(x.max()), count + 1) if len(x) else np.zeros(2)
+
+
+def _velocity_edges(v: Array) -> Array:
+    """Edges of bins of velocity, whose width grows with the speed; zero is an edge."""
+    speed = np.abs(v)
+    top = float(speed.max(initial=0.0))
+    low_speed = float(np.quantile(speed, _LOW_SPEED)) if len(v) else 0.0
+    scale = max(low_speed, 1e-3 * top, np.finfo(float).tiny)
+    return np.asarray(scale * np.sinh(np.linspace(-1, 1, _STATE_BINS + 1) * np.arcsinh(top / scale)))
+
+
+def _binned(values: Array, edges: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Centres of bins, and mean and rms of x in each that has enough samples."""
+    bins = len(edges) - 1
+    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
+    count = np.bincount(index, minlength=bins)
+    filled = count >= _MIN_SAMPLES
+    mean = np.bincount(index, x, bins)[filled] / count[filled]
+    mean_square = np.bincount(index, np.square(x), bins)[filled] / count[filled]
+    centers = (edges[1:] + edges[:-1]) / 2
+    return centers[filled], mean, np.sqrt(mean_square)

@@ -1,0 +1,285 @@
+"""One round of the search: all candidates are screened to first order, and the best are fitted with the whole model.
+
+`model_selection` chooses among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from idtool.common.exceptions import ConfigError
+from idtool.diagnosis.linearized_fit import LinearizedFit, validation_mse
+from idtool.diagnosis.model_selection import (
+    MIN_SHARE,
+    MIN_SIGNIFICANCE,
+    FittedCandidate,
+    ProbeKey,
+    SelectionStep,
+    best_by_key,
+    block_gains,
+    is_reportable,
+    probe_key,
+    screened_record,
+    select_best,
+)
+from idtool.diagnosis.records import Candidate
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.summarize_data import summarize_data
+from idtool.diagnosis.trial import (
+    FAILURES,
+    TrialFit,
+    failure_reason,
+    fit_trial,
+    has_fixed_inertia,
+    parameter_value,
+)
+from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.probe import Probe
+from idtool.estimation.dataset.experiment import Progress
+
+Bursts = tuple[tuple[float, float], ...]
+
+_REFINED = 7  # candidates that are tried on a finer grid
+_FINALISTS = 5  # candidates that are fitted with the whole model
+_MIN_FINALIST_GAIN = 0.4  # of the best gain
+_MAX_VALIDATION_RATIO = 1.01  # of the squared residual of held-out data, with an effect over without it
+_MAX_LOSS = 0.2  # of its gains, that an effect may lose in other blocks
+MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
+_MIN_GAIN = 1e-4  # of a joint's first squared residual, to which the effects found so far are known
+_NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
+_RANGE_EDGE = 1.02  # of a range's end, within which a value is at the end
+_FINE_VALUES = 7  # between neighbours of the grid
+
+
+def find_best_effect(
+    base: LinearizedFit,
+    initial: LinearizedFit,
+    progress: Progress,
+    effects: Sequence[str] | None,
+    bursts: Bursts = (),
+    min_share: float = MIN_SHARE,
+    skipped: Container[ProbeKey] = (),
+) -> SelectionStep:
+    """Effect that explains most of a model's residual.
+
+    Parameters
+    ----------
+    base
+        The model.
+    initial
+        The model without any of the effects found.
+    progress
+        Told the stage and how far it has come.
+    effects
+        Ids of the effects to try; None: all.
+    bursts
+        Time intervals in which the residual is unusually large [s].
+    min_share
+        Share of a joint's squared residual that an effect must explain.
+    skipped
+        Keys of candidates that are not tried.
+    """
+    probes = [probe for probe in _candidate_probes(base, effects, bursts) if probe_key(probe) not in skipped]
+    screened = screen_probes(base, probes, progress)
+    inflation = _median_inflation(base, screened)
+    best = best_by_key(_promising(screened))
+    to_refine = _by_gain(best.values())[:_REFINED]
+    refined = screen_probes(base, list(_refined_probes(to_refine, screened)), progress, "looking closer")
+    best = best_by_key([*best.values(), *_promising(refined)])
+
+    fitted: list[FittedCandidate] = []
+    rejected: list[Candidate] = []
+    failed: list[Candidate] = []
+    for candidate in _by_gain(best.values())[:_FINALISTS]:
+        best_gain = max((other.screened.gain for other in fitted), default=0.0)
+        if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_FINALIST_GAIN * best_gain):
+            break
+        try:
+            finalist = _fit_candidate(base, candidate, progress)
+        except FAILURES as failure:
+            failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
+            continue
+        if reason := _objection(finalist, base, initial):
+            rejected.append(screened_record(candidate, base, reason))
+        else:
+            fitted.append(finalist)
+    fitted.sort(key=lambda finalist: -finalist.gain)
+    step = select_best(base, fitted, [*rejected, *failed], screened, inflation, progress, min_share)
+    return replace(step, failed=tuple(candidate for candidate in failed if is_reportable(candidate.effect)))
+
+
+def fit_assumed_effect(
+    base: LinearizedFit, progress: Progress, effect: str, target: str | None, bursts: Bursts = ()
+) -> SelectionStep:
+    """Fit of an effect where it explains most, however little that is.
+
+    Parameters
+    ----------
+    base
+        The model.
+    progress
+        Told the stage and how far it has come.
+    effect
+        Id of the effect.
+    target
+        The joint or link; None: any.
+    bursts
+        Time intervals in which the residual is unusually large [s].
+    """
+    probes = _candidate_probes(base, (effect,), bursts)
+    if target is not None:
+        probes = [probe for probe in probes if probe.subject[1] == target]
+    screened = screen_probes(base, probes, progress)
+    winner = None
+    for candidate in sorted(screened, key=lambda one: (not one.is_possible, -one.gain)):
+        try:
+            winner = _fit_candidate(base, candidate, progress)
+        except FAILURES:
+            continue
+        break
+    return SelectionStep(base, winner, (), (), (), _median_inflation(base, screened))
+
+
+def _candidate_probes(base: LinearizedFit, effects: Sequence[str] | None, bursts: Bursts) -> list[Probe]:
+    """Hypotheses of all effects that may be missing."""
+    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+    kinds = {}
+    for id, kind in effect_types().items():
+        if effects is None or id in effects or not kind.reportable:
+            kinds[id] = kind
+    probes = []
+    for kind in kinds.values():
+        required = [effect for effect in kind.requires if effect in kinds]
+        for probe in kind.probes(summary):
+            if not required or _has_any(summary, required, probe.subject[1]):
+                probes.append(probe)
+    return probes
+
+
+def _has_any(summary: DataSummary, effects: Sequence[str], owner: str) -> bool:
+    """True if a joint or link has one of the effects."""
+    return any(summary.has_effect(effect, owner) for effect in effects)
+
+
+def _median_inflation(base: LinearizedFit, screened: Iterable[ScreenedProbe]) -> float:
+    """Median inflation over all probes, at least that of white noise through the filter."""
+    redundancy = base.experiment.runs[0].signals.low_pass.redundancy
+    inflations = [probe.inflation for probe in screened if np.isfinite(probe.inflation) and probe.inflation > 0]
+    return float(max(np.median(inflations), redundancy)) if inflations else redundancy
+
+
+def _promising(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
+    """Probes that explain something and that physics allows."""
+    return [candidate for candidate in screened if candidate.is_possible and candidate.gain > 0]
+
+
+def _by_gain(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
+    return sorted(screened, key=lambda candidate: -candidate.gain)
+
+
+def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[ScreenedProbe]) -> Iterator[Probe]:
+    """Probes at nonlinear values between the neighbours of the best."""
+    for candidate in candidates:
+        probe = candidate.probe
+        alike = [other.probe for other in screened if probe_key(other.probe) == probe_key(probe)]
+        joint_parameters = effect_types()[probe.effect].joint_parameters()
+        for name, value in probe.nonlinear_values.items():
+            grid = sorted({other.nonlinear_values[name] for other in alike})
+            if name in joint_parameters or len(grid) == 1:
+                continue
+            position = grid.index(value)
+            low = grid[max(position - 1, 0)]
+            high = grid[min(position + 1, len(grid) - 1)]
+            for refined in np.linspace(low, high, _FINE_VALUES + 2)[1:-1]:
+                yield probe.at({**probe.nonlinear_values, name: float(refined)})
+
+
+def _fit_candidate(base: LinearizedFit, candidate: ScreenedProbe, progress: Progress) -> FittedCandidate:
+    """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect."""
+    if candidate.entry is None:
+        raise ConfigError("effects", "its parameters are out of range")
+    entries = (*base.experiment.config.effects, candidate.entry)
+    trial = fit_trial(base, entries, [len(entries) - 1], progress)
+    return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
+
+
+def not_fitted_reason(failure: Exception) -> str:
+    """Reason why a candidate lost that cannot be fitted."""
+    return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
+
+
+def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit) -> str:
+    """Reason why a fitted candidate is no explanation; empty if it may be one."""
+    fit = candidate.trial.linearized
+    if not _is_within_bounds(fit, base):
+        return "reaches its bounds when fitted with the rest of the model"
+    if parameter := _undetermined_parameter(candidate.trial):
+        return f"its {parameter} is not determined by the data"
+    loss = -np.minimum(candidate.gains, 0).sum()
+    if loss > _MAX_LOSS * np.maximum(candidate.gains, 0).sum():
+        return "reduces the error in some parts of the log and increases it in others"
+    if _worsens_validation(candidate, base):
+        return "increases the error on the held-out data"
+    if not _is_relevant(fit, base, initial):
+        return "explains less than the uncertainty of the effects found before, or a negligible part of the torque"
+    return ""
+
+
+def _worsens_validation(candidate: FittedCandidate, base: LinearizedFit) -> bool:
+    """True if an effect increases the error on held-out data of the joints it acts on; False without such data."""
+    equation = candidate.trial.linearized.experiment.equation
+    joint = candidate.probe.joint
+    reached = [joint is None or name == joint for name in equation.joints]
+    with_effect = validation_mse(candidate.trial.linearized, equation)[reached].sum()
+    without = validation_mse(base, equation)[reached].sum()
+    return bool(with_effect > _MAX_VALIDATION_RATIO * without)  # NaN without held-out data
+
+
+def _undetermined_parameter(trial: TrialFit) -> str:
+    """First nonlinear parameter of the newest effect that is as large as its error or at an end of its range."""
+    last = len(trial.entries) - 1
+    entry = trial.entries[last]
+    for parameter in effect_types()[entry.effect].nonlinear_parameters:
+        error = trial.errors.get((last, parameter.name))
+        value = parameter_value(entry, parameter.name)
+        if error is None or not isinstance(value, float) or parameter.optional_maximum is not None:
+            continue
+        max_error = np.inf
+        if parameter.max_standard_error is not None:
+            max_error = parameter.max_standard_error
+        elif parameter.positive:
+            max_error = value / MIN_PARAMETER_SIGNIFICANCE
+        low, high = trial.ranges.get((last, parameter.name), (-np.inf, np.inf))
+        if parameter.open_ended:
+            max_error = high = np.inf
+        if not (error < max_error and low * _RANGE_EDGE < value < high / _RANGE_EDGE):
+            return parameter.name
+    return ""
+
+
+def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
+    """True if, fitted as a whole, the new coefficients are within their bounds, and not all at the lower one."""
+    base_keys = {c.key for c in base.experiment.equation.coefficients}
+    new = []
+    for c, value in zip(fit.experiment.equation.coefficients, fit.estimate.theta, strict=True):
+        if c.key not in base_keys:
+            new.append((c, value))
+    if not new:
+        return True
+    above_lower = any(value > c.lower + 1e-9 for c, value in new)
+    return above_lower and all(value < c.upper for c, value in new)
+
+
+def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit) -> bool:
+    """True if on some joint an effect saves more than a small share of the residual without any effect.
+
+    A strong effect that is known to a hundredth leaves a hundredth of itself, which is no effect of its own.
+    """
+    saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
+    uncertain = _MIN_GAIN * initial.sse.sum(axis=0) * np.square(initial.noise)
+    negligible = base.row_counts.sum(axis=0) * np.square(_NEGLIGIBLE * base.rms_torque)
+    return bool((saved > np.maximum(uncertain, negligible)).any())
