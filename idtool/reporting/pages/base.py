@@ -1,8 +1,8 @@
 """A list of sections → one HTML file that needs nothing else.
 
-A section is a heading and a template under `templates/`, which reads what `render` is given. All text is escaped by
-the templates: names and paths are a stranger's. The browser draws plots with plotly.js, which is in the page,
-compressed.
+A section is a heading and either a template under `templates/`, which reads what `render` is given, or figures.
+All text is escaped by the templates: names and paths are a stranger's. The browser draws figures with plotly.js,
+which is in the page, compressed.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ import jinja2
 from plotly.offline import get_plotlyjs
 
 from idtool.reporting.figures import metres, number, percent, with_error
+from idtool.reporting.pages.embedding import EmbeddedFigures
+from idtool.reporting.plots.figure import Figure
 
-Sections = Sequence[tuple[str, str]]
+Section = tuple[str, str | Sequence[Figure]]
+Sections = Sequence[Section]
 
 
-def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str, Any], **context: object) -> str:
+def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str, Any], **context: object) -> str:
     """The page.
 
     Parameters
@@ -29,9 +32,9 @@ def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str
     title
         Its heading.
     sections
-        Heading and template of each.
-    drawing
-        The scripts, files under `templates/`, that draw its plots.
+        Heading and template, or figures, of each.
+    scripts
+        Files under `templates/` that draw what no `Figure` holds, such as bodies in 3D.
     data
         What they draw, for JSON; NaN is not allowed.
     context
@@ -44,10 +47,12 @@ def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    figures = EmbeddedFigures()
     environment.filters.update(number=number, with_error=with_error, metres=metres, percent=percent)
+    environment.globals.update(embed=figures.add, embedded=figures.to_json)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     page = environment.get_template("page.html")
-    html = page.render(title=title, sections=sections, drawing=drawing, data=data, plotly=_library(), **context)
+    html = page.render(title=title, sections=sections, scripts=scripts, data=data, plotly=_library(), **context)
     return html.encode(errors="replace").decode()  # a path need not be text
 
 
