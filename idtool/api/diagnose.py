@@ -65,10 +65,10 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
 
     def plot(self) -> Figure:
         """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""
-        from idtool.api.plots import gap_figure
-        from idtool.reporting.pages.residuals import gap_views
+        from idtool.reporting.plots.figure import stacked
+        from idtool.reporting.plots.gap import gap_figures
 
-        return gap_figure(gap_views(self))
+        return stacked(gap_figures(self)).to_plotly()
 
     def __repr__(self) -> str:
         first, last = (level.validation or level.train for level in (self.before, self.after))

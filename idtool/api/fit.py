@@ -75,11 +75,10 @@ class FitResult(FitReport, Saved, Recordable):
         IndexError
             If there are not so many.
         """
-        from idtool.api.plots import torque_figure
-        from idtool.reporting.pages import curves
+        from idtool.reporting.plots.torques import torque_figures
 
         evaluation = self._fit.train if self.rms.validation is None else self._fit.validation
-        return torque_figure(curves(evaluation, "identified", self.units), log)
+        return torque_figures(evaluation, "identified", self.units).groups[log].to_plotly()
 
     def __repr__(self) -> str:
         units = " or ".join(dict.fromkeys(self.units.values()))

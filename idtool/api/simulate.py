@@ -144,10 +144,10 @@ class SimulationResult(Recordable):
 
     def plot(self) -> Figure:
         """Measured and simulated position of every joint; with ``track`` the trajectory in place of the former."""
-        from idtool.api.plots import position_figure
+        from idtool.reporting.plots.simulation import motion_figures
 
         curves = {"measured": self._measured.T, "simulated": self.log.q.T}
-        return position_figure(self.log.t, curves, self.report.units)
+        return motion_figures(self.log.t, curves, self.report.units).to_plotly()
 
     def __repr__(self) -> str:
         kinds = dict.fromkeys(self.report.units.values())

@@ -65,10 +65,9 @@ class ValidationResult(ValidationReport, Saved, Recordable):
         IndexError
             If there are not so many.
         """
-        from idtool.api.plots import torque_figure
-        from idtool.reporting.pages import curves
+        from idtool.reporting.plots.torques import torque_figures
 
-        return torque_figure(curves(self._evaluation, "model", self.units), log)
+        return torque_figures(self._evaluation, "model", self.units).groups[log].to_plotly()
 
     def __repr__(self) -> str:
         units = " or ".join(dict.fromkeys(self.units.values()))

@@ -25,6 +25,7 @@ from commands import (
 from commands import idtool as run
 from descriptions import described
 from diagnoses import diagnosis_of, fits, step_of, unknown_of
+from pages import Page
 from pydantic import ValidationError
 from recordings import State, ros2, write_mcap
 
@@ -301,18 +302,18 @@ def test_progress_is_told_and_silent_by_default(out: Path, capsys: pytest.Captur
     assert capsys.readouterr() == ("", "")
 
 
-def test_figures_show_the_pages_curves(result: idtool.FitResult) -> None:
-    from idtool.reporting.pages import curves
-
+def test_figures_show_the_pages_curves(result: idtool.FitResult, tmp_path: Path) -> None:
+    page = Page(result._files(tmp_path, "")["report.html"])  # type: ignore[arg-type]
     figure = result.plot()
-    (view,) = curves(result._fit.validation, "identified", dict.fromkeys(JOINTS, "N·m"))["logs"]
+    drawn = page.figures_of("Measured and predicted torque")
     assert figure.layout.title.text == "leg_validate.mcap"
     assert [trace.name for trace in figure.data] == ["measured", "predicted", "prior", "residual"] * 3
-    for j, joint in enumerate(view["joints"]):
+    for j, own in enumerate(drawn):
         for trace in figure.data[4 * j : 4 * j + 4]:
-            assert list(trace.y) == joint[trace.name]
-            assert list(trace.x) == view["t"]
-    assert [axis.title.text for axis in figure.select_yaxes()][:3] == ["abad [N·m]", "residual", "hip [N·m]"]
+            assert list(trace.y) == own.y(trace.name)
+            assert list(trace.x) == own.x
+    titles = [axis.title.text for axis in figure.select_yaxes()]
+    assert titles[:3] == ["abad: torque [N·m]", "residual", "hip: torque [N·m]"]
     assert figure.data[1].line.color == "#005ea8"  # --predicted of style.css
     with pytest.raises(IndexError):
         result.plot(log=1)

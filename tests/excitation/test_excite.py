@@ -149,10 +149,11 @@ def test_mcap_by_its_ending_a_page_and_simulate_takes_it(tmp_path: Path) -> None
     complete(page)
     assert [row["velocity"] for row in page.table("effort").values()]
     assert len(page.table("± standard error", first=["base parameter"])) == len(report["base_parameters"])
-    panels = page.data["charts"]["joint 1"]["panels"]
-    assert [len(p["lines"]) for p in panels] == [3, 3, 3, 3]  # a curve and its two limits
-    for p in panels:
-        curve, low, high = (np.array(line["y"]) for line in p["lines"])
+    figure = page.figures[1]
+    curves = ("position", "velocity", "acceleration", "predicted torque")
+    assert figure.names == [name for curve in curves for name in (curve, "limit", "limit")]
+    for panel in range(4):
+        curve, low, high = (np.array(trace["y"]) for trace in figure.data[3 * panel : 3 * panel + 3])
         assert (low[0] < curve).all()
         assert (curve < high[0]).all()
     seen = idtool("inspect", tmp_path / "m.mcap", "--json")

@@ -25,6 +25,38 @@ BODY = "<img src=x onerror=alert(2)>"
 VOID = {"meta", "br", "input"}
 
 
+@dataclass(frozen=True)
+class DrawnFigure:
+    """A figure as a page holds it: its description, traces and layout."""
+
+    label: str
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the curves."""
+        return [trace["name"] for trace in self.data if "name" in trace]
+
+    def y(self, name: str) -> list[float | None]:
+        """Values of a curve."""
+        (values,) = [trace["y"] for trace in self.data if trace.get("name") == name]
+        return list(values)
+
+    @property
+    def x(self) -> list[float | None]:
+        """Values that all curves have."""
+        first = self.data[0]["x"]
+        assert all(trace["x"] == first for trace in self.data)
+        return list(first)
+
+    @property
+    def titles(self) -> list[str]:
+        """Titles of the y axes, then of the x axis."""
+        axes = [axis for name, axis in self.layout.items() if name.startswith("yaxis")]
+        return [axis["title"]["text"] for axis in (*axes, self.layout["xaxis"])]
+
+
 @dataclass
 class Page(HTMLParser):
     """A page taken apart; every tag must be closed by its own."""
@@ -73,11 +105,33 @@ class Page(HTMLParser):
 
     @property
     def data(self) -> dict[str, Any]:
-        """What the plots are drawn from."""
+        """What the figures and the bodies in 3D are drawn from."""
         scripts = [attrs for tag, attrs in self.tags if tag == "script"]
         (found,) = [i for i, attrs in enumerate(scripts) if attrs.get("id") == "data"]
         loaded: dict[str, Any] = json.loads(self.scripts[found])
         return loaded
+
+    @property
+    def figures(self) -> list[DrawnFigure]:
+        """The figures, in order, each with what it shows in words and its arrays."""
+        data = self.data
+        drawn = []
+        for _, attrs in self.tags:
+            if "data-figure" not in attrs:
+                continue
+            assert {"plot"} == set((attrs["class"] or "").split())
+            figure = data["figures"][int(attrs["data-figure"] or "")]
+            traces = [
+                {key: data["arrays"][value] if key in ("x", "y", "text") else value for key, value in trace.items()}
+                for trace in figure["data"]
+            ]
+            drawn.append(DrawnFigure(attrs["aria-label"] or "", traces, figure["layout"]))
+        assert len(drawn) == len(data["figures"])
+        return drawn
+
+    def figures_of(self, start: str) -> list[DrawnFigure]:
+        """The figures whose description starts so."""
+        return [figure for figure in self.figures if figure.label.startswith(start)]
 
     @property
     def plain(self) -> str:

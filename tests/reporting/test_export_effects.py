@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 class Invented(JointTerm):
     """A torque that no simulator knows."""
 
-    id, name, units = "invented", "size", ("N·m", "N")
+    id, coefficient_name, units = "invented", "size", ("N·m", "N")
 
     def column(self, motion: Motion) -> Array:
         return np.asarray(np.sin(motion.q[self.joint]))

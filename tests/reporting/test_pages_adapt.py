@@ -11,7 +11,7 @@ from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete, notice_of
 from records import partial
 
 from idtool.reporting.pages import adapt_page
-from idtool.reporting.pages.charts import significant, thinned
+from idtool.reporting.plots.sampling import significant, thinned
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.sections.adapt import settling_time
 
@@ -101,33 +101,33 @@ def test_a_long_log_of_a_large_robot_stays_small(rng: np.random.Generator) -> No
     report["theta"] = rng.normal(size=(len(report["t"]), len(report["coefficients"]))).tolist()
     page = page_of(report)
     complete(page)
-    assert page.data["charts"]["masses"]["x"]["values"][-1] == 20.0
+    assert page.figures[0].x[-1] == 20.0
 
 
 def test_curves_are_the_reports(report: dict[str, Any]) -> None:
-    charts = page_of(report).data["charts"]
+    masses, centers, *joint = page_of(report).figures
     theta = np.array(report["theta"])
-    at = np.searchsorted(report["t"], np.array(charts["masses"]["x"]["values"]) - 1e-6)
-    (masses,) = charts["masses"]["panels"]
-    assert [line["name"] for line in masses["lines"]] == list(BODIES)
-    for i, line in enumerate(masses["lines"]):
-        np.testing.assert_allclose(line["y"], theta[at, 10 * i], rtol=1e-3)
-    assert [panel["title"] for panel in charts["centers"]["panels"]] == ["x [m]", "y [m]", "z [m]"]
-    for i, line in enumerate(charts["centers"]["panels"][2]["lines"]):
-        drawn = np.array(line["y"], dtype=float)
+    at = np.searchsorted(report["t"], np.array(masses.x, dtype=float) - 1e-6)
+    assert masses.names == list(BODIES)
+    for i, body in enumerate(BODIES):
+        np.testing.assert_allclose(np.array(masses.y(body), dtype=float), theta[at, 10 * i], rtol=1e-3)
+    assert centers.titles == ["x [m]", "y [m]", "z [m]", "t [s]"]
+    for i, trace in enumerate(trace for trace in centers.data if trace.get("yaxis") == "y3"):
+        assert trace["name"] == BODIES[i]
+        drawn = np.array(trace["y"], dtype=float)
         assert np.isnan(drawn[0])  # where there is no mass yet
         np.testing.assert_allclose(drawn[1:], -0.1 * (i + 1), rtol=1e-3)
-    joint = [chart for name, chart in charts.items() if name.startswith("joint")]
-    assert [chart["panels"][0]["title"] for chart in joint] == ["viscous [N·m·s/rad]", "coulomb [N·m]"]
-    assert all([line["name"] for line in chart["panels"][0]["lines"]] == list(JOINTS) for chart in joint)
-    assert (joint[1]["panels"][0]["lines"][0]["y"][0], joint[1]["panels"][0]["lines"][0]["y"][-1]) == (0.0, 0.3)
+    assert [figure.titles[0] for figure in joint] == ["viscous [N·m·s/rad]", "coulomb [N·m]"]
+    assert all(figure.names == list(JOINTS) for figure in joint)
+    steps = joint[1].y(SCRIPT)
+    assert (steps[0], steps[-1]) == (0.0, 0.3)
 
 
 def test_late_stamps_keep_their_digits(report: dict[str, Any]) -> None:
     report["t"] = [1.6e9 + 0.3 + t for t in report["t"]]
-    x = page_of(report).data["charts"]["masses"]["x"]
-    assert x["title"] == "t − 1600000000 [s]"
-    assert x["values"][-1] == pytest.approx(20.3, abs=1e-5)
+    masses = page_of(report).figures[0]
+    assert masses.titles[-1] == "t − 1600000000 [s]"
+    assert masses.x[-1] == pytest.approx(20.3, abs=1e-5)
 
 
 def test_when_a_mass_has_settled_is_said(report: dict[str, Any]) -> None:

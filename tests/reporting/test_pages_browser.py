@@ -73,3 +73,34 @@ def test_the_robot_moves_and_turns(pages: Path, opened: Browser, name: str) -> N
     again = opened.run(ROBOT)
     assert again["places"] == first["places"]
     assert again["eye"] == pytest.approx(turned["eye"])
+
+
+SHOWN = """return [...document.querySelectorAll(".log[open] [data-figure]")].map((plot) => ({
+  about: plot.getAttribute("aria-label"), range: plot._fullLayout.xaxis.range,
+  curves: plot.data.filter((trace) => trace.visible).map((trace) => trace.name),
+}));"""
+TICK = """const [box] = document.querySelectorAll("[data-curve]");
+box.checked = arguments[0]; box.dispatchEvent(new Event("change"));"""
+ZOOM = """const [range] = arguments; // as the mouse does
+const change = range ? { "xaxis.range[0]": range[0], "xaxis.range[1]": range[1] } : { "xaxis.autorange": true };
+return Plotly.relayout(document.querySelector("[data-figure]"), change).then(() => null);"""
+
+
+def test_the_prior_is_drawn_where_asked_and_a_log_is_zoomed_as_one(pages: Path, opened: Browser) -> None:
+    opened.use(pages / "report.html", 1400, False)
+    whole = opened.run(SHOWN)
+    torques = [one["about"].startswith("Measured and predicted torque") for one in whole]
+    assert (sum(torques), torques.count(False)) == (3, 3)  # and the positions
+    assert not any("prior" in one["curves"] for one in whole)
+    opened.run(TICK, True)
+    assert [("prior" in one["curves"]) for one in opened.run(SHOWN)] == torques
+    opened.run(ZOOM, [12.0, 13.0])
+    zoomed = opened.run(SHOWN)
+    for one, before, torque in zip(zoomed, whole, torques, strict=True):
+        assert one["range"] == pytest.approx([12.0, 13.0] if torque else before["range"])
+    opened.run(TICK, False)
+    again = opened.run(SHOWN)
+    assert [one["curves"] for one in again] == [one["curves"] for one in whole]
+    assert [one["range"] for one in again] == [one["range"] for one in zoomed]
+    opened.run(ZOOM, None)
+    assert [one["range"] for one in opened.run(SHOWN)] == [pytest.approx(one["range"]) for one in whole]

@@ -23,6 +23,8 @@ from idtool.reporting.pages.diagnosis import parameter_texts
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 
+GAP = "Errors of "
+
 
 @pytest.fixture(scope="module")
 def leg(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Fit]:
@@ -117,19 +119,25 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
 
 
 def test_the_gap_is_drawn_step_by_step(found: Diagnosis) -> None:
-    gap = page_of(found).data["gap"]
-    assert gap["names"] == ["the model given", "1: Stribeck friction on hip", "2: time delay on all joints"]
-    assert [joint["name"] for joint in gap["joints"]] == ["all joints", *JOINTS]
-    hip = gap["joints"][2]
-    assert hip["torque"]["values"] == pytest.approx([1.43, 0.66, 0.605])
-    assert (hip["torque"]["unit"], hip["torque"]["floor"]) == ("N·m", 0.5)
-    assert hip["rollout"] == {"unit": "rad", "values": [0.03, 0.012, 0.011]}
+    gap = page_of(found).figures_of(GAP)
+    names = ["the model given", "1: Stribeck friction on hip", "2: time delay on all joints"]
+    assert [figure.label for figure in gap] == [
+        f"{GAP}{name} by step, against the noise floor" for name in ("all joints", *JOINTS)
+    ]
+    hip = gap[2]
+    assert [hip.data[0]["text"], hip.data[2]["text"]] == [names, names]
+    assert hip.titles == ["torque [N·m]", "rollout [rad]", "step"]
+    assert hip.layout["xaxis"]["ticktext"] == ["given", "1", "2"]
+    assert hip.y("torque") == pytest.approx([1.43, 0.66, 0.605])
+    assert hip.y("noise floor") == [0.5, 0.5]
+    assert hip.y("rollout") == [0.03, 0.012, 0.011]
     left = faulty(found)
-    assert page_of(left).data["gap"] == gap  # what is unknown moves nothing
+    assert page_of(left).figures_of(GAP) == gap  # what is unknown moves nothing
     ended = replace(found, after=level(0.2, 0.52, 0.35, simulated=0.011))
-    gap = page_of(ended).data["gap"]
-    assert gap["names"][-1] == "in the end"
-    assert gap["joints"][2]["torque"]["values"][-1] == pytest.approx(0.572)
+    hip = page_of(ended).figures_of(GAP)[2]
+    assert hip.data[0]["text"][-1] == "in the end"
+    assert hip.layout["xaxis"]["ticktext"] == ["given", "1", "2", "end"]
+    assert hip.y("torque")[-1] == pytest.approx(0.572)
 
 
 def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
@@ -147,29 +155,38 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
 
 
 def test_residuals_are_drawn_before_and_after(found: Diagnosis) -> None:
-    drawn = page_of(found).data["residuals"]["joints"]
-    assert [joint["name"] for joint in drawn] == list(JOINTS)
-    views = drawn[1]["views"]
     titles = ["position [rad]", "velocity [rad/s]", "torque [N·m]", "time [s]", "frequency [Hz]", "periods per turn"]
-    assert [view["x"] for view in views] == titles
-    np.testing.assert_allclose(views[0]["before"]["mean"], views[0]["before"]["at"], rtol=1e-3)
-    np.testing.assert_allclose(views[0]["after"]["rms"], 0.2 * np.abs(views[0]["after"]["at"]), rtol=2e-3)
+    page = page_of(found)
+    for joint in JOINTS:
+        views = page.figures_of(f"Residual of {joint} against")
+        assert [view.titles[-1] for view in views] == titles
+        assert [view.label for view in views] == [
+            f"Residual of {joint} against {title}, before and after" for title in titles
+        ]
+    position = page.figures_of("Residual of hip against")[0]
+    mean_before, _, _, rms_after = position.data
+    assert position.names == ["mean before", "RMS before", "mean after", "RMS after"]
+    np.testing.assert_allclose(mean_before["y"], mean_before["x"], rtol=1e-3)
+    np.testing.assert_allclose(rms_after["y"], 0.2 * np.abs(rms_after["x"]), rtol=2e-3)
 
 
 def test_no_line_of_a_spectrum_is_lost_in_drawing(found: Diagnosis) -> None:
     maps = {joint: residual(1.0, lines=50_000) for joint in JOINTS}
-    for view in page_of(replace(found, maps_before=maps)).data["residuals"]["joints"][0]["views"][4:]:
-        assert len(view["before"]["rms"]) <= 200
-        assert max(view["before"]["rms"]) == 1.0
-        at = view["before"]["at"][int(np.argmax(view["before"]["rms"]))]
+    spectra = page_of(replace(found, maps_before=maps)).figures_of(f"Residual of {JOINTS[0]} against")[4:]
+    assert len(spectra) == 2
+    for spectrum in spectra:
+        height = spectrum.y("before")
+        assert len(height) <= 200
+        assert max(height) == 1.0  # type: ignore[type-var]
+        at = spectrum.data[0]["x"][height.index(1.0)]
         assert at == pytest.approx(maps["hip"].frequency[50_000 // 3], rel=1e-3)
 
 
 def test_the_torque_of_both_models_is_drawn(found: Diagnosis) -> None:
-    (log,) = page_of(found).data["logs"]
+    torques = page_of(found).figures_of("Measured and predicted torque")
     curves = {}
     for name, fitted in (("predicted", found.last), ("prior", found.first)):
-        drawn = curves[name] = np.array([joint[name] for joint in log["joints"]], dtype=float)
+        drawn = curves[name] = np.array([figure.y(name) for figure in torques], dtype=float)
         wanted = fitted.validation.traces[0].curves["identified"]
         pairs = (np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted))
         np.testing.assert_allclose(*pairs, atol=1e-3)
@@ -179,8 +196,7 @@ def test_the_torque_of_both_models_is_drawn(found: Diagnosis) -> None:
 def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     page = page_of(found)
     assert found.first.simulation is not None
-    (log,) = page.data["simulation"]["logs"]
-    drawn = np.array([joint["prior"] for joint in log["joints"]], dtype=float)
+    drawn = np.array([figure.y("prior") for figure in page.figures_of("Measured and simulated position")], dtype=float)
     wanted = found.first.simulation.traces[0].curves["identified"]
     np.testing.assert_allclose(*(np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted)), atol=1e-3)
     assert "Prior: the model given, fitted without them." in page.text
@@ -204,8 +220,9 @@ def test_a_page_without_rollouts_or_held_out_data(found: Diagnosis) -> None:
     assert "Simulation" not in page.text
     assert "Nothing was held out" in page.plain
     assert "Rollouts" not in page.text
-    assert page.data["gap"]["joints"][0]["rollout"] is None
-    assert page.data["gap"]["joints"][2]["torque"]["values"] == pytest.approx([1.3, 0.6, 0.55])
+    gap = page.figures_of(GAP)
+    assert all(figure.names == ["torque", "noise floor"] for figure in gap)
+    assert gap[2].y("torque") == pytest.approx([1.3, 0.6, 0.55])
 
 
 def test_a_model_of_which_one_runs_away_still_has_its_page(found: Diagnosis) -> None:
@@ -226,10 +243,9 @@ def test_clean_data(leg: tuple[Fit, Fit]) -> None:
     assert page.levels[0] == "good"
     assert "Model and data do not disagree" in page.plain
     assert "Nothing was added." in page.plain
-    assert page.data["gap"]["names"] == ["the model given"]
     assert "The steps" not in page.text
-    assert not [attrs for _, attrs in page.tags if "data-gap" in attrs]
-    assert len([attrs for _, attrs in page_of(diagnosis_of(*leg, step_of())).tags if "data-gap" in attrs]) == 4
+    assert page.figures_of(GAP) == []
+    assert len(page_of(diagnosis_of(*leg, step_of())).figures_of(GAP)) == 4
 
 
 def test_the_worst_joint_is_the_one_that_is_open(found: Diagnosis) -> None:
@@ -280,7 +296,8 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     large: Any = replace(found, first=fit, last=fit, maps_before=maps, maps_after=maps)  # type: ignore[arg-type]
     page = Page(diagnosis_page(large, partial(DiagnosisReport, report), "idtool diagnose"))
     complete(page)
-    assert len(page.data["residuals"]["joints"]) == 12
+    for joint in joints:
+        assert len(page.figures_of(f"Residual of {joint} against")) == 6
     assert "diagnosis.json holds them" in page.text
 
 

@@ -22,6 +22,8 @@ from idtool.reporting.results.fit import FitReport
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 
+TORQUE, POSITION = "Measured and predicted torque", "Measured and simulated position"
+
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Fit:
@@ -76,26 +78,26 @@ def test_names_and_paths_stay_text(fitted: Fit, report: dict[str, Any]) -> None:
         f"Measured and {what} of {name} over time"
         for name in (SCRIPT, SLIDE)
         for what in ("predicted torque and residual", "simulated position")
-    } == {attrs["aria-label"] for _, attrs in page.tags if "data-joint" in attrs}
+    } == {figure.label for figure in page.figures_of("Measured and")}
     bodies = [attrs["aria-label"] or "" for _, attrs in page.tags if "data-body" in attrs]
     assert [label.partition(" in its frame")[0] for label in bodies] == [f"Body {BODY}", "Body l2"]
     for text in (f"idtool fit {SCRIPT} --out ?", "a?", f"with {SCRIPT}", f"{SCRIPT}.csv"):
         assert text in page.text
-    assert [joint["name"] for joint in page.data["logs"][0]["joints"]] == [SCRIPT, SLIDE]
     page.html.encode()
 
 
 def test_the_fit_page_draws_the_held_out_data(fitted: Fit, report: dict[str, Any]) -> None:
-    (log,) = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).data["logs"]
+    torques = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).figures_of(TORQUE)
     (trace,) = fitted.validation.traces
-    drawn = np.array([joint["predicted"] for joint in log["joints"]], dtype=float)
+    drawn = np.array([figure.y("predicted") for figure in torques], dtype=float)
     pairs = (np.sort(x.reshape(2, -1, 2)) for x in (drawn, trace.curves["identified"]))
     np.testing.assert_allclose(*pairs, atol=1e-3)
-    np.testing.assert_allclose(log["t"], trace.t, atol=1e-5)
+    for torque in torques:
+        np.testing.assert_allclose(np.array(torque.x, dtype=float), trace.t, atol=1e-5)
     assert np.isnan(drawn).any()  # the gap
     report["rms"]["validation"] = report["rms"]["prior_validation"] = None
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
-    assert page.data["logs"][0]["t"][0] < 0.5
+    assert page.figures_of(TORQUE)[0].data[0]["x"][0] < 0.5
     assert "nothing was held out" in page.text
 
 
@@ -125,12 +127,12 @@ def pair(report: dict[str, Any], joint: str, term: str) -> tuple[float, float]:
 
 def test_units_are_those_of_the_joints(fitted: Fit, report: dict[str, Any]) -> None:
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
-    assert [joint["unit"] for joint in page.data["logs"][0]["joints"]] == ["N·m", "N"]
+    assert [figure.titles[0] for figure in page.figures_of(TORQUE)] == ["torque [N·m]", "torque [N]"]
     for head, units in (("held out", ("N·m", "N")), ("model", ("rad", "m"))):
         names = (SCRIPT, SLIDE, "overall")
         wanted = dict(zip(names, (*units, f"{units[0]} and {units[1]} together"), strict=True))
         assert {name: page.table(head)[name]["unit"] for name in names} == wanted
-    assert [joint["unit"] for joint in page.data["simulation"]["logs"][0]["joints"]] == ["rad", "m"]
+    assert [figure.titles[0] for figure in page.figures_of(POSITION)] == ["angle [rad]", "position [m]"]
 
 
 def test_a_model_no_better_than_the_prior_is_called_so(fitted: Fit, report: dict[str, Any]) -> None:

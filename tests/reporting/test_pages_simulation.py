@@ -18,6 +18,7 @@ from idtool.reporting.simulation_report import simulation_report
 
 Array = NDArray[np.float64]
 
+POSITION = "Measured and simulated position"
 UNITS = {"j0": "N·m", "j1": "N"}
 
 
@@ -47,23 +48,23 @@ def test_the_page_is_complete_in_itself(motion: dict[str, Array]) -> None:
 
 
 def test_the_curves_are_those_of_the_simulation(motion: dict[str, Array]) -> None:
-    simulation = page_of(rollouts_of(motion)).data["simulation"]
-    (log,) = simulation["logs"]
-    assert simulation["omitted"] == 0
-    assert log["name"] == "log 0"
-    assert [joint["unit"] for joint in log["joints"]] == ["rad", "m"]
-    for j, joint in enumerate(log["joints"]):
+    page = page_of(rollouts_of(motion))
+    figures = page.figures_of(POSITION)
+    assert "more logs" not in page.text
+    assert "log 0" in page.text
+    assert [figure.titles[0] for figure in figures] == ["angle [rad]", "position [m]"]
+    for j, figure in enumerate(figures):
         for name, drawn in (("measured", "measured"), ("model", "simulated"), ("prior", "prior")):
-            pairs = np.sort(np.array(joint[drawn], dtype=float).reshape(-1, 2))
+            pairs = np.sort(np.array(figure.y(drawn), dtype=float).reshape(-1, 2))
             wanted = np.sort(motion[name][j].reshape(-1, 2))
             np.testing.assert_allclose(pairs, wanted, atol=1e-4 * np.nanmax(np.abs(wanted)))
 
 
 def test_what_runs_away_does_not_flatten_what_was_measured(motion: dict[str, Array]) -> None:
     """A curve that leaves the measured range is shown for half of it beyond."""
-    (log,) = page_of(rollouts_of(motion)).data["simulation"]["logs"]
-    for joint, measured in zip(log["joints"], motion["measured"], strict=True):
-        low, high = joint["range"]
+    figures = page_of(rollouts_of(motion)).figures_of(POSITION)
+    for figure, measured in zip(figures, motion["measured"], strict=True):
+        low, high = figure.layout["yaxis"]["range"]
         least, greatest = np.nanmin(measured), np.nanmax(measured)
         span = greatest - least
         assert least - 0.1 * span < low < least
@@ -72,8 +73,8 @@ def test_what_runs_away_does_not_flatten_what_was_measured(motion: dict[str, Arr
 
 def test_a_joint_at_rest_has_a_range() -> None:
     still = np.zeros((2, 40))
-    (log,) = page_of(rollouts_of({"measured": still, "model": still})).data["simulation"]["logs"]
-    assert log["joints"][0]["range"] == [-0.01, 0.01]
+    figure, _ = page_of(rollouts_of({"measured": still, "model": still})).figures_of(POSITION)
+    assert figure.layout["yaxis"]["range"] == [-0.01, 0.01]
 
 
 def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
@@ -92,16 +93,15 @@ def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: 
     page = page_of(rollouts_of(motion))
     assert "10 times of 12, spread over the logs, each for 0.5 s from the measured state" in page.plain
     assert "stays where it was" in page.plain
-    chart = page.data["charts"]["horizon"]
-    assert chart["x"] == {"values": [0.01, 0.05, 0.1, 0.5], "title": "time since the restart [s]", "log": True}
-    (panel,) = chart["panels"]
-    assert panel["log"]
-    assert {line["name"]: line["y"] for line in panel["lines"]} == {
+    (figure,) = page.figures_of("Position error against time since the restart")
+    assert figure.x == [0.01, 0.05, 0.1, 0.5]
+    assert figure.titles == ["RMS error [rad and m together]", "time since the restart [s]"]
+    assert figure.layout["xaxis"]["type"] == figure.layout["yaxis"]["type"] == "log"
+    assert {name: figure.y(name) for name in figure.names} == {
         "model": [0.001, 0.005, 0.01, 0.05],
         "prior": [0.002, 0.01, 0.02, 0.1],
         "stays where it was": [0.009, 0.045, 0.09, 0.45],
     }
-    assert [attrs["data-chart"] for _, attrs in page.tags if "data-chart" in attrs] == ["horizon"]
 
 
 def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
@@ -111,8 +111,7 @@ def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
         in page.plain
     )
     assert "q = qcmd" in page.plain
-    assert page.data["charts"] == {}
-    assert not [attrs for _, attrs in page.tags if "data-chart" in attrs]
+    assert page.figures_of("Position error") == []
 
 
 @pytest.mark.parametrize(
@@ -147,18 +146,16 @@ def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> Non
     del rollouts.errors["prior"]  # type: ignore[attr-defined]
     page = page_of(rollouts)
     assert [row for row in page.rows if len(row) == 6 and row[0] in UNITS and row[1] in ("rad", "m")]
-    assert "simulated-prior" not in {attrs.get("id") for _, attrs in page.tags}
-    assert "prior" not in page.data["simulation"]["logs"][0]["joints"][0]
-    assert [line["name"] for line in page.data["charts"]["horizon"]["panels"][0]["lines"]] == [
-        "model",
-        "stays where it was",
-    ]
+    boxes = [attrs["data-curve"] for _, attrs in page.tags if "data-curve" in attrs]
+    assert boxes == ["prior"]  # of the torques
+    assert page.figures_of(POSITION)[0].names == ["measured", "simulated"]
+    assert page.figures_of("Position error")[0].names == ["model", "stays where it was"]
 
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_without_a_simulation_there_is_no_section(motion: dict[str, Array], asked: bool) -> None:
     page = page_of(rollouts_of(motion, failed={"model": "no inertia"}) if asked else None)
-    assert "simulation" not in page.data
+    assert page.figures_of(POSITION) == []
     assert "Simulation" not in page.text
     complete(page)
 
@@ -167,14 +164,7 @@ def test_many_joints_and_logs_stay_small(rng: np.random.Generator) -> None:
     curves = {name: rng.normal(size=(2, 4000)) for name in ("measured", "model", "prior")}
     page = page_of(rollouts_of(curves, logs=20))
     assert len(page.html.encode()) < 6e6
-    simulation = page.data["simulation"]
-    assert len(simulation["logs"]) + simulation["omitted"] == 20
-    assert f"{simulation['omitted']} more logs are not drawn." in page.plain
-    values = sum(
-        len(joint[k])
-        for log in simulation["logs"]
-        for joint in log["joints"]
-        for k in joint
-        if isinstance(joint[k], list)
-    )
-    assert values < 41_000
+    figures = page.figures_of(POSITION)
+    assert len(figures) == 2 * 6
+    assert "14 more logs are not drawn." in page.plain
+    assert sum(len(trace["y"]) for figure in figures for trace in figure.data) < 41_000

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pages import BODY, SCRIPT, SLIDE, Page, complete, evaluation_of, notice_of, study_of
+from pages import BODY, SCRIPT, SLIDE, DrawnFigure, Page, complete, evaluation_of, notice_of, study_of
 from records import partial
 
 from idtool.reporting.pages import study_page
@@ -17,6 +17,20 @@ from idtool.reporting.results.study import StudyReport
 
 JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
+
+
+LEARNING, ADVANTAGE = "Fig. 5: held-out error", "Held-out error below that with none"
+VIOLATION, ONLINE = "Worst violation of realizability", "Remark 5: error of the parameters, online"
+
+
+def batched(traces: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Traces three at a time: of a band the lower and upper edge and the curve."""
+    return [traces[i : i + 3] for i in range(0, len(traces), 3)]
+
+
+def levels(figure: DrawnFigure) -> list[float]:
+    """Where lines are drawn across."""
+    return [shape["y0"] for shape in figure.layout["shapes"]]
 
 
 @pytest.fixture
@@ -95,11 +109,11 @@ def test_a_report_on_many_samples_stays_small(report: dict[str, Any], rng: np.ra
         entry["rms"] = {"train": rms, "validation": rms}
     page = Page(study_page(evaluation_of(curves, logs=6), partial(StudyReport, report), "idtool study x"))
     complete(page)
-    online = page.data["charts"]["online"]
-    assert len(online["x"]["values"]) <= 1000
-    assert online["x"]["values"][-1] == times - 1
-    (error,) = [line["y"] for line in online["panels"][0]["lines"] if line["name"] == "full"]
-    assert error[-1] == pytest.approx(report["adaptation"]["error"]["full"][-1], rel=1e-3)
+    (online,) = page.figures_of(ONLINE)
+    start = int(online.titles[-1].removeprefix("t − ").removesuffix(" [s]")) if "−" in online.titles[-1] else 0
+    assert len(online.x) <= 1000
+    assert online.x[-1] == times - 1 - start
+    assert online.y("full")[-1] == pytest.approx(report["adaptation"]["error"]["full"][-1], rel=1e-3)
 
 
 def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
@@ -213,8 +227,8 @@ def test_all_the_data_are_one_draw(report: dict[str, Any]) -> None:
     assert said_of(of_draws(apart)).together is None
     assert said_of(of_draws(together)).together == 2
     report["learning"] = of_draws(together)
-    (gains,) = page_of(report).data["charts"]["advantage"]["panels"]
-    assert gains["lines"][0]["lower"] == [pytest.approx(100 * 2 / 3, rel=1e-3), None]
+    (gains,) = page_of(report).figures_of(ADVANTAGE)
+    assert gains.data[0]["y"] == [pytest.approx(100 * 2 / 3, rel=1e-3), None]  # the band's lower edge
 
 
 def test_sets_whose_bodies_cannot_exist_are_named(report: dict[str, Any]) -> None:
@@ -247,47 +261,49 @@ def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:
     report["learning"]["curves"]["none"]["median"][0] = None
     page = page_of(report)
     assert page.table("semi", ["samples"])["1"]["none"] == "–"
-    assert page.data["charts"]["violation"]["panels"][0]["lines"][0]["y"] == [None] * 10
-    assert page.data["charts"]["learning"]["panels"][0]["lines"][0]["y"][:2] == [None, 5.5]
+    assert page.figures_of(VIOLATION)[0].y("none") == [None] * 10
+    assert page.figures_of(LEARNING)[0].y("none")[:2] == [None, 5.5]
     assert "in the median: semi 0.010" in page.plain
 
 
 def test_charts_hold_the_reports_figures(report: dict[str, Any]) -> None:
-    charts = page_of(report).data["charts"]
-    learned = charts["learning"]
-    assert learned["x"] == {"values": report["learning"]["counts"], "title": "samples to fit", "log": True}
-    (errors,) = learned["panels"]
-    assert errors["log"]
-    assert "N·m" in errors["title"]
-    for line in errors["lines"]:
-        curve = report["learning"]["curves"][line["name"]]
-        for drawn, wanted in (("y", "median"), ("lower", "lower"), ("upper", "upper")):
-            np.testing.assert_allclose(line[drawn], curve[wanted], rtol=1e-3)
-    (gains,) = charts["advantage"]["panels"]
-    assert (gains["level"], [line["name"] for line in gains["lines"]]) == (0, ["semi", "full", "ellipsoid"])
-    for line in gains["lines"]:
-        advantage = np.array(report["learning"]["advantage"][line["name"]]["advantage"])
-        for drawn, errors_away in (("y", 0), ("lower", -2), ("upper", 2)):
-            np.testing.assert_allclose(
-                line[drawn], 100 * (1 - np.exp(-advantage - errors_away * 0.02)), rtol=1e-3, atol=1e-9
-            )
-    (broken,) = charts["violation"]["panels"]
-    for line in broken["lines"]:
+    page = page_of(report)
+    (errors,), (gains,) = page.figures_of(LEARNING), page.figures_of(ADVANTAGE)
+    (broken,), (online,) = page.figures_of(VIOLATION), page.figures_of(ONLINE)
+    assert errors.x == report["learning"]["counts"]
+    assert errors.titles == ["RMS torque error [N·m]", "samples to fit"]
+    assert errors.layout["xaxis"]["type"] == errors.layout["yaxis"]["type"] == "log"
+    assert errors.names == ["none", "semi", "full", "ellipsoid"]
+    for lower, upper, median in batched(errors.data):
+        curve = report["learning"]["curves"][median["name"]]
+        for drawn, wanted in ((median, "median"), (lower, "lower"), (upper, "upper")):
+            np.testing.assert_allclose(drawn["y"], curve[wanted], rtol=1e-3)
+    assert gains.names == ["semi", "full", "ellipsoid"]
+    assert levels(gains) == [0]
+    for lower, upper, mean in batched(gains.data):
+        advantage = np.array(report["learning"]["advantage"][mean["name"]]["advantage"])
+        for drawn, errors_away in ((mean, 0), (lower, -2), (upper, 2)):
+            wanted = 100 * (1 - np.exp(-advantage - errors_away * 0.02))
+            np.testing.assert_allclose(drawn["y"], wanted, rtol=1e-3, atol=1e-9)
+    assert broken.names == ["none", "semi", "full", "ellipsoid"]
+    for line in broken.data:
         np.testing.assert_allclose(line["y"], report["learning"]["violation"][line["name"]], rtol=1e-3)
-    (online,) = charts["online"]["panels"]
-    assert online["level"] == 0.1
-    for line in online["lines"]:
-        wanted = np.interp(
-            charts["online"]["x"]["values"], report["adaptation"]["t"], report["adaptation"]["error"][line["name"]]
-        )
+    assert online.names == ["none", "full", "ellipsoid"]
+    assert levels(online) == [0.1]
+    for line in online.data:
+        wanted = np.interp(online.x, report["adaptation"]["t"], report["adaptation"]["error"][line["name"]])  # type: ignore[arg-type]
         np.testing.assert_allclose(line["y"], wanted, rtol=1e-3)
 
 
 def test_a_set_has_one_colour_in_all_charts(report: dict[str, Any]) -> None:
     colors: dict[str, set[str]] = {}
-    for chart in page_of(report).data["charts"].values():
-        for line in chart["panels"][0]["lines"]:
-            colors.setdefault(line["name"], set()).add(line["color"] + line["dash"])
+    figures = [figure for figure in page_of(report).figures if not figure.label.startswith("Measured")]
+    assert len(figures) == 4
+    for figure in figures:
+        for trace in figure.data:
+            if "name" in trace:
+                line = trace["line"]
+                colors.setdefault(trace["name"], set()).add(line["color"] + line.get("dash", "solid"))
     assert all(len(used) == 1 for used in colors.values())
     assert len(set.union(*colors.values())) == len(colors)
 
@@ -295,11 +311,11 @@ def test_a_set_has_one_colour_in_all_charts(report: dict[str, Any]) -> None:
 @pytest.mark.parametrize("angle", [True, False])
 def test_the_angle_is_drawn_where_it_was_kept(report: dict[str, Any], angle: bool) -> None:
     page = page_of(report, angle)
-    (log,) = page.data["logs"]
-    assert [joint["name"] for joint in log["joints"]] == list(JOINTS)
-    assert [name for name in log["joints"][0] if name == "position"] == ["position"] * angle
-    labels = [attrs["aria-label"] or "" for _, attrs in page.tags if "data-joint" in attrs]
-    assert [label.endswith("over time, and its position") for label in labels] == [angle] * 3
+    figures = page.figures_of("Measured and predicted torque and residual of")
+    assert [joint in figure.label for joint, figure in zip(JOINTS, figures, strict=True)] == [True] * 3
+    for figure in figures:
+        assert ("position" in figure.names) == angle
+        assert figure.label.endswith("over time, and its position") == angle
 
 
 def test_tables_hold_the_reports_figures(report: dict[str, Any]) -> None:

@@ -12,10 +12,14 @@ from records import partial
 
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.fit_report import validation_report
-from idtool.reporting.pages import merged, rounded, validation_page
+from idtool.reporting.pages import validation_page
+from idtool.reporting.plots.sampling import merged, rounded
 from idtool.reporting.results.validation import ValidationReport
 
 Array = NDArray[np.float64]
+
+
+TORQUE = "Measured and predicted torque"
 
 
 def validated(evaluation: Evaluation, **extra: Any) -> Page:
@@ -42,27 +46,30 @@ def test_pages_of_large_robots_stay_small(rng: np.random.Generator, logs: int) -
     curves = {name: rng.normal(scale=30, size=(12, 4000)) for name in ("measured", "model", "prior")}
     page = validated(evaluation_of(curves, logs, 1.6e9))
     assert len(page.html.encode()) < 6e6
-    assert len(page.data["logs"]) + page.data["omitted"] == logs
-    assert (f"{page.data['omitted']} more logs" in page.text) == (logs > 1)
+    drawn = min(logs, 6)
+    assert len(page.figures_of(TORQUE)) == 12 * drawn
+    assert (f"{logs - drawn} more logs are not drawn" in page.text) == (logs > 1)
 
 
 def test_curves_match_the_evaluation(noisy: dict[str, Array]) -> None:
-    (log,) = validated(evaluation_of(noisy)).data["logs"]
-    assert log["t"] == (np.repeat(np.arange(200) + 0.5, 2) * 0.01).round(5).tolist()
+    figures = validated(evaluation_of(noisy)).figures_of(TORQUE)
     wanted = {"measured": noisy["measured"], "predicted": noisy["model"], "prior": noisy["prior"]}
     residual = (noisy["measured"] - noisy["model"]).reshape(3, -1, 2)
     wanted["residual"] = np.sort(residual, axis=-1)
-    for j, joint in enumerate(log["joints"]):
+    assert len(figures) == 3
+    for j, figure in enumerate(figures):
+        assert figure.x == (np.repeat(np.arange(200) + 0.5, 2) * 0.01).round(5).tolist()
+        assert figure.names == ["measured", "predicted", "prior", "residual"]
         for name, x in wanted.items():
-            drawn = np.sort(np.array(joint[name], dtype=float).reshape(-1, 2))
+            drawn = np.sort(np.array(figure.y(name), dtype=float).reshape(-1, 2))
             pairs = np.sort(x.reshape(3, -1, 2)[j])
             np.testing.assert_allclose(drawn, pairs, atol=1e-4 * np.nanmax(np.abs(pairs)))
 
 
 def test_late_stamps_keep_their_digits(noisy: dict[str, Array]) -> None:
-    (log,) = validated(evaluation_of(noisy, start=1.6e9)).data["logs"]
-    assert log["start"] == 1_600_000_000
-    np.testing.assert_allclose(np.diff(log["t"][::2]), 0.01, atol=2e-5)
+    for figure in validated(evaluation_of(noisy, start=1.6e9)).figures_of(TORQUE):
+        assert figure.titles[-1] == "t − 1600000000 [s]"
+        np.testing.assert_allclose(np.diff(np.array(figure.x, dtype=float)[::2]), 0.01, atol=2e-5)
 
 
 def test_merging_loses_no_extreme(rng: np.random.Generator) -> None:
@@ -95,7 +102,8 @@ def test_rounding_keeps_five_digits_of_the_largest() -> None:
 def test_joints_of_two_kinds_have_two_units(noisy: dict[str, Array]) -> None:
     evaluation = evaluation_of(noisy)
     mixed = validated(evaluation, units={"j0": "N·m", "j1": "N", "j2": "N·m"})
-    assert [joint["unit"] for joint in mixed.data["logs"][0]["joints"]] == ["N·m", "N", "N·m"]
+    titles = [figure.titles[0] for figure in mixed.figures_of(TORQUE)]
+    assert titles == ["torque [N·m]", "torque [N]", "torque [N·m]"]
     assert "N·m and N together" in mixed.text
     assert "N·m and N together" not in validated(evaluation).text
 
@@ -114,5 +122,5 @@ def test_a_validation_without_prior_or_bounds(noisy: dict[str, Array]) -> None:
     page = Page(validation_page(evaluation, validation_report(evaluation, units, 40.0, {}), "idtool validate x"))
     assert "prior" not in page.text
     assert "bound" not in page.text
-    assert "prior" not in page.data["logs"][0]["joints"][0]
+    assert page.figures_of(TORQUE)[0].names == ["measured", "predicted", "residual"]
     assert page.levels == ["good"]

@@ -2,7 +2,6 @@
 
 from idtool.reporting.figures import by_unit, metres, number, percent, with_error
 from idtool.reporting.pages.adapt import adapt_page
-from idtool.reporting.pages.curves import curves, merged, rounded
 from idtool.reporting.pages.diagnosis import diagnosis_page
 from idtool.reporting.pages.fit import fit_page
 from idtool.reporting.pages.study import study_page
@@ -11,14 +10,11 @@ from idtool.reporting.pages.validation import validation_page
 __all__ = [
     "adapt_page",
     "by_unit",
-    "curves",
     "diagnosis_page",
     "fit_page",
-    "merged",
     "metres",
     "number",
     "percent",
-    "rounded",
     "study_page",
     "validation_page",
     "with_error",

@@ -1,8 +1,8 @@
 """A list of sections → one HTML file that needs nothing else.
 
-A section is a `Section`, or a heading and a template under `templates/`, which reads what `render` is given. All text
-is escaped by the templates: names and paths are a stranger's. The browser draws plots with plotly.js, which is in the
-page, compressed.
+A section is a `Section`, or a heading with figures, or with a template under `templates/`, which reads what `render` is
+given. All text is escaped by the templates: names and paths are a stranger's. The browser draws figures with plotly.js,
+which is in the page, compressed.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ import jinja2
 from plotly.offline import get_plotlyjs
 
 from idtool.reporting.figures import metres, number, percent, with_error
+from idtool.reporting.pages.embedding import EmbeddedFigures
+from idtool.reporting.plots.figure import Figure
 from idtool.reporting.sections.base import Section
 
-Sections = Sequence[tuple[str, str] | Section[Any]]
+Sections = Sequence[tuple[str, str | Sequence[Figure]] | Section[Any]]
 
 
 class Passage(NamedTuple):
@@ -31,13 +33,16 @@ class Passage(NamedTuple):
         Its heading.
     template
         The file under ``templates/`` that shows it.
+    figures
+        What ``figures.html`` shows.
     """
 
     title: str
-    template: str
+    template: str = "figures.html"
+    figures: Sequence[Figure] = ()
 
 
-def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str, Any], **context: object) -> str:
+def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str, Any], **context: object) -> str:
     """The page.
 
     Parameters
@@ -45,9 +50,9 @@ def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str
     title
         Its heading.
     sections
-        In the order of the page; a tuple is a heading and a template.
-    drawing
-        The scripts, files under `templates/`, that draw its plots.
+        In the order of the page; a tuple is a heading and a template, or figures.
+    scripts
+        Files under `templates/` that draw what no `Figure` holds, such as bodies in 3D.
     data
         What they draw, for JSON; NaN is not allowed.
     context
@@ -60,12 +65,18 @@ def render(title: str, sections: Sections, drawing: list[str], data: Mapping[str
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    figures = EmbeddedFigures()
     environment.filters.update(number=number, with_error=with_error, metres=metres, percent=percent)
+    environment.globals.update(embed=figures.add, embedded=figures.to_json)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     page = environment.get_template("page.html")
-    shown = [Passage(*section) if isinstance(section, tuple) else section for section in sections]
-    html = page.render(title=title, sections=shown, drawing=drawing, data=data, plotly=_library(), **context)
+    shown = [_passage(*section) if isinstance(section, tuple) else section for section in sections]
+    html = page.render(title=title, sections=shown, scripts=scripts, data=data, plotly=_library(), **context)
     return html.encode(errors="replace").decode()  # a path need not be text
+
+
+def _passage(title: str, content: str | Sequence[Figure]) -> Passage:
+    return Passage(title, content) if isinstance(content, str) else Passage(title, figures=content)
 
 
 @cache

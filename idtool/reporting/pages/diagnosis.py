@@ -14,11 +14,13 @@ from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_
 from idtool.reporting.figures import by_unit, number
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import report_views
-from idtool.reporting.pages.curves import drawn
-from idtool.reporting.pages.residuals import gap_views, residual_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
-from idtool.reporting.pages.simulation import simulation_text, simulation_view
+from idtool.reporting.pages.simulation import simulation_view
 from idtool.reporting.pages.trust import trust_view
+from idtool.reporting.plots.gap import gap_figures
+from idtool.reporting.plots.log_series import DrawnLogs, drawn_logs, log_series
+from idtool.reporting.plots.residuals import residual_figures
+from idtool.reporting.plots.torques import torque_figure
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 from idtool.reporting.sections.diagnosis import CandidatesSection, ErrorsBeforeAfterSection, parameter_texts
 from idtool.reporting.sections.fit import BodiesSection, FrictionSection
@@ -73,16 +75,12 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
     return render(
         f"{Path(report.urdf).stem}: what the model lacks",
         with_robot(sections, robot),
-        ["torques.js", "lines.js", "positions.js", "diagnosis.js", "residuals.js", "solids.js", "robot.js"],
-        {
-            **_torques(last.traces, first.traces, units),
-            **simulation_view(simulated, simulation, "identified"),
-            **robot,
-            "gap": gap_views(report),
-            "residuals": residual_views(diagnosis.maps_before, diagnosis.maps_after, units, _NAMES, _MODELS),
-        },
+        ["solids.js", "robot.js"],
+        robot,
         report=report,
-        simulation=simulation,
+        torques=_torques(last.traces, first.traces, units),
+        gap=gap_figures(report),
+        residuals=residual_figures(diagnosis.maps_before, diagnosis.maps_after, units, _NAMES, _MODELS),
         groups=by_unit(units),
         position_unit=position_units(units),
         verdict=_VERDICTS[report.verdict],
@@ -91,7 +89,11 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         worst=_worst(report),
         near=CandidatesSection("Came near"),
         others=CandidatesSection("What else was tried"),
-        **{"position_groups": by_unit(position_units(units)), **simulation_text(simulation), **trust_view(report)},
+        **{
+            "position_groups": by_unit(position_units(units)),
+            **simulation_view(simulated, simulation, "identified"),
+            **trust_view(report),
+        },
         where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
         command=command,
     )
@@ -131,16 +133,16 @@ def _title(effect: str) -> str:
     return name[:1].upper() + name[1:]
 
 
-def _torques(last: Sequence[Trace], first: Sequence[Trace], units: Mapping[str, str]) -> dict[str, Any]:
+def _torques(last: Sequence[Trace], first: Sequence[Trace], units: Mapping[str, str]) -> DrawnLogs:
     """Measured torque and that of the last model; that of the first one as ``prior``, where it is at the same times."""
-    names = {"measured": "measured", "predicted": "identified", "residual": "residual", "prior": "first"}
+    names = {"measured": "measured", "predicted": "identified", "prior": "first", "residual": "residual"}
     traces = []
     for own, former in zip(last, first, strict=True):
         curves = {name: own.curves[name] for name in ("measured", "identified", "residual")}
         if len(own.t) == len(former.t):
             curves["first"] = former.curves["identified"]
         traces.append(replace(own, curves=curves))
-    return drawn(traces, names, units, _MOST_VALUES)
+    return drawn_logs(log_series(traces, names, units, _MOST_VALUES), len(traces), torque_figure)
 
 
 def _side_by_side(diagnosis: Diagnosis) -> RolloutEvaluation | None:

@@ -11,17 +11,18 @@ from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import Sections, render
 from idtool.reporting.pages.bodies import report_views
-from idtool.reporting.pages.curves import curves
-from idtool.reporting.pages.prior import PRIOR, prior_view
-from idtool.reporting.pages.residuals import residual_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
-from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
+from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_simulation
 from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
+from idtool.reporting.plots.regularization import regularization_figure
+from idtool.reporting.plots.residuals import residual_figures
+from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.fit import FitReport
-from idtool.reporting.sections.fit import BodiesSection, FrictionSection, TorqueErrorsSection
+from idtool.reporting.sections.fit import BodiesSection, FrictionSection, PriorWeightsSection, TorqueErrorsSection
 
 Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]
 
+_PRIOR = PriorWeightsSection()
 _RESIDUALS = ("Where the torque error lives", "residuals.html")
 _NAMES, _MODELS = ("prior", "identified"), "the URDF given and of the identified model"
 _SECTIONS = (
@@ -32,7 +33,7 @@ _SECTIONS = (
     SIMULATION,
     FrictionSection(),
     BodiesSection(),
-    PRIOR,
+    _PRIOR,
     RESTS,
     BASE,
     LOGS,
@@ -63,27 +64,20 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
     held_out = own is not None
     shown, views = fit.validation if held_out else fit.train, report_views(report.bodies)
     robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
-    left = {"residuals": residual_views(*maps, units, _NAMES, _MODELS)} if maps else {}
-    prior_chosen = report.regularization.automatic is not None
-    shown_if = {_RESIDUALS: bool(maps), PRIOR: prior_chosen}
+    automatic = report.regularization.automatic
+    shown_if = {_RESIDUALS: bool(maps), _PRIOR: automatic is not None}
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
-    path = prior_view(report) if prior_chosen else {}
     return render(
         f"{Path(report.urdf).stem}: identified dynamics",
         with_robot(with_trust(with_simulation(sections, report.simulation), report), robot),
-        ["torques.js", "lines.js", "positions.js", "residuals.js", "solids.js", "robot.js", "bodies.js", "trust.js"],
-        {
-            **curves(shown, "identified", units, position=False),
-            **simulation_view(fit.simulation, report.simulation, "identified"),
-            **views,
-            **robot,
-            **left,
-            **path,
-        },
+        ["solids.js", "robot.js", "bodies.js", "trust.js"],
+        {**views, **robot},
         report=report,
-        simulation=report.simulation,
         groups=by_unit(units),
-        **simulation_text(report.simulation),
+        torques=torque_figures(shown, "identified", units),
+        residuals=residual_figures(*maps, units, _NAMES, _MODELS) if maps else None,
+        weights=regularization_figure(automatic) if automatic else None,
+        **simulation_view(fit.simulation, report.simulation, "identified"),
         **trust_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
         worse=[name for name in report.joints if own and prior and own[name] >= prior[name]],

@@ -13,8 +13,8 @@ from idtool.common.arrays import Array
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.charts import chart, line, over_time, panel, thinned
-from idtool.reporting.pages.curves import curves
+from idtool.reporting.plots.comparison import advantage_figure, learning_figure, online_figure, violation_figure
+from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.study import Advantage, Convergence, LearningCurve, StudyReport
 from idtool.reporting.results.study import Learning as LearningReport
 from idtool.reporting.sections.study import (
@@ -34,14 +34,10 @@ _SECTIONS = (
     OnlineSection(),
     ("How this was made", "origin.html"),
 )
-# A set has one colour in all charts; the rest follow.
-_ORDER = ("none", "semi", "known_com", "com_ellipsoid", "points", "full", "ellipsoid", "shape")
 _ALIKE = 0.05  # what the sets' errors differ by where the curves have come together
 _SHORT = 30  # samples: what a short log is called in the findings
-_MOST_TIMES = 1000
 _SURE = 3.0  # standard errors: several sets are compared, and twice would be passed by chance too often
 _SOLVED = 1e-4  # logarithmic differences below this may be the solver's
-_BAND = 2.0  # standard errors
 
 
 @dataclass(frozen=True)
@@ -106,9 +102,14 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
     return render(
         f"{Path(report.urdf).stem}: what each constraint set is worth",
         _SECTIONS,
-        ["torques.js", "lines.js"],
-        {**curves(evaluation, "identified", units), "charts": charts(report)},
+        [],
+        {},
         report=report,
+        torques=torque_figures(evaluation, "identified", units, position=True),
+        errors=learning_figure(report),
+        advantages=advantage_figure(report),
+        violations=violation_figure(report),
+        online_errors=online_figure(report),
         groups=by_unit(units),
         learning=learning(report.learning),
         **_short(report.learning),
@@ -181,41 +182,3 @@ def _online(found: Convergence) -> tuple[list[tuple[str, float]], list[str]]:
             reached.setdefault(t, []).append(name)
     ordered = [(" and ".join(names), t) for t, names in sorted(reached.items())]
     return ordered, [name for name, t in times.items() if t is None]
-
-
-def charts(report: StudyReport) -> dict[str, Any]:
-    """What `lines.js` draws: Fig. 5, the advantages, the violations and, where it was run, Remark 5."""
-    found = report.learning
-    first, *others = found.curves
-    error = [
-        line(name, curve.median, _color(name, found.curves), (curve.lower, curve.upper))
-        for name, curve in found.curves.items()
-    ]
-    gains = []
-    for name in others:
-        advantage, wide = found.advantage[name].advantage, found.advantage[name].advantage_error
-        y, lower, upper = (-100 * np.expm1(-advantage - k * wide) for k in (0, -_BAND, _BAND))
-        gains.append(line(name, y, _color(name, found.curves), (lower, upper)))
-    title = f"RMS torque error [{by_unit(report.units)[-1][0]}]"
-    panels = {
-        "learning": ("Fig. 5: held-out error", panel(title, error, log=True)),
-        "advantage": (f"Held-out error below that with {first}", panel("error less by [%]", gains, level=0)),
-        "violation": ("Worst violation of realizability", panel("violation, relative", _lines(found.violation))),
-    }
-    drawn = {
-        name: chart(caption, found.counts, "samples to fit", [one], log=True) for name, (caption, one) in panels.items()
-    }
-    online = report.adaptation
-    kept = thinned(len(online.t), _MOST_TIMES)
-    lines = _lines({name: values[kept] for name, values in online.error.items()})
-    error_over_time = panel("relative error", lines, log=True, level=0.1)
-    drawn["online"] = over_time("Remark 5: error of the parameters, online", online.t[kept], [error_over_time])
-    return drawn
-
-
-def _lines(curves: Mapping[str, Sequence[float | None] | Array]) -> list[dict[str, Any]]:
-    return [line(name, values, _color(name, curves)) for name, values in curves.items()]
-
-
-def _color(name: str, names: Mapping[str, Any]) -> int:
-    return _ORDER.index(name) if name in _ORDER else len(_ORDER) + list(names).index(name)

@@ -11,9 +11,9 @@ from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import model_views
-from idtool.reporting.pages.curves import curves
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
-from idtool.reporting.pages.simulation import SIMULATION, simulation_text, simulation_view, with_simulation
+from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_simulation
+from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.sections.validation import ModelErrorsSection
 from idtool.robot.model import Model
@@ -58,16 +58,12 @@ def validation_page(
     return render(
         "Validation of a dynamics model",
         with_robot(with_simulation(_SECTIONS, report.simulation), robot),
-        ["torques.js", "lines.js", "positions.js", "solids.js", "robot.js"],
-        {
-            **curves(evaluation, "model", units, position=False),
-            **simulation_view(rollouts, report.simulation, "model"),
-            **robot,
-        },
+        ["solids.js", "robot.js"],
+        robot,
         report=report,
-        simulation=report.simulation,
         groups=by_unit(units),
-        **simulation_text(report.simulation),
+        torques=torque_figures(evaluation, "model", units),
+        **simulation_view(rollouts, report.simulation, "model"),
         where="On the validation logs",
         command=command,
     )

@@ -1,0 +1,1 @@
+"""Figures of results, for pages and notebooks alike: one file a kind, each function returns a `Figure`."""

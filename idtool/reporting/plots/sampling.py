@@ -1,0 +1,67 @@
+"""Values for drawing: of bounded number, and with as many digits as can be seen."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.arrays import Array
+
+_DIGITS = 5  # of a curve's largest value
+_MOST_DECIMALS = 12
+
+
+def merged(x: Array, count: int) -> Array:
+    """The least and greatest value of ``count`` stretches at a time; NaN only where all are.
+
+    Where the curve falls, the greatest comes first, so that a smooth one is drawn smooth.
+
+    Parameters
+    ----------
+    x
+        Pairs of values, shape (rows, 2 stretches).
+    count
+        How many to take together.
+
+    Returns
+    -------
+    Shape (rows, 2 ceil(stretches / count)).
+    """
+    short = -x.shape[1] % (2 * count)
+    blocks = np.pad(x, [(0, 0), (0, short)], constant_values=np.nan).reshape(len(x), -1, 2 * count)
+    low, high = np.fmin.reduce(blocks, axis=-1), np.fmax.reduce(blocks, axis=-1)
+    around = np.pad(low + high, [(0, 0), (1, 1)], mode="edge")
+    falls = around[:, 2:] < around[:, :-2]
+    pairs = np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=-1)
+    return np.asarray(pairs.reshape(len(x), -1))
+
+
+def rounded(x: Array) -> list[float | None]:
+    """A curve to five digits of its largest value; None breaks the line."""
+    largest = float(np.fmax.reduce(np.abs(x), initial=0.0))
+    decimals = _DIGITS - 1 - math.floor(math.log10(largest)) if largest else 0
+    return [None if math.isnan(value) else value for value in x.round(min(decimals, _MOST_DECIMALS)).tolist()]
+
+
+def significant(x: Iterable[float | None], digits: int = 4) -> list[float | None]:
+    """Values to so many digits each, as a logarithmic axis needs them; None for what is not finite."""
+    return [None if v is None or not math.isfinite(v) else float(f"{v:.{digits}g}") for v in x]
+
+
+def thinned(count: int, most: int) -> NDArray[np.int64]:
+    """Indices of at most about ``most`` of so many values, evenly spread, the last among them."""
+    step = max(math.ceil(count / max(most, 1)), 1)
+    return np.arange(count - 1, -1, -step)[::-1] if count else np.arange(0)
+
+
+def largest(x: Array, points: int) -> NDArray[np.int64]:
+    """Indices of at most so many values: of every few that lie beside each other, the largest."""
+    if len(x) <= points:
+        return np.arange(len(x))
+    edges = np.linspace(0, len(x), points + 1).astype(int)
+    known = np.nan_to_num(x, nan=-np.inf)
+    return np.array([low + int(np.argmax(known[low:high])) for low, high in itertools.pairwise(edges)])
