@@ -113,8 +113,7 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     assert (
         "With it, the torque is predicted better, but the rollouts got worse: abad, hip, knee, overall." in page.plain
     )
-    bad = [tag for tag, attrs in page.tags if tag == "td" and attrs.get("class") == "bad"]
-    assert len(bad) == 1 + len(JOINTS) + 1  # of the step, and of all joints
+    assert page.tags.count(("td", {"class": "bad"})) == 1 + len(JOINTS) + 1  # of the step, and of all joints
     assert ("td", {"class": "bad"}) not in page_of(found).tags
 
 
