@@ -22,7 +22,7 @@ from idtool.data.channels import Channels
 from idtool.data.command import Command
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above
 from idtool.data.logs.log import Log
-from idtool.data.logs.times import doubtful_unit
+from idtool.data.logs.times import suspected_unit
 from idtool.robot.config import Config
 
 BATCH = 8192  # samples
@@ -314,7 +314,7 @@ def _band(log: Log, config: Config) -> float:
     rate, duration = 1 / log.dt, len(log) * log.dt
     band = config.filter.cutoff_hz or default_cutoff(log.dt)
     if band >= 0.45 * rate:
-        unit = doubtful_unit(log.dt, log.segments, log.signals)
+        unit = suspected_unit(log.dt, log.segments, log.signals)
         times = f"; its times seem to be in {unit}, not in s" if unit else ""
         raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path} sampled at {rate:.4g} Hz{times}")
     if band * duration < 1:

@@ -16,7 +16,7 @@ from idtool.common.names import join_names
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import Joint
 from idtool.data.logs import Log, read_log
-from idtool.data.logs.choices import state_topics
+from idtool.data.logs.state_topics import state_topics
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot

@@ -84,7 +84,7 @@ def test_a_velocity_in_time_is_left_alone() -> None:
     t = clock(6)
     signals = signals_of(swinging(t), velocity="measured")
     np.testing.assert_array_equal(signals.lag, 0)
-    assert signals.notices == []
+    assert not signals.notices
 
 
 def jittering(rng: np.random.Generator, samples: float, true: bool) -> tuple[Log, Array]:
