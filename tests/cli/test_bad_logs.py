@@ -70,7 +70,7 @@ CSV: dict[str, tuple[bytes | list[Row], str]] = {
     "no torque of one joint": (lacking("tau_knee"), "joint knee has neither torque nor position command"),
     "a command and no controller": (
         [["qcmd_hip" if name == "tau_hip" else name for name in HEADER], *SAMPLES],
-        "joint hip has no torque; give the gains under controller.kp and kd",
+        "joint hip has no torque; set its gains controller.kp and kd",
     ),
     "joints of another robot": ([[name.replace("_", "_x") for name in HEADER], *SAMPLES], "abad"),
     "one joint is missing": (lacking("q_hip", "v_hip", "tau_hip"), "joints: hip: is not in every log"),
@@ -187,7 +187,7 @@ def test_a_controller_without_a_joints_gain(tmp_path: Path, gains: dict[str, Any
     table = [[commands.get(name, name) for name in HEADER], *SAMPLES]
     (tmp_path / "log.csv").write_text(csv_text(table))
     config = config_with(tmp_path / "c.yaml", LEG_YAML, controller=gains)
-    naming = f"joint {joint} has no torque; give the gains under controller.kp and kd"
+    naming = f"joint {joint} has no torque; set its gains controller.kp and kd"
     refuse(tmp_path, "fit", LEG, "log.csv", "--config", config, file="log.csv: ", naming=naming)
 
 

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import nearest, shown
-from idtool.common.provenance import source_file
+from idtool.common.names import printable, suggestion
+from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, Log, make_log
 
@@ -72,7 +72,7 @@ def read_log(
     path = Path(path)
     try:
         log = _read(path, topic, columns)
-        sources = tuple(source_file("log", file) for file in log_files(path))
+        sources = tuple(source_from_file("log", file) for file in log_files(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     _apply_scale(log, scale)
@@ -118,7 +118,7 @@ def write_log(path: str | os.PathLike[str], log: Log) -> None:
     path = Path(path)
     log_format = next((member for member in _formats() if path.suffix.lower() in member.SUFFIXES), None)
     if log_format is None:
-        raise LogError(path, f"unsupported log format '{shown(path.suffix)}'; use {' or '.join(_suffixes())}")
+        raise LogError(path, f"unsupported log format '{printable(path.suffix)}'; use {' or '.join(_suffixes())}")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:

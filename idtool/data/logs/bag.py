@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.common.names import shown, stem
+from idtool.common.names import printable, stem
 from idtool.common.safe_yaml import parse_yaml, yaml_bytes
 
 METADATA = "metadata.yaml"
@@ -79,7 +79,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 def wrong_storage_message(path: Path, storage: str) -> str:
     """Error message for a bag that is not stored as MCAP, with the command that converts it."""
-    return f"is stored as {shown(storage)}, not mcap; {_conversion_advice(path)}"
+    return f"is stored as {printable(storage)}, not mcap; {_conversion_advice(path)}"
 
 
 def ros1_message(path: Path) -> str:
@@ -87,13 +87,13 @@ def ros1_message(path: Path) -> str:
     target = shlex.quote(f"{stem(path)}_mcap")
     return (
         f"is a ROS 1 bag; run 'rosbags-convert --src {shlex.quote(str(path))} --dst {target} --dst-storage mcap' "
-        f"(pip install rosbags) and use {shown(target)}"
+        f"(pip install rosbags) and use {printable(target)}"
     )
 
 
 def _conversion_advice(path: Path) -> str:
     """How to convert a bag to MCAP. ``all`` works with every version of rosbag2, ``all_topics`` only with new ones."""
-    target = shown(f"{stem(path)}_mcap")
+    target = printable(f"{stem(path)}_mcap")
     return (
         f"write 'output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]' to out.yaml, "
         f"run 'ros2 bag convert -i {shlex.quote(str(path))} -o out.yaml' and use {target}"
@@ -133,7 +133,7 @@ def _text(value: object) -> str:
 
 def _file_in(folder: Path, name: str) -> Path:
     """The file of that name in the folder."""
-    outside_message = f"names {shown(name)}, which is outside the folder; only files within it are read"
+    outside_message = f"names {printable(name)}, which is outside the folder; only files within it are read"
     path = folder / name
     if Path(name).is_absolute() or ".." in Path(name).parts:
         raise LogError(folder / METADATA, outside_message)
@@ -148,6 +148,6 @@ def _file_in(folder: Path, name: str) -> Path:
         raise LogError(folder / METADATA, outside_message)
     if not exists:
         raise LogError(
-            folder / METADATA, f"names {shown(name)}, which is not in the folder; add the file or remove its name"
+            folder / METADATA, f"names {printable(name)}, which is not in the folder; add the file or remove its name"
         )
     return path

@@ -80,8 +80,8 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: 
     if not columns:
         raise LogError(
             path,
-            f"is not a log: its first line has no joint signal, but {some(header)}; name the columns t, q_<joint>, "
-            "v_<joint>, tau_<joint>, or map them in log.columns",
+            f"is not a log: its first line has no joint signal, but {join_names(header)}; name the columns t, "
+            "q_<joint>, v_<joint>, tau_<joint>, or map them in log.columns",
         )
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")
@@ -100,8 +100,9 @@ def _parse_canonical(path: Path, name: str) -> JointSignal | str:
     """Signal and joint of a canonical name; the time's name is returned as it is."""
     match = _CANONICAL.fullmatch(name)
     if not match and name != "t":
+        names = join_names(SIGNALS)
         raise LogError(
-            path, f"log.columns: {shown(name)} is not a canonical name; use t or <signal>_<joint> ({some(SIGNALS)})"
+            path, f"log.columns: {printable(name)} is not a canonical name; use t or <signal>_<joint> ({names})"
         )
     return (match[1], match[2]) if match else name
 
@@ -141,7 +142,7 @@ def _joint_names(path: Path, prefixes: set[str], topic: str | None) -> dict[str,
         topic_prefix = f"/{topic.strip('/')}/"
         if not any(prefix.startswith(topic_prefix) for prefix in rooted):
             topics = sorted({prefix.rpartition("/")[0] for prefix in rooted})
-            raise LogError(path, f"has no columns of topic {topic}; {nearest(topic, topics)}")
+            raise LogError(path, f"has no columns of topic {topic}; {suggestion(topic, topics)}")
         for prefix in rooted:
             joints[prefix] = prefix.removeprefix(topic_prefix) if prefix.startswith(topic_prefix) else None
     else:
@@ -161,5 +162,5 @@ def _conflict_message(first: str, second: str, key: JointSignal) -> str:
     both = f"columns {printable(first)} and {printable(second)}"
     if first.startswith("/") and second.startswith("/"):
         return f"{both} are of different topics; set log.topic to the one to read"
-    name = shown("_".join(key))
+    name = printable("_".join(key))
     return f"{both} are both {name}; set log.columns: {{{name}: <one of them>}}"

@@ -69,7 +69,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     t, joints, arrays = samples.arrays()
     notices: list[Notice] = []
     if column_map.unused:
-        message = f"columns without a joint signal were ignored: {some(column_map.unused)}"
+        message = f"columns without a joint signal were ignored: {join_names(column_map.unused)}"
         advice = "if one of them is a joint signal, map it in log.columns of the configuration"
         notices.append(Notice("unused_columns", "note", None, message, advice))
     if empty_rows:

@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.mcap_records import RECORD, SCHEMA, Batch
 
 _MAX_BYTES = 1 << 26  # of a file's schemas and channels, which stay in memory while it is read
@@ -77,11 +77,11 @@ class Definitions:
 
 def message_type(channel: Channel, schema: Schema | None) -> str:
     """The schema and encoding of a channel's messages, for error messages."""
-    return f"{shown(schema.name) if schema else 'no schema'}, {shown(channel.message_encoding)}"
+    return f"{printable(schema.name) if schema else 'no schema'}, {printable(channel.message_encoding)}"
 
 
 def list_topics(types: Mapping[str, str]) -> str:
     """The first few topics, each with its `message_type`, and the number of others."""
-    first = [f"{shown(topic)} ({kind})" for topic, kind in list(types.items())[:_MAX_LISTED]]
+    first = [f"{printable(topic)} ({kind})" for topic, kind in list(types.items())[:_MAX_LISTED]]
     others = len(types) - len(first)
     return (", ".join(first) or "none") + (f" and {others} more" if others else "")

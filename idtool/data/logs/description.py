@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.bag import is_bag, log_files
 from idtool.data.logs.definitions import Definitions, list_topics, message_type
 from idtool.data.logs.mcap_file import open_mcap
@@ -64,10 +64,10 @@ def find_robot_description(paths: Sequence[Path]) -> RobotDescription:
             if first is None:
                 first = other
             if first.text != other.text:
-                source = f"topic {shown(first.topic)}"
+                source = f"topic {printable(first.topic)}"
                 if first.path != path:
                     source += f" of {first.path.name}"
-                message = f"topic {shown(other.topic)} has another robot description than {source}"
+                message = f"topic {printable(other.topic)} has another robot description than {source}"
                 raise LogError(path, f"{message}; give the URDF to use before the logs")
     if first is None:
         raise LogError(paths[0], f"{topics.missing_message()}; give a URDF before the log")
@@ -83,7 +83,7 @@ class _TopicTypes:
 
     def missing_message(self) -> str:
         if self.candidates:
-            return f"topic {shown(self.candidates[0])} has no messages"
+            return f"topic {printable(self.candidates[0])} has no messages"
         return f"no topic {_TOPIC} carries a URDF ({_MESSAGE_TYPE}); there are: {list_topics(self.types)}"
 
 

@@ -51,7 +51,7 @@ def make_log_of_complete_samples(
         removed.insert(0, f"{(~rows).sum()} samples")
     message = (
         "no two consecutive samples have every signal, as if several sources took turns; "
-        f"kept the {rows.sum()} samples of {some(kept_joints)}, left out {some(removed)}"
+        f"kept the {rows.sum()} samples of {join_names(kept_joints)}, left out {join_names(removed)}"
     )
     advice = "log position and torque in the same message"
     notices += (Notice("interleaved_signals", "warning", None, message, advice),)

@@ -15,7 +15,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
-from idtool.common.provenance import Source
+from idtool.common.provenance import InputFile
 from idtool.data.logs.times import suspected_unit, time_unit_notice
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")

@@ -77,7 +77,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
             message = f"the commands were left out: {error}"
             notices.append(Notice("commands_left_out", "warning", None, message, advice))
     if columns:
-        message = f"log.columns is only for CSV and was ignored: {some(columns)}"
+        message = f"log.columns is only for CSV and was ignored: {join_names(columns)}"
         notices.append(Notice("columns_ignored", "note", None, message))
     notices += convert_to_seconds(t)
     return make_log_of_complete_samples(path, t, joints, signals, tuple(notices))

@@ -149,7 +149,7 @@ class Table:
                     raise LogError(self._path, f"{line} has {len(row)} cells, but the first line {len(self.header)}")
                 for i in columns:
                     if not _is_number(row[i]):
-                        message = f"{line}, column {shown(self.header[i])}: '{shown(row[i])}' is not a number"
+                        message = f"{line}, column {printable(self.header[i])}: '{printable(row[i])}' is not a number"
                         raise LogError(self._path, message)
         except csv.Error as error:
             raise LogError(self._path, f"line {self._line + reader.line_num}: {error}") from None

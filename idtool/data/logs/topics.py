@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
-from idtool.common.names import nearest, shown, some
+from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions, list_topics, message_type
 from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, Batch
 from idtool.data.logs.payloads import decoder_for
@@ -114,7 +114,9 @@ class TopicReader:
         name = self._wanted
         if name is None:
             if len(self.names) > 1:
-                message = f"{len(self.names)} topics carry joint states; set log.topic to one of {some(self.names)}"
+                message = (
+                    f"{len(self.names)} topics carry joint states; set log.topic to one of {join_names(self.names)}"
+                )
                 raise LogError(self._path, message)
             if not self.names:
                 raise LogError(self._path, self._no_topic_message())
@@ -143,7 +145,7 @@ class TopicReader:
         for name, kind in types.items():
             if kind == _ROS1:
                 return (
-                    f"topic {shown(name)} carries joint states in the ROS 1 encoding, which is not supported; run "
+                    f"topic {printable(name)} carries joint states in the ROS 1 encoding, which is not supported; run "
                     "'rosbags-convert --src <the original .bag> --dst <a new folder> --dst-storage mcap' (pip install "
                     "rosbags) and use that folder"
                 )
@@ -154,7 +156,7 @@ class TopicReader:
             return f"has no topic {name}; {suggestion(name, self.names or list(self._topics))}"
         topic = self._topics[name]
         if not topic.has_joint_states:
-            return f"topic {name} carries {topic.message_type}, not joint states; {nearest(name, self.names)}"
+            return f"topic {name} carries {topic.message_type}, not joint states; {suggestion(name, self.names)}"
         return f"topic {name} has no messages"
 
     def _is_needed(self, name: str) -> bool:

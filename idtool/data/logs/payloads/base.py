@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.names import shown
+from idtool.common.names import printable
 from idtool.data.logs.sample_buffer import Samples
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -50,7 +50,7 @@ def check_names(joints: Sequence[str]) -> None:
     """Raise ValueError for joint names that repeat or cannot be printed."""
     if len(set(joints)) < len(joints):
         repeated = next(name for name in joints if joints.count(name) > 1)
-        raise ValueError(f"names joint {shown(repeated)} twice")
+        raise ValueError(f"names joint {printable(repeated)} twice")
     if not "".join(joints).isprintable():
         raise ValueError("has a joint name with characters that cannot be printed")
 

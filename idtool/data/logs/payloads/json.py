@@ -101,7 +101,7 @@ def _seconds(i: int, message: Any) -> float:
                 return float(stamp if isinstance(stamp, int | float) else _stamp_seconds(stamp))
             except (TypeError, OverflowError):
                 message_text = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}"
-                raise PayloadError(i, f"{message_text}: {shown(str(stamp))}") from None
+                raise PayloadError(i, f"{message_text}: {printable(str(stamp))}") from None
     return 0.0
 
 
