@@ -24,7 +24,7 @@ from idtool.reporting.results.diagnosis import DiagnosisReport
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import Recorded
+    from idtool.api.records import RecordingData
 
 
 class DiagnosisResult(DiagnosisReport, Saved, Recordable):
@@ -57,7 +57,7 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
             IDENTIFIED: identified_text(last, folder),
         }
 
-    def _recorded(self) -> Recorded:
+    def _recording_data(self) -> RecordingData:
         from idtool.api.recording import of_fit
 
         last = self._diagnosis.last

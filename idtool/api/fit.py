@@ -28,7 +28,7 @@ Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]  # of
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import Recorded
+    from idtool.api.records import RecordingData
 
 _SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")  # what no model mends
 
@@ -57,7 +57,7 @@ class FitResult(FitReport, Saved, Recordable):
             "report.html": fit_page(self._fit, self, made_by, self._maps),
         }
 
-    def _recorded(self) -> Recorded:
+    def _recording_data(self) -> RecordingData:
         from idtool.api.recording import of_fit
 
         return self._fit.experiment.model, of_fit(self._fit), "identified"

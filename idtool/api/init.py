@@ -16,7 +16,7 @@ from idtool.common.safe_yaml import read_yaml
 from idtool.data.description import robot_and_logs
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, TrialReport
-from idtool.setup import Start, start
+from idtool.setup import InitialConfig, make_initial_config
 
 
 class InitResult(InitReport):
@@ -89,23 +89,24 @@ def init(
     known = None if config is None else Path(config)
     beside = default_configuration(Path(urdf))
     place = beside if file is None else Path(file)
-    robot, every = robot_and_logs(Path(urdf), given)
-    found = start(robot, every, (read_yaml(known) if known else None) or {}, known, progress or silent)
+    robot, all_logs = robot_and_logs(Path(urdf), given)
+    given_config = (read_yaml(known) if known else None) or {}
+    draft = make_initial_config(robot, all_logs, given_config, known, progress or silent)
     result = InitResult(
         file=str(place),
         urdf=str(urdf),
         logs=[str(path) for path in given],
-        band_hz=found.band_hz,
-        config=dict(found.data),
-        rms=None if found.rms is None else StartErrors(**found.rms),
-        trials=[TrialReport(**asdict(trial)) for trial in found.trials],
-        found=found.found,
-        left=[TodoReport(**asdict(item)) for item in found.left],
-        needed=[item.key for item in found.needed],
-        **notice_fields(found.notices),
-        next=_next(found, place, [Path(urdf), *given], place.resolve() == beside.resolve()),
+        band_hz=draft.band_hz,
+        config=dict(draft.data),
+        rms=None if draft.rms is None else StartErrors(**draft.rms),
+        trials=[TrialReport(**asdict(trial)) for trial in draft.trials],
+        found=draft.findings,
+        left=[TodoReport(**asdict(item)) for item in draft.todo],
+        needed=[item.key for item in draft.needed],
+        **notice_fields(draft.notices),
+        next=_next_command(draft, place, [Path(urdf), *given], place.resolve() == beside.resolve()),
     )
-    result._text = found.text
+    result._text = draft.text
     return result
 
 
@@ -133,10 +134,10 @@ def check_configuration(file: Path, inputs: Sequence[Path], force: bool) -> None
         raise OutputError(folder, "cannot be written to; give another --out")
 
 
-def _next(found: Start, file: Path, given: Sequence[Path], beside: bool) -> str:
-    """The next command: the fit, or the same again with what it cannot do without filled in."""
+def _next_command(draft: InitialConfig, file: Path, given: Sequence[Path], beside: bool) -> str:
+    """The next command: the fit, or `init` again if values that the fit needs have to be filled in."""
     arguments = list(map(str, given))
-    if found.needed:
+    if draft.needed:
         out = [] if beside else ["--out", str(file)]
         return shlex.join(["idtool", "init", *arguments, "--config", str(file), *out, "--force"])
     return shlex.join(["idtool", "fit", *arguments, *([] if beside else ["--config", str(file)])])

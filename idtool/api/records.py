@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from idtool.reporting.results.base import NoticeReport
     from idtool.robot.model import Model as RobotModel
 
-    Recorded = tuple[
+    RecordingData = tuple[
         RobotModel, Sequence[Sequence[Trace]], str
     ]  # robot, each log's torque and positions, what is shown
 
@@ -72,10 +72,10 @@ class Recordable(ABC):
         """
         from idtool.api.recording import save_recording
 
-        return save_recording(file, *self._recorded())
+        return save_recording(file, *self._recording_data())
 
     @abstractmethod
-    def _recorded(self) -> Recorded:
+    def _recording_data(self) -> RecordingData:
         """The robot, of each log the torque and the positions, and the model that is shown."""
 
 

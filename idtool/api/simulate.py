@@ -36,7 +36,7 @@ from idtool.robot.model import Model as RobotModel
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import Recorded
+    from idtool.api.records import RecordingData
 
 FILE = "simulated.mcap"  # what the log is called in a folder
 
@@ -136,7 +136,7 @@ class SimulationResult(Recordable):
         write_log(file, self.log.record)
         return (file,)
 
-    def _recorded(self) -> Recorded:
+    def _recording_data(self) -> RecordingData:
         from idtool.api.recording import of_motion
 
         motion = of_motion(self._source.name, self.log.t, self._measured, self.log.q)

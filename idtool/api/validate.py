@@ -27,7 +27,7 @@ from idtool.robot.model import Model as RobotModel
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import Recorded
+    from idtool.api.records import RecordingData
 
 
 class ValidationResult(ValidationReport, Saved, Recordable):
@@ -46,7 +46,7 @@ class ValidationResult(ValidationReport, Saved, Recordable):
         page = validation_page(self._evaluation, self, made_by, self._rollouts, bodies)
         return {"validation.json": as_json(self.to_json()), "validation.html": page}
 
-    def _recorded(self) -> Recorded:
+    def _recording_data(self) -> RecordingData:
         from idtool.api.recording import beside
 
         motions = self._rollouts.traces if self._rollouts else ()

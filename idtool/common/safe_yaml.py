@@ -9,14 +9,14 @@ import yaml
 
 from idtool.common.exceptions import ConfigError
 
-_MAX_BYTES = 1 << 20  # a configuration is written by hand or by idtool; more is not one
+_MAX_BYTES = 1 << 20  # no configuration or bag metadata is larger
 _MAX_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up
 _MAX_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of their length to read
 
 
-def read_yaml(path: Path) -> Any:
-    """The contents of an untrusted YAML file; errors as in `yaml_bytes` and `parse_yaml`."""
-    return parse_yaml(path, yaml_bytes(path))
+def read_yaml(path: Path, *, as_text: bool = False) -> Any:
+    """The contents of a YAML file from a stranger; parameters and errors as in `yaml_bytes` and `parse_yaml`."""
+    return parse_yaml(path, yaml_bytes(path), as_text=as_text)
 
 
 def yaml_bytes(path: Path) -> bytes:
@@ -33,11 +33,11 @@ def yaml_bytes(path: Path) -> bytes:
     except OSError as error:
         raise ConfigError(path, f"cannot be read ({error.strerror})") from None
     if len(data) > _MAX_BYTES:
-        raise ConfigError(path, f"is larger than {_MAX_BYTES >> 20} MiB, which no configuration is")
+        raise ConfigError(path, f"is larger than {_MAX_BYTES >> 20} MiB")
     return data
 
 
-def parse_yaml(path: Path, data: bytes) -> Any:
+def parse_yaml(path: Path, data: bytes, *, as_text: bool = False) -> Any:
     """Plain values from YAML of bounded size.
 
     Parameters
@@ -46,6 +46,8 @@ def parse_yaml(path: Path, data: bytes) -> Any:
         The file, for errors.
     data
         From `yaml_bytes`.
+    as_text
+        If true, all values stay text of any length, and tags are ignored.
 
     Raises
     ------
@@ -53,20 +55,25 @@ def parse_yaml(path: Path, data: bytes) -> Any:
         If it is not YAML, or repeats a key.
     """
     try:
-        root = yaml.compose(data, Loader=yaml.SafeLoader)
-        _check_nodes(path, root)
-        return yaml.safe_load(data)
+        loader = yaml.BaseLoader(data) if as_text else yaml.SafeLoader(data)
+        root = loader.get_single_node()
+        if root is None:
+            return None
+        _check_nodes(path, root, _MAX_BYTES if as_text else _MAX_CHARACTERS)
+        return loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(path, f"is not YAML{line}: {error.problem}") from None
+    except RecursionError:
+        raise ConfigError(path, "is not YAML: its lists or mappings are nested too deeply") from None
     except ConfigError:
         raise
     except Exception as error:  # the parser has no error of its own for a tag that does not fit its value
         raise ConfigError(path, f"is not YAML: {error}") from None
 
 
-def _check_nodes(path: Path, root: yaml.Node | None) -> None:
-    """Raise ConfigError for repeated keys, long values, and aliases that expand to too many values."""
+def _check_nodes(path: Path, root: yaml.Node, longest: int) -> None:
+    """Refuse repeated keys, values of more than ``longest`` characters, and aliases that expand to too many values."""
     sizes: dict[int, int] = {}
 
     def size(node: yaml.Node) -> int:
@@ -84,10 +91,10 @@ def _check_nodes(path: Path, root: yaml.Node | None) -> None:
                 children += [key, value]
         elif isinstance(node, yaml.SequenceNode):
             children = list(node.value)
-        elif len(node.value) > _MAX_CHARACTERS:
+        elif len(node.value) > longest:
             raise ConfigError(path, f"holds a value of {len(node.value)} characters in line {node.start_mark.line + 1}")
         sizes[id(node)] = 1 + sum(map(size, children))
         return sizes[id(node)]
 
-    if root is not None and size(root) >= _MAX_NODES:
-        raise ConfigError(path, f"holds more than {_MAX_NODES} values, aliases written out; no configuration does")
+    if size(root) >= _MAX_NODES:
+        raise ConfigError(path, f"holds more than {_MAX_NODES} values once its aliases are expanded")

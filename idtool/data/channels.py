@@ -1,7 +1,7 @@
-"""`Channels`: what a log's signals were at evenly spaced instants.
+"""`Channels`: the signals of a log at evenly spaced instants.
 
-Stamps that jitter either tell when samples were taken, then the signals are interpolated to an even clock, or only when
-they were written, then the samples themselves are taken as even. A measured velocity that is late is read later.
+Stamps that jitter are either true sampling times, then the signals are interpolated to an even clock; or they are only
+the times of writing, then the samples themselves are taken as even. The lag of a measured velocity is undone.
 
 Shapes: nv joints, N samples. Units: rad or m, s.
 """
@@ -16,7 +16,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import Log
 
-LOOKED_AT = 1 << 16  # samples from which a log is judged
+MAX_JUDGED_SAMPLES = 1 << 16  # samples from which a log is judged
 _RESAMPLED = 0.01  # rms of the stamps' jitter, in samples, above which the signals are put on an even clock
 _AROUND = 10  # samples to either side that tell the speed at which a sample was taken
 _AGREES = 0.8  # share of a measured velocity's power that dq/dt must explain
@@ -105,7 +105,7 @@ class Channels:
     def longest(self, parts: Sequence[slice]) -> slice:
         """A stretch to judge the log by, of bounded length."""
         longest = max(parts, key=lambda s: s.stop - s.start)
-        return slice(longest.start, min(longest.stop, longest.start + LOOKED_AT))
+        return slice(longest.start, min(longest.stop, longest.start + MAX_JUDGED_SAMPLES))
 
     def _segment(self, part: slice) -> slice:
         return next(s for s in self.log.segments if s.start <= part.start < s.stop)
@@ -119,9 +119,9 @@ class Channels:
 
     def _step_jitter(self) -> float:
         ends = np.cumsum([s.stop - s.start - 1 for s in self.log.segments])
-        enough = self.log.segments[: int(np.searchsorted(ends, LOOKED_AT)) + 1]
-        steps = np.concatenate([np.diff(self.log.t[s][: LOOKED_AT + 1]) for s in enough])
-        return float(np.std(steps[:LOOKED_AT])) / self.log.dt
+        enough = self.log.segments[: int(np.searchsorted(ends, MAX_JUDGED_SAMPLES)) + 1]
+        steps = np.concatenate([np.diff(self.log.t[s][: MAX_JUDGED_SAMPLES + 1]) for s in enough])
+        return float(np.std(steps[:MAX_JUDGED_SAMPLES])) / self.log.dt
 
     def _stamps_are_true(self) -> bool:
         """Whether jittering stamps tell when samples were taken, or only when they were written.
@@ -130,7 +130,7 @@ class Channels:
         """
         error = np.zeros(2)
         for s in self.log.segments:
-            t, q = self.log.t[s][:LOOKED_AT], self.log.signals["q"][s, self._columns][:LOOKED_AT]
+            t, q = self.log.t[s][:MAX_JUDGED_SAMPLES], self.log.signals["q"][s, self._columns][:MAX_JUDGED_SAMPLES]
             if len(t) > 2 * _AROUND + 1:
                 speed = (q[2 * _AROUND :] - q[: -2 * _AROUND]) / (t[2 * _AROUND :] - t[: -2 * _AROUND])[:, None]
                 step = np.diff(q[_AROUND:-_AROUND], axis=0)
@@ -139,13 +139,13 @@ class Channels:
         return bool(error[0] < error[1])
 
     def _velocity_bias(self) -> Array:
-        """What the measured velocity adds to the way that the joint has gone, a time; shape (nv,)."""
+        """Mean error of the measured velocity against the distance covered, shape (nv,) [rad/s or m/s]."""
         if not self.trusted.any():
             return np.zeros(len(self._columns))
         part = self.longest(self.parts())
         q, v = self.signal("q", part), self._read("v", part, self.lag)
-        way = (q[:, -1] - q[:, 0]) / (self.log.dt * (q.shape[1] - 1))
-        bias = (v[:, 1:] + v[:, :-1]).mean(axis=1) / 2 - way
+        mean_velocity = (q[:, -1] - q[:, 0]) / (self.log.dt * (q.shape[1] - 1))
+        bias = (v[:, 1:] + v[:, :-1]).mean(axis=1) / 2 - mean_velocity
         return np.where(self.trusted & (np.abs(bias) > _BIASED), bias, 0.0)
 
     def _judge_velocity(self) -> tuple[Array, Mask]:
@@ -156,8 +156,8 @@ class Channels:
         """
         part = self.longest(self.parts())
         q, v = self.signal("q", part), self.signal("v", part)
-        found = [velocity_agreement(x, y, self.log.dt) for x, y in zip(q, v, strict=True)]
-        lag, gain, agreement, error = np.array([(f.lag, f.gain, f.agreement, f.lag_error) for f in found]).T
+        agreements = [velocity_agreement(x, y, self.log.dt) for x, y in zip(q, v, strict=True)]
+        lag, gain, agreement, error = np.array(agreements).T
         follows = (agreement > _AGREES) & (np.abs(gain - 1) < _GAIN)
         sure = self.measured & follows & (error < np.maximum(_SURE * self.log.dt, _SURE * np.abs(lag)))
         trusted = self.measured & (follows | np.isnan(agreement) | (np.ptp(q, axis=1) < _AT_REST))

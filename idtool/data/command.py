@@ -19,7 +19,7 @@ from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differen
 from idtool.data.logs.log import Log
 from idtool.robot.config import Controller
 
-LONGEST_DELAY = 0.05  # s: no longer one is looked for
+MAX_DELAY = 0.05  # s: upper limit of the search
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Command:
                 )
             if controller is None or name not in controller.kp:
                 raise LogError(
-                    log.path, f"joint {name} has no torque; give the gains under controller.kp and kd in the config"
+                    log.path, f"joint {name} has no torque; set its gains controller.kp and kd in the configuration"
                 )
         if controller is None or not without.any():
             return cls(without, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
@@ -103,15 +103,13 @@ def commanded(log: Log, controller: Controller | None) -> Log:
         return log
     tau = log.signals["tau"].copy()
     tau[:, empty] = np.nan
-    message = (
-        f"torque that never changes is none, the controller's is taken: {join_names([log.joints[i] for i in empty])}"
-    )
+    message = f"the torque never changes; that of the controller is used: {join_names([log.joints[i] for i in empty])}"
     notice = Notice("torque_from_command", "note", None, message)
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 
 
 def _is_constant(log: Log, joint: int) -> bool:
-    """Whether there is a torque that never changes."""
+    """True if a joint has a torque that never changes."""
     if "tau" not in log.signals:
         return False
     tau = log.signals["tau"][:, joint]

@@ -1,4 +1,4 @@
-"""A robot from its URDF or, where none is given, from the description that a bag of ROS holds."""
+"""A robot from its URDF or, if none is given, from the robot description in a ROS bag."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from idtool.robot.urdf.reading import Robot, parse_robot, read_robot
 def robot_and_logs(urdf: Path, logs: Sequence[Path]) -> tuple[Robot, list[Path]]:
     """The robot and its logs.
 
-    Where ``urdf`` is a bag, an MCAP file or a rosbag2 folder, it is the first of the logs, and the robot is that on its
-    topic ``/robot_description``, or on that of another log. The robot's `path` is then the bag's and the topic's: there
-    is no such file, so its meshes are found by ROS's search paths, not beside it.
+    If ``urdf`` is a bag (an MCAP file or a rosbag2 folder), it is the first of the logs, and the robot is the one on
+    topic ``/robot_description`` of any of the logs. The robot's `path` is then that of the bag and the topic: there is
+    no such file, so its meshes are found by ROS's search paths, not beside it.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ def robot_and_logs(urdf: Path, logs: Sequence[Path]) -> tuple[Robot, list[Path]]
     """
     if not is_bag(urdf):
         return read_robot(urdf), list(logs)
-    from idtool.data.logs.description import robot_description
+    from idtool.data.logs.description import find_robot_description
 
-    every = [urdf, *logs]
-    found = robot_description(every)
-    parts = [part for part in found.topic.split("/") if part.strip(".")]  # not up and out of the bag
-    return parse_robot(found.path.joinpath(*parts), found.text), every
+    all_logs = [urdf, *logs]
+    description = find_robot_description(all_logs)
+    parts = [part for part in description.topic.split("/") if part.strip(".")]  # no "..": stay within the bag
+    return parse_robot(description.path.joinpath(*parts), description.text), all_logs

@@ -22,7 +22,7 @@ from idtool.data.channels import Channels
 from idtool.data.command import Command
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above
 from idtool.data.logs.log import Log
-from idtool.data.logs.times import doubtful_unit
+from idtool.data.logs.times import suspected_unit
 from idtool.robot.config import Config
 
 BATCH = 8192  # samples
@@ -165,7 +165,7 @@ class Signals:
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
         strange = self.channels.measured & ~self.channels.trusted
-        message = "logged velocity is not the derivative of q, which is differentiated instead"
+        message = "logged velocity is not the derivative of q; q is differentiated instead"
         advice = "compare the unit, sign and order of the velocities with those of the positions"
         self._note(Notice("velocity_unrelated", "warning", None, message, advice), strange)
         if self.channels.jitter > _JITTERY:
@@ -189,11 +189,11 @@ class Signals:
     def _note_velocity_errors(self) -> None:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
         if late > _LAGS * self.log.dt:
-            message = f"the measured velocity is up to {late * 1e3:.1f} ms late, which is undone"
+            message = f"the measured velocity is up to {late * 1e3:.1f} ms late; the lag is undone"
             self.notices.append(Notice("velocity_lag", "note", None, message, "nothing to do"))
         if self.channels.bias.any():
             off = float(np.abs(self.channels.bias).max())
-            message = f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average, undone"
+            message = f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average; this is undone"
             self._note(Notice("velocity_bias", "note", None, message, "nothing to do"), self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
@@ -314,7 +314,7 @@ def _band(log: Log, config: Config) -> float:
     rate, duration = 1 / log.dt, len(log) * log.dt
     band = config.filter.cutoff_hz or default_cutoff(log.dt)
     if band >= 0.45 * rate:
-        unit = doubtful_unit(log.dt, log.segments, log.signals)
+        unit = suspected_unit(log.dt, log.segments, log.signals)
         times = f"; its times seem to be in {unit}, not in s" if unit else ""
         raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path} sampled at {rate:.4g} Hz{times}")
     if band * duration < 1:

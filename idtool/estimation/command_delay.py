@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar, nnls
 from idtool.common.arrays import Array, Indices
 from idtool.common.linear_algebra import svd
 from idtool.common.notice import Notice
-from idtool.data.command import LONGEST_DELAY
+from idtool.data.command import MAX_DELAY
 from idtool.data.signals import Signals
 from idtool.dynamics.effects import friction_types
 from idtool.dynamics.regressor import LinearModel
@@ -123,9 +123,9 @@ class CommandDelay:
             change = f"that takes {self.gain:.1%} off the torque error"
             friction = f" and mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
             message = f"{difference}; {change}{friction}"
-            return (Notice("command_delay_contradicted", "warning", setting, message, "use auto to have it fitted"),)
-        if self.given is None and self.value >= LONGEST_DELAY - _CONVERGED:
-            most = f"{1e3 * LONGEST_DELAY:.0f} ms"
+            return (Notice("command_delay_contradicted", "warning", setting, message, "give auto to have it fitted"),)
+        if self.given is None and self.value >= MAX_DELAY - _CONVERGED:
+            most = f"{1e3 * MAX_DELAY:.0f} ms"
             message = f"{most} or more fits best"
             advice = "check controller.kp and kd, or give the delay"
             return (Notice("command_delay_too_long", "warning", setting, message, advice),)
@@ -209,7 +209,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
             break
     errors = _DelayErrors(equation, equalities, data, noise, lags, value)
     value = 0.0 if errors.value is None else value
-    start = min(given.value, LONGEST_DELAY) if given else value
+    start = min(given.value, MAX_DELAY) if given else value
     gain = 1 - np.sqrt(profile.cost(value) / max(profile.cost(start), np.finfo(float).tiny))
     joints = np.flatnonzero(by_command)
     viscous = (profile.viscous(start, joints), profile.viscous(value, joints))
@@ -228,7 +228,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
 
 def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> Rows:
     """Columns of the torque equation and then the torque at each of the delays, batch after batch."""
-    parts = run.signals.after(LONGEST_DELAY, run.train)
+    parts = run.signals.after(MAX_DELAY, run.train)
     batches = run.signals.batches(parts, delays=lags.delays)
     for batch in tracked(batches, parts, progress, f"fitting the delay to {run.signals.log.path.name}"):
         columns, kept = equation.filtered_rows(batch)
@@ -247,19 +247,19 @@ class _Lags:
 
     def __init__(self, band_hz: float) -> None:
         # The error at the band's edge is (x / 2)^K / K! or so, x the phase that the longest delay makes there.
-        count = int(np.ceil(1.25 * np.pi * band_hz * LONGEST_DELAY)) + 7
+        count = int(np.ceil(1.25 * np.pi * band_hz * MAX_DELAY)) + 7
         places = -np.cos(np.pi * np.arange(count) / (count - 1))
-        self.delays: list[float] = (LONGEST_DELAY * (1 + places) / 2).tolist()
+        self.delays: list[float] = (MAX_DELAY * (1 + places) / 2).tolist()
         self._coefficients = np.linalg.inv(chebvander(places, count - 1))
-        self._slopes = chebder(self._coefficients) * 2 / LONGEST_DELAY
+        self._slopes = chebder(self._coefficients) * 2 / MAX_DELAY
 
     def weights(self, delay: float) -> Array:
         """Weights w, shape (K,)."""
-        return np.asarray(chebval(2 * delay / LONGEST_DELAY - 1, self._coefficients))
+        return np.asarray(chebval(2 * delay / MAX_DELAY - 1, self._coefficients))
 
     def slopes(self, delay: float) -> Array:
         """Slopes dw / d delay [1/s], shape (K,)."""
-        return np.asarray(chebval(2 * delay / LONGEST_DELAY - 1, self._slopes))
+        return np.asarray(chebval(2 * delay / MAX_DELAY - 1, self._slopes))
 
     def at(self, data: Reduction, delay: float) -> Reduction:
         """The reduction of [Y, tau(delay)] from that with all delays."""
@@ -312,11 +312,11 @@ class _Profile:
 
     def minimizer(self) -> float:
         """The delay of least cost [s]."""
-        grid = np.linspace(0, LONGEST_DELAY, _GRID + 1)
+        grid = np.linspace(0, MAX_DELAY, _GRID + 1)
         best = int(np.argmin([self.cost(delay) for delay in grid]))
         bracket = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])
         minimum = float(minimize_scalar(self.cost, bounds=bracket, method="bounded", options={"xatol": 1e-8}).x)
-        return min((0.0, minimum, LONGEST_DELAY), key=self.cost)
+        return min((0.0, minimum, MAX_DELAY), key=self.cost)
 
 
 class _DelayErrors:
@@ -372,7 +372,7 @@ class _DelayErrors:
         by_joint = products(total)[0]  # (nv, 2)
         information = by_joint.sum(axis=0)
         independent_per_row = sum(factor.independent for factor in total) / sum(factor.rows for factor in total)
-        if information[0] * independent_per_row * LONGEST_DELAY**2 < 1:  # an error as large as the whole range
+        if information[0] * independent_per_row * MAX_DELAY**2 < 1:  # an error as large as the whole range
             return
         length = max(sum(map(len, data)) // _CLUSTERS, 1)
         clusters = [part for log in data for part in log.regrouped(length).parts]

@@ -1,6 +1,6 @@
-"""A first configuration: all that URDF and logs tell, each piece with a word on where it came from."""
+"""A first configuration from a URDF and logs, with the source of each value in a comment."""
 
-from idtool.setup.records import Section, Start, TodoItem, Trial
-from idtool.setup.start import start
+from idtool.setup.initial_config import make_initial_config
+from idtool.setup.records import InitialConfig, Section, TodoItem, Trial
 
-__all__ = ["Section", "Start", "TodoItem", "Trial", "start"]
+__all__ = ["InitialConfig", "Section", "TodoItem", "Trial", "make_initial_config"]

@@ -1,4 +1,4 @@
-"""Bounding ellipsoids for a first configuration: those of whole bodies, and why others have none."""
+"""Bounding ellipsoids for a first configuration, and the reasons why some links have none."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ class Bounds:
 
     Attributes
     ----------
-    found
-        Of links whose whole body is bounded.
+    ellipsoids
+        Ellipsoids of links whose whole body is bounded.
     unused
-        Of links whose body has another part that nothing bounds.
+        Ellipsoids of links whose body has another, unbounded part.
     missing
-        Why a link with mass has none, by link.
+        Reason why a link with mass has none, by link.
     """
 
-    found: Mapping[str, Any]
+    ellipsoids: Mapping[str, Any]
     unused: Mapping[str, Any]
     missing: Mapping[str, str]
 
     @property
     def unread(self) -> tuple[str, ...]:
-        """Links of which a mesh was not found or could not be read."""
+        """Links with a mesh that was not found or could not be read."""
         return tuple(link for link, why in self.missing.items() if "mesh" in why)
 
 
@@ -46,16 +46,16 @@ def find_bounds(robot: Robot, model: Model) -> Bounds:
     """The bounding ellipsoids of the links that move."""
     ellipsoids, reasons = bounding_ellipsoids(robot)
     rounded = {link: _rounded(entries) for link, entries in ellipsoids_config(ellipsoids).items()}
-    found: dict[str, Any] = {}
+    used: dict[str, Any] = {}
     unused: dict[str, Any] = {}
     missing = {}
     for body in model.bodies:
         links = [member.link for member in body.members if member.link in robot.links and body.kind == "link"]
         own = {link: rounded[link] for link in links if link in rounded}
         lacking = _unbounded(body, ellipsoids)
-        (unused if lacking else found).update(own)
+        (unused if lacking else used).update(own)
         missing.update({link: reasons[link] for link in lacking})
-    return Bounds(found, unused, missing)
+    return Bounds(used, unused, missing)
 
 
 def _unbounded(body: Body, ellipsoids: Mapping[str, Ellipsoid]) -> list[str]:
@@ -74,7 +74,7 @@ def _unbounded(body: Body, ellipsoids: Mapping[str, Ellipsoid]) -> list[str]:
 
 
 def _rounded(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same to a tenth of a millimetre, semi-axes rounded up."""
+    """Ellipsoids rounded to a tenth of a millimetre, semi-axes rounded up."""
     scale = 10**_DIGITS
     return [
         {
@@ -87,9 +87,9 @@ def _rounded(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def search_paths(robot: Robot) -> str:
-    """Where meshes are looked for, in words."""
+    """Description of the folders in which meshes are searched."""
     variables = (f"{name}{_value(name)}" for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"))
-    return f"looked for in {robot.path.absolute().parent} and the folders above, {', '.join(variables)}"
+    return f"searched in {robot.path.absolute().parent} and the folders above, {', '.join(variables)}"
 
 
 def _value(name: str) -> str:

@@ -1,4 +1,4 @@
-"""`Draft`: all that the sections of a first configuration are written from."""
+"""`Draft`: everything that the sections of a first configuration are written from."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.bounds import Bounds
-from idtool.setup.recorded import Recorded
-from idtool.setup.trials import Found
+from idtool.setup.log_summary import LogSummary
+from idtool.setup.trials import TrialResults
 
 _UNITS = {  # of a turning joint, and of a sliding one
     "torque": ("N·m", "N"),
@@ -22,64 +22,64 @@ _UNITS = {  # of a turning joint, and of a sliding one
 
 @dataclass(frozen=True)
 class Draft:
-    """What is known so far.
+    """Everything that the sections are written from.
 
     Attributes
     ----------
     robot
-        From the URDF.
+        The robot.
     paths
         The logs.
-    recorded
-        What the logs tell.
+    log_summary
+        Summary of the logs.
     given, source
-        A configuration to start from, plain data, and its file; none: empty.
+        A configuration to start from, as plain data, and its file.
     config
-        The same, checked.
+        The same, validated.
     bounds
         Bounding ellipsoids.
     ratios, rotors
         Gear ratio and URDF link of the rotor, by joint.
-    found
-        What trials found; None: there were none, as ``untried`` says.
-    untried
+    trial_results
+        Results of the trials; None if there were none.
+    no_trials_reason
         Why there were no trials.
     """
 
     robot: Robot
     paths: tuple[Path, ...]
-    recorded: Recorded
+    log_summary: LogSummary
     given: Mapping[str, Any]
     source: Path | None
     config: Config
     bounds: Bounds
     ratios: Mapping[str, float]
     rotors: Mapping[str, str]
-    found: Found | None = None
-    untried: str = ""
+    trial_results: TrialResults | None = None
+    no_trials_reason: str = ""
 
     @property
     def joints(self) -> tuple[str, ...]:
         """The joints that are identified."""
-        return self.recorded.joints
+        return self.log_summary.joints
 
     @property
     def locked(self) -> dict[str, float]:
-        """Where the others are held [rad or m], as given or as found."""
-        return {name: lock.position for name, lock in self.recorded.locked.items()} | self.config.locked_joints
+        """Positions of the locked joints [rad or m], given or from the logs."""
+        return {name: lock.position for name, lock in self.log_summary.locked.items()} | self.config.locked_joints
 
     @property
     def origin(self) -> str:
-        """What is given comes from there, in words."""
+        """Name of the source of the given values."""
         return self.source.name if self.source else "the configuration"
 
     @property
-    def ungained(self) -> tuple[str, ...]:
-        """Joints that have neither torque nor gains to compute it with."""
+    def without_gains(self) -> tuple[str, ...]:
+        """Joints with neither torque nor gains to compute it."""
         gains = self.config.controller.kp if self.config.controller else {}
-        return tuple(name for name in self.recorded.commanded if name not in gains)
+        return tuple(name for name in self.log_summary.commanded if name not in gains)
 
     def unit(self, what: str, joints: Sequence[str]) -> str:
-        """The unit of something of some joints, or both where some turn and others slide."""
+        """The unit of a quantity of some joints; both units if some joints are revolute and others prismatic."""
         sliding = (self.robot.joints[name].kind == "prismatic" for name in joints)
         return " or ".join(dict.fromkeys(_UNITS[what][slides] for slides in sorted(sliding)))

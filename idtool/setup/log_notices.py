@@ -1,4 +1,4 @@
-"""Notices about the logs that a first configuration is made from."""
+"""Notices about the logs of a first configuration."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from pathlib import Path
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.robot.urdf.reading import Joint, Robot
-from idtool.setup.loaded_log import LoadedLog
+from idtool.setup.loaded_logs import LoadedLog
 
-_FAR = 0.5  # of a joint's range: further beyond its limits than a zero that is off takes it
+_FAR = 0.5  # of a joint's range: too far beyond its limits for a zero offset
 
 
 def log_notices(
-    robot: Robot, seen: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]
+    robot: Robot, logs: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]
 ) -> tuple[Notice, ...]:
     """Notices about the logs.
 
     Parameters
     ----------
-    robot, seen
-        From the URDF; the logs.
+    robot, logs
+        The robot and its logs.
     joints, locked
-        Joints that are identified, and those that are held still.
+        Joints that are identified, and joints that are locked.
     """
-    reading = [notice for one in seen for notice in one.inspection.reading]
+    reading = [notice for log in logs for notice in log.inspection.reading]
     return (
         *reading,
-        *_problems(seen, joints),
-        *_wrongly_held(seen, joints, locked),
-        *_unfilled(seen, (*joints, *locked)),
-        *_beyond_limits(robot, seen),
+        *_problems(logs, joints),
+        *_wrongly_locked(logs, joints, locked),
+        *_constant_torque(logs, (*joints, *locked)),
+        *_beyond_limits(robot, logs),
     )
 
 
-def _problems(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Notice]:
-    """Problems that an inspection finds in what is used, those of one kind together."""
+def _problems(logs: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Notice]:
+    """Problems with the used joints that the inspections found, those of one kind together."""
     alike: dict[tuple[str, str, str], list[str]] = {}
-    for one in seen:
-        name = Path(one.inspection.path).name
-        for finding in one.inspection.findings:
+    for log in logs:
+        name = Path(log.inspection.path).name
+        for finding in log.inspection.findings:
             if finding.severity == "problem" and finding.subject in (None, *joints):
                 message = f"{finding.subject}: {finding.message}" if finding.subject else finding.message
                 alike.setdefault((name, finding.code, finding.advice), []).append(message)
@@ -49,42 +49,42 @@ def _problems(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Noti
         yield Notice(code, "problem", name, join_names(messages), advice)
 
 
-def _wrongly_held(seen: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]) -> Iterator[Notice]:
-    """Joints that are held still though they move, and the other way round."""
-    moving = [name for name in locked if any(one.moves(name) for one in seen)]
+def _wrongly_locked(logs: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]) -> Iterator[Notice]:
+    """Locked joints that move, and identified joints that do not."""
+    moving = [name for name in locked if any(log.moves(name) for log in logs)]
     if moving:
-        message = f"held still though they move, which the other joints' torque does not fit: {join_names(moving)}"
+        message = f"locked joints move in the logs, which disturbs the torque of the others: {join_names(moving)}"
         yield Notice("moving_joints_held_still", "warning", None, message)
-    still = [name for name in joints if not any(one.moves(name) for one in seen)]
+    still = [name for name in joints if not any(log.moves(name) for log in logs)]
     if still:
-        message = f"wanted under joints though they do not move, so that nothing is learnt of them: {join_names(still)}"
+        message = f"joints do not move in the logs, so they cannot be identified: {join_names(still)}"
         yield Notice("joint_at_rest", "warning", None, message)
 
 
-def _unfilled(seen: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Notice]:
-    for one in seen:
-        if names := [name for name in one.unfilled if name in joints]:
-            what = "torque that never changes while the joint moves is none, and is taken as not logged"
-            name = one.log.path.name
+def _constant_torque(logs: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Notice]:
+    for log in logs:
+        if names := [name for name in log.constant_torque if name in joints]:
+            what = "the torque never changes while the joint moves; it is treated as not logged"
+            name = log.log.path.name
             yield Notice("torque_from_command", "note", name, f"{what}: {join_names(names)}")
 
 
-def _beyond_limits(robot: Robot, seen: Sequence[LoadedLog]) -> Iterator[Notice]:
+def _beyond_limits(robot: Robot, logs: Sequence[LoadedLog]) -> Iterator[Notice]:
     """Positions far beyond the URDF's limits."""
-    for one in seen:
-        far = [name for name in one.inspection.joints if name in robot.joints and _is_far(robot.joints[name], one)]
+    for log in logs:
+        far = [name for name in log.inspection.joints if name in robot.joints and _is_far(robot.joints[name], log)]
         if far:
-            joint, q = robot.joints[far[0]], one.inspection.joints[far[0]].signals["q"]
-            name = one.log.path.name
-            limits = f"the first one's being {joint.lower:.4g} to {joint.upper:.4g}"
+            joint, q = robot.joints[far[0]], log.inspection.joints[far[0]].signals["q"]
+            name = log.log.path.name
+            limits = f"limits {joint.lower:.4g} to {joint.upper:.4g}"
             where = f"{join_names(far)} ({q.minimum:.4g} to {q.maximum:.4g}, {limits})"
             message = f"q is far beyond the URDF's limits: {where}"
-            advice = "degrees (then set log.scale of q and v to 0.0174533), another unit, or another joint's position"
+            advice = "for degrees, set log.scale of q and v to 0.0174533; otherwise check the unit and the column of q"
             yield Notice("beyond_limits", "warning", name, message, advice)
 
 
-def _is_far(joint: Joint, seen: LoadedLog) -> bool:
-    q = seen.inspection.joints[joint.name].signals.get("q")
+def _is_far(joint: Joint, log: LoadedLog) -> bool:
+    q = log.inspection.joints[joint.name].signals.get("q")
     room = _FAR * (joint.upper - joint.lower)
     if q is None or not 0 < room < math.inf:
         return False

@@ -1,4 +1,4 @@
-"""What a first configuration is made of."""
+"""Records of a first configuration."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class Section:
     key
         The key.
     comments
-        What it is and where it came from, a line each.
+        Meaning and source of the value, one line each.
     value
-        Plain data; None: the key is only there as a template.
+        Plain data; None if there is only a template.
     remarks
-        What is said above the template, a line each.
+        Comments above the template, one line each.
     template
-        Plain data that is written commented out; in a mapping beside a value, more entries of it.
+        Plain data that is written commented out; beside a value, more entries of the same mapping.
     """
 
     key: str
@@ -36,21 +36,21 @@ class Section:
 
 @dataclass(frozen=True)
 class Trial:
-    """One thing that was tried.
+    """An effect that was tried.
 
     Attributes
     ----------
     effect
-        Its id.
+        Id of the effect.
     joint
-        The joint; None: all of them.
+        The joint; None: the whole robot.
     value
-        What the fit makes of it [SI].
+        Fitted value [SI].
     before, after
-        Held-out RMS of the joint's torque without and with it, in the band [N·m or N]; None where nothing was held out
-        of the joint.
+        Held-out RMS of the joint's torque without and with it, in the band [N·m or N]; None if no data
+        of the joint were held out.
     kept
-        Whether it stands in the configuration.
+        True if it is in the configuration.
     """
 
     effect: str
@@ -63,16 +63,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class TodoItem:
-    """One thing that a person has to fill in.
+    """A value that the user has to fill in.
 
     Attributes
     ----------
     key
-        Of the configuration.
+        Key in the configuration.
     what
-        What is missing, in words.
+        Description of what is missing.
     needed
-        Whether `idtool fit` cannot do without.
+        True if `idtool fit` needs it.
     """
 
     key: str
@@ -81,34 +81,34 @@ class TodoItem:
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialConfig:
     """A first configuration.
 
     Attributes
     ----------
     data
-        What it says, plain data.
+        The configuration as plain data.
     text
         The same as YAML with comments and templates.
-    found
-        What was found out, a line each.
-    left
-        What is left to fill in.
+    findings
+        Findings from the URDF and the logs, one line each.
+    todo
+        Values that the user has to fill in.
     trials
-        What was tried.
+        The trials.
     rms
-        Held-out RMS torque error with friction alone and with all that was found, by joint and ``overall`` [N·m or N];
-        None where nothing could be tried.
+        Held-out RMS torque error with friction alone and with all kept effects, by joint and ``overall`` [N·m or N];
+        None without trials.
     band_hz
         The filter's cut-off [Hz].
     notices
-        What a user should know.
+        Notices for the user.
     """
 
     data: Mapping[str, Any]
     text: str
-    found: tuple[str, ...]
-    left: tuple[TodoItem, ...]
+    findings: tuple[str, ...]
+    todo: tuple[TodoItem, ...]
     trials: tuple[Trial, ...]
     rms: Mapping[str, Mapping[str, float]] | None
     band_hz: float
@@ -116,5 +116,5 @@ class Start:
 
     @property
     def needed(self) -> tuple[TodoItem, ...]:
-        """What `idtool fit` cannot do without."""
-        return tuple(left for left in self.left if left.needed)
+        """Values that `idtool fit` needs."""
+        return tuple(item for item in self.todo if item.needed)

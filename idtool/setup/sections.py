@@ -8,23 +8,23 @@ from idtool.common.names import join_names
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config, Friction
 from idtool.setup.draft import Draft
-from idtool.setup.loaded_log import MOST
+from idtool.setup.loaded_logs import MAX_SAMPLES
 from idtool.setup.records import Section, Trial
 from idtool.setup.trials import HOLDOUT, term_type, trial_of
 
-HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MOST} samples, where there are more)"
+HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MAX_SAMPLES} samples, where there are more)"
 
 
 def joints(draft: Draft) -> Section:
     """Those that are identified."""
     what = "Joints that are identified: actuated, in every log, moving, with a torque or a command (URDF, logs)."
-    return Section("joints", (what,), list(draft.recorded.able))
+    return Section("joints", (what,), list(draft.log_summary.identifiable))
 
 
 def locked_joints(draft: Draft) -> Section:
     """Those that are held still, with what is given for some of them."""
     given = [name for name in draft.locked if name in draft.config.locked_joints]
-    reasons = {name: lock.why for name, lock in draft.recorded.locked.items() if name not in given}
+    reasons = {name: lock.reason for name, lock in draft.log_summary.locked.items() if name not in given}
     what = "Joints that are held still, rad or m"
     if not draft.locked:
         return Section("locked_joints", (f"{what} (default: none).",), {})
@@ -44,7 +44,7 @@ def gravity(draft: Draft) -> Section:
 
 def log(draft: Draft) -> Section:
     """The topic, where there are several."""
-    seen = draft.recorded
+    seen = draft.log_summary
     rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
     comments = [f"How the logs are read; their rate is {rates} Hz, from their time stamps (logs)."]
     value = None
@@ -66,7 +66,7 @@ def log(draft: Draft) -> Section:
 def velocity(draft: Draft) -> Section:
     """The default, and what it comes to."""
     what = "Joint velocity: measured, differentiated from q, or auto, the quieter one that can be trusted"
-    found = draft.found
+    found = draft.trial_results
     if found is None:
         return Section("velocity", (f"{what} (default).",), "auto")
     if not found.differentiated:
@@ -79,7 +79,7 @@ def velocity(draft: Draft) -> Section:
 
 def low_pass(draft: Draft) -> Section:
     """The filter, by how fast the joints move."""
-    seen = draft.recorded
+    seen = draft.log_summary
     what = (
         "One zero-phase low-pass for every signal alike. cutoff_hz: above what moves the joints, which lies below "
         f"{seen.motion_hz:.2g} Hz: {seen.bands:g} times that, from 5 Hz up to 40 Hz or a fifth of the rate (logs); "
@@ -93,9 +93,11 @@ def low_pass(draft: Draft) -> Section:
 def friction(draft: Draft) -> Section:
     """Its terms, an offset where trials found one."""
     what = "Friction terms: viscous, Coulomb (default), and offset, a constant"
-    found = draft.found
+    found = draft.trial_results
     if found is None:
-        return Section("friction", (), None, (f"{what}: not tried, as {draft.untried}.",), Friction().model_dump())
+        return Section(
+            "friction", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), Friction().model_dump()
+        )
     comments = [f"{what}, where the held-out torque, {HELD_OUT}, needs it (found by trial)."]
     value: dict[str, Any] = {name: Friction().model_dump() for name in draft.joints}
     for trial in found.trials:

@@ -1,7 +1,7 @@
-"""Where a first configuration's terms are tried: the logs reduced once, and every variant solved from what is left.
+"""Trials of a first configuration's terms: the logs are reduced once, and every variant is solved from the reduction.
 
-A variant has some of the columns that the logs were reduced with, so its R-factors are columns of theirs. It is fitted
-to the training parts and judged by the held-out ones; neither is read again.
+A variant has a subset of the columns of the reduction, so its R-factors are columns of those. It is fitted to the
+training parts and scored on the held-out parts; neither is read again.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from idtool.robot.config import Config
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """How a variant does.
+class TrialScore:
+    """Errors and coefficients of a variant.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Verdict:
     values
         Coefficients by effect and joint or body.
     share
-        What a coefficient makes of the joint's training torque, rms, likewise [N·m or N].
+        RMS contribution of a coefficient to the joint's training torque, by effect and joint or body [N·m or N].
     """
 
     train: Array
@@ -55,19 +55,19 @@ class Verdict:
 
 
 class TrialEvaluator:
-    """Reduced logs.
+    """Scores variants on reduced logs.
 
     Parameters
     ----------
     experiment
-        The variant with every column.
+        The experiment with every column.
     progress
-        Told how far the reading has come.
+        Callback for the stage and its share that is done.
 
     Raises
     ------
     LogError
-        If a joint has no sample to fit, or none is left to be held out.
+        If a joint has no training samples, or there are no held-out samples.
     """
 
     def __init__(self, experiment: Experiment, progress: Progress) -> None:
@@ -76,15 +76,15 @@ class TrialEvaluator:
         self.held_out = _reduced(experiment, lambda run: run.held_out, progress)
         if not any(factor.rows for factor in self.held_out):
             path = experiment.runs[0].signals.log.path
-            raise LogError(path, "is too short for a part to be held out; log for longer")
+            raise LogError(path, "is too short for held-out data; log for longer")
 
-    def judge(self, config: Config) -> Verdict:
+    def score(self, config: Config) -> TrialScore:
         """Fit a variant.
 
         Parameters
         ----------
         config
-            With none but the effects, friction terms and bodies of the bench's experiment.
+            With none but the effects, friction terms and bodies of the evaluator's experiment.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class TrialEvaluator:
         named = [(c.effect, c.owner) for c in equation.coefficients]
         values = dict(zip(named, theta.tolist(), strict=True))
         share = dict(zip(named, _shares(equation, theta, train).tolist(), strict=True))
-        return Verdict(_errors(equation, theta, train), _errors(equation, theta, held_out), values, share)
+        return TrialScore(_errors(equation, theta, train), _errors(equation, theta, held_out), values, share)
 
     def torque(self) -> Array:
         """Mean square of the held-out torque in the band, shape (nv,) [(N·m)² or N²]; NaN where there is none."""
@@ -117,7 +117,7 @@ class TrialEvaluator:
         return _errors(self.experiment.equation, nothing, self.held_out)
 
     def _part(self, whole: Reduction, equation: LinearModel) -> Reduction:
-        """The columns of another equation."""
+        """The columns of the reduction that another equation has."""
         full = self.experiment.equation
         keys, wanted = ([c.key for c in e.coefficients] for e in (full, equation))
         parts = []

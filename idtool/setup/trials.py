@@ -23,7 +23,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
 from idtool.robot.config import Config, EffectEntry, Friction, parse_config
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.records import Trial
-from idtool.setup.trial_evaluator import TrialEvaluator, Verdict
+from idtool.setup.trial_evaluator import TrialEvaluator, TrialScore
 
 HOLDOUT = 0.3  # share at the end of every log
 _WORTH = 0.02  # share by which held-out RMS must fall: less is no reason for another parameter
@@ -37,21 +37,21 @@ Data = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Found:
-    """What trials found.
+class TrialResults:
+    """Results of the trials.
 
     Attributes
     ----------
     values
-        Values of what is kept, by effect and joint; joint None: the whole robot.
+        Values of the kept effects, by effect and joint; joint None: the whole robot.
     trials
-        What was tried.
+        The trials.
     rms
-        Held-out RMS with viscous and Coulomb friction alone, and with what was found, by joint and ``overall``.
+        Held-out RMS with viscous and Coulomb friction alone, and with the kept effects, by joint and ``overall``.
     differentiated
         Joints whose velocity ``velocity: auto`` takes from q in some log.
     notices
-        What a user should know.
+        Notices for the user.
     """
 
     values: Mapping[tuple[str, str | None], float]
@@ -63,7 +63,7 @@ class Found:
 
 @dataclass(frozen=True)
 class TrialTerms:
-    """What a variant has beside rigid bodies, viscous and Coulomb friction.
+    """Terms of a variant besides rigid bodies, viscous and Coulomb friction.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class TrialRunner:
             data["effects"] = [*data.get("effects", ()), *(entry.model_dump() for entry in entries)]
         return parse_config(data, "trial")
 
-    def bench(self, config: Config) -> TrialEvaluator:
+    def evaluator(self, config: Config) -> TrialEvaluator:
         """A variant's logs, reduced."""
         experiment, _, _ = with_delay(prepare(self.robot, config, self.logs, holdout=HOLDOUT), self.progress)
         return TrialEvaluator(experiment, self.progress)
@@ -153,12 +153,12 @@ def searched_entry(effect: str, value: float) -> EffectEntry:
     return EffectEntry(effect=effect, parameters={search_of(effect).parameter: value})
 
 
-def try_out(shop: TrialRunner, on_joints: Sequence[tuple[str, str]], searched: Sequence[str]) -> Found:
+def run_trials(runner: TrialRunner, on_joints: Sequence[tuple[str, str]], searched: Sequence[str]) -> TrialResults:
     """Try what the data may show.
 
     Parameters
     ----------
-    shop
+    runner
         Variants.
     on_joints
         Effects and joints of terms that are tried.
@@ -171,30 +171,30 @@ def try_out(shop: TrialRunner, on_joints: Sequence[tuple[str, str]], searched: S
         If the logs cannot be used, or a problem could not be solved.
     """
     terms = TrialTerms(tuple(on_joints))
-    bench = shop.bench(shop.config(terms))
-    base, full = bench.judge(shop.config(TrialTerms())), bench.judge(shop.config(terms))
+    evaluator = runner.evaluator(runner.config(terms))
+    base, full = evaluator.score(runner.config(TrialTerms())), evaluator.score(runner.config(terms))
     trials: list[Trial] = []
     for effect in searched:
-        terms, trial, bench, full = _searched(shop, terms, bench, full, effect)
+        terms, trial, evaluator, full = _search_value(runner, terms, evaluator, full, effect)
         trials.append(trial)
-    kept, more = _pruned(shop, terms, bench)
+    kept, more = _prune(runner, terms, evaluator)
     without_terms = TrialTerms(searched=kept.searched)
-    plain, last = (bench.judge(shop.config(variant)) for variant in (without_terms, kept))
+    plain, last = (evaluator.score(runner.config(variant)) for variant in (without_terms, kept))
     if last.rms() > plain.rms():
         kept, last, more = without_terms, plain, [replace(trial, kept=False) for trial in more]
     values: dict[tuple[str, str | None], float] = {term: last.values[term] for term in kept.on_joints}
     values |= {(effect, None): value for effect, value in kept.searched}
-    return Found(
+    return TrialResults(
         values=values,
         trials=(*trials, *more),
-        rms={"friction": _rms(shop.joints, base), "found": _rms(shop.joints, last)},
-        differentiated=_differentiated(bench.experiment),
-        notices=(*bench.experiment.notices, *_notices(shop.joints, bench, trials, base, last)),
+        rms={"friction": _rms(runner.joints, base), "found": _rms(runner.joints, last)},
+        differentiated=_differentiated(evaluator.experiment),
+        notices=(*evaluator.experiment.notices, *_notices(runner.joints, evaluator, trials, base, last)),
     )
 
 
 def _notices(
-    joints: Sequence[str], bench: TrialEvaluator, trials: Sequence[Trial], base: Verdict, last: Verdict
+    joints: Sequence[str], evaluator: TrialEvaluator, trials: Sequence[Trial], base: TrialScore, last: TrialScore
 ) -> Iterator[Notice]:
     """What speaks against what was found."""
     for trial in trials:
@@ -204,31 +204,31 @@ def _notices(
             message = positive if trial.value > 0 else negative
             message = message.format(maximum=search.shown(search.maximum))
             yield Notice("implausible_trial", "warning", None, message)
-    left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (bench.torque(), base.held_out))
+    left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (evaluator.torque(), base.held_out))
     odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
     if odd:
-        message = f"of the held-out torque, this share is left unexplained (rms): {join_names(odd)}"
+        message = f"unexplained share of the held-out torque (rms): {join_names(odd)}"
         advice = "check its sign and unit (log.scale), and that log and URDF name the joints alike"
         yield Notice("unexplained_torque", "warning", None, message, advice)
     worse = [name for name, x in zip(joints, grown, strict=True) if x > 1 + _WORTH]
     if worse:
-        message = f"what was found makes the held-out error larger of {join_names(worse)}"
+        message = f"the added effects increase the held-out error of {join_names(worse)}"
         meaning = "one set of bodies is fitted to all joints, and the others gained more"
         yield Notice("joints_worse", "warning", None, message, meaning)
 
 
-def _pruned(shop: TrialRunner, terms: TrialTerms, bench: TrialEvaluator) -> tuple[TrialTerms, list[Trial]]:
+def _prune(runner: TrialRunner, terms: TrialTerms, evaluator: TrialEvaluator) -> tuple[TrialTerms, list[Trial]]:
     """The terms without those that the held-out torque of their joint does not need, left out one after the other."""
     trials: list[Trial] = []
-    full, most = bench.judge(shop.config(terms)), (_ODD * np.sqrt(bench.torque())).tolist()
+    full, most = evaluator.score(runner.config(terms)), (_ODD * np.sqrt(evaluator.torque())).tolist()
     count = len(terms.on_joints)
     for effect, joint in terms.on_joints:
-        shop.progress(f"trying {effect} of {joint}", len(trials) / count)
-        j, value = shop.joints.index(joint), full.values[effect, joint]
+        runner.progress(f"trying {effect} of {joint}", len(trials) / count)
+        j, value = runner.joints.index(joint), full.values[effect, joint]
         without = terms.without(effect, joint)
         # what is that small is not missed, with the others fitted anew even less
         slight = full.share[effect, joint] ** 2 < ((1 + _WORTH) ** 2 - 1) * full.train[j]
-        other = full if slight else bench.judge(shop.config(without))
+        other = full if slight else evaluator.score(runner.config(without))
         before, after = other.rms_of(j), full.rms_of(j)
         keep = before is not None and after is not None and after < min((1 - _WORTH) * before, most[j])
         trials.append(Trial(effect, joint, value, before, after, keep))
@@ -237,9 +237,9 @@ def _pruned(shop: TrialRunner, terms: TrialTerms, bench: TrialEvaluator) -> tupl
     return terms, trials
 
 
-def _searched(
-    shop: TrialRunner, terms: TrialTerms, first: TrialEvaluator, full: Verdict, effect: str
-) -> tuple[TrialTerms, Trial, TrialEvaluator, Verdict]:
+def _search_value(
+    runner: TrialRunner, terms: TrialTerms, first: TrialEvaluator, full: TrialScore, effect: str
+) -> tuple[TrialTerms, Trial, TrialEvaluator, TrialScore]:
     """The value of an effect at which the training error is least, where the held-out error says so too."""
     kind = effect_types()[effect]
     search = search_of(effect)
@@ -247,25 +247,25 @@ def _searched(
 
     def cost(value: float) -> float:
         if value not in known:
-            shop.progress(f"trying a {search.heading}", min(len(known) / (3 * _ROUNDS), 1.0))
-            config = shop.config(terms.at(effect, value))
-            bench = shop.bench(config)
-            known[value] = bench, bench.judge(config)
+            runner.progress(f"trying a {search.heading}", min(len(known) / (3 * _ROUNDS), 1.0))
+            config = runner.config(terms.at(effect, value))
+            evaluator = runner.evaluator(config)
+            known[value] = evaluator, evaluator.score(config)
         return float(np.mean(known[value][1].train / np.maximum(full.train, _TINY)))
 
     dt = min(run.signals.log.dt for run in first.experiment.runs)
-    best = _least(cost, search.step / first.experiment.band_hz, dt, search.maximum)
+    best = _minimize(cost, search.step / first.experiment.band_hz, dt, search.maximum)
     cost(best)
-    bench, other = known[best]
+    evaluator, other = known[best]
     ratio = float(np.sqrt(np.nanmean(other.held_out / np.maximum(full.held_out, _TINY))))
-    believed = other.rms() < _ODD * float(np.sqrt(np.nanmean(bench.torque())))
+    believed = other.rms() < _ODD * float(np.sqrt(np.nanmean(evaluator.torque())))
     is_real = not kind.is_background(searched_entry(effect, best), dt) and abs(best) < search.maximum
     kept = is_real and ratio < 1 - _WORTH and believed
     trial = Trial(effect, None, best, full.rms(), other.rms(), kept)
-    return (terms.at(effect, best), trial, bench, other) if kept else (terms, trial, first, full)
+    return (terms.at(effect, best), trial, evaluator, other) if kept else (terms, trial, first, full)
 
 
-def _least(cost: Callable[[float], float], step: float, dt: float, maximum: float) -> float:
+def _minimize(cost: Callable[[float], float], step: float, dt: float, maximum: float) -> float:
     """Where the cost is least, by parabolas through three values around the best so far; to 10 µs.
 
     Friction that may not be negative gives way to a delay on one side only, so that the parabola is bent: it is made
@@ -287,7 +287,7 @@ def _least(cost: Callable[[float], float], step: float, dt: float, maximum: floa
     return best
 
 
-def _rms(joints: Sequence[str], verdict: Verdict) -> dict[str, float]:
+def _rms(joints: Sequence[str], verdict: TrialScore) -> dict[str, float]:
     known = {name: x for j, name in enumerate(joints) if (x := verdict.rms_of(j)) is not None}
     return {**known, "overall": verdict.rms()}
 

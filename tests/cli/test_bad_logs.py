@@ -33,12 +33,12 @@ def every(value: object) -> list[Row]:
 
 CSV: dict[str, tuple[bytes | list[Row], str]] = {
     "empty": (b"", "is empty"),
-    "blank lines": (b"\n\n\n", "is no log"),
-    "zeros": (bytes(5000), "is no log"),
-    "binary": (bytes(range(256)) * 20, "is no log"),
-    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "is no log"),
-    "UTF-16": (csv_text(TABLE).encode("utf-16"), "is no log"),
-    "JSON": (b'{"q_hip": [1, 2, 3]}', "is no log"),
+    "blank lines": (b"\n\n\n", "is not a log"),
+    "zeros": (bytes(5000), "is not a log"),
+    "binary": (bytes(range(256)) * 20, "is not a log"),
+    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "is not a log"),
+    "UTF-16": (csv_text(TABLE).encode("utf-16"), "is not a log"),
+    "JSON": (b'{"q_hip": [1, 2, 3]}', "is not a log"),
     "only a header": ([HEADER], "has no samples"),
     "one sample": (TABLE[:2], "at least two"),
     "two samples": (TABLE[:3], "lasts 0.002 s"),
@@ -63,14 +63,14 @@ CSV: dict[str, tuple[bytes | list[Row], str]] = {
     "a time of nan": (column_set(TABLE, "t", lambda i: "nan"), "time does not advance"),
     "no time": (columns_kept(TABLE, lambda name: name != "t"), "no time column"),
     "two columns of one name": ([[*HEADER[:-1], "q_hip"], *SAMPLES], "two columns q_hip"),
-    "two columns of one signal": ([[*HEADER[:-1], "hip.position"], *SAMPLES], "both hold q_hip"),
+    "two columns of one signal": ([[*HEADER[:-1], "hip.position"], *SAMPLES], "are both q_hip"),
     "no positions": (lacking("q_"), "no joint positions"),
     "no position of one joint": (lacking("q_hip"), "joint hip has no position"),
     "no torque and no command": (lacking("tau_"), "joint abad has neither torque nor position command"),
     "no torque of one joint": (lacking("tau_knee"), "joint knee has neither torque nor position command"),
     "a command and no controller": (
         [["qcmd_hip" if name == "tau_hip" else name for name in HEADER], *SAMPLES],
-        "joint hip has no torque; give the gains under controller.kp and kd",
+        "joint hip has no torque; set its gains controller.kp and kd",
     ),
     "joints of another robot": ([[name.replace("_", "_x") for name in HEADER], *SAMPLES], "abad"),
     "one joint is missing": (lacking("q_hip", "v_hip", "tau_hip"), "joints: hip: is not in every log"),
@@ -117,7 +117,7 @@ MCAP: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "JSON that is none": (
         lambda path: write_mcap(path, a_channel("/joint_states", "json", "JointState", "jsonschema", "{}")),
-        "message 1 of /joint_states is no joint state",
+        "message 1 of /joint_states is not a joint state",
     ),
     "one message": (lambda path: write_mcap(path, ros2(moving(1))), "at least two"),
     "joints of another robot": (
@@ -169,7 +169,7 @@ def test_options_that_do_not_fit(tmp_path: Path, options: dict[str, Any], naming
     ("columns", "naming"),
     [
         ({"t": "clock"}, "has no column clock"),
-        ({"torque": "tau_hip"}, "log.columns: torque is no canonical name"),
+        ({"torque": "tau_hip"}, "log.columns: torque is not a canonical name"),
         ({"v_hip": "tau"}, "has no column tau; did you mean tau_"),
     ],
 )
@@ -187,7 +187,7 @@ def test_a_controller_without_a_joints_gain(tmp_path: Path, gains: dict[str, Any
     table = [[commands.get(name, name) for name in HEADER], *SAMPLES]
     (tmp_path / "log.csv").write_text(csv_text(table))
     config = config_with(tmp_path / "c.yaml", LEG_YAML, controller=gains)
-    naming = f"joint {joint} has no torque; give the gains under controller.kp and kd"
+    naming = f"joint {joint} has no torque; set its gains controller.kp and kd"
     refuse(tmp_path, "fit", LEG, "log.csv", "--config", config, file="log.csv: ", naming=naming)
 
 

@@ -299,7 +299,7 @@ def test_a_velocity_is_not_blamed_for_the_unit_of_the_times(per_second: float) -
     inspection = inspect(s)
     (finding,) = inspection.findings
     assert (finding.severity, data_fault(finding), finding.subject) == ("problem", "wrong_unit", None)
-    assert ("in ms, as v tells" if per_second == 1e3 else "in us, as v tells") in finding.message
+    assert ("in ms, judging by v" if per_second == 1e3 else "in us, judging by v") in finding.message
     assert inspection.reading == ()
 
 

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 import zstandard
 from mcap.writer import CompressionType
 from recordings import UNINDEXED, Channel, Proto, bag, check_log, metadata, proto_channel, ros2, states, write_mcap
 
 from idtool.common.exceptions import LogError
+from idtool.common.safe_yaml import parse_yaml
 from idtool.data.logs import read_log
-from idtool.data.logs.bag import files_of
+from idtool.data.logs.bag import log_files
 from idtool.data.logs.payloads.cdr import encode
-from idtool.data.logs.series import Samples, Series
+from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 
 JOINTS = tuple(f"joint{i:03d}" for i in range(512))
 ZEROS = Channel("/zeros", range(40), [bytes(1 << 20)] * 40, schema=("x", "ros2msg", b""))
@@ -35,7 +35,7 @@ def one_by_one(count: int) -> Channel:
 def test_many_joints_one_at_a_time_are_refused(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log", one_by_one(20_000))
     tracemalloc.start()
-    with pytest.raises(LogError, match="names 512 joints, of which a message holds but few; is this a log of one rob"):
+    with pytest.raises(LogError, match="names 512 joints, but each message has only a few; is this a log of one robot"):
         read_log(path)
     assert tracemalloc.get_traced_memory()[1] < 300 << 20  # 20 000 samples of 512 joints would take 250 MB and more
     tracemalloc.stop()
@@ -53,8 +53,8 @@ def test_robots_that_publish_their_joints_in_parts_are_not(tmp_path: Path) -> No
 def test_new_joints_are_admitted_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Arrays are made wider once for all pieces, not once for each."""
     widened, pad = [], np.pad
-    monkeypatch.setattr("idtool.data.logs.series.np.pad", lambda *a, **k: widened.append(a) or pad(*a, **k))
-    series, values = Series(tmp_path), np.ones((1, 1))
+    monkeypatch.setattr("idtool.data.logs.sample_buffer.np.pad", lambda *a, **k: widened.append(a) or pad(*a, **k))
+    series, values = SampleBuffer(tmp_path), np.ones((1, 1))
     for names in (JOINTS[:100], JOINTS[100:200]):
         series.append([Samples(np.array([i]), np.array([0.0]), (name,), {"q": values}) for i, name in enumerate(names)])
     assert len(widened) == 1
@@ -74,7 +74,7 @@ def padded(path: Path, size: int) -> bytes:
 
 def test_compression_within_compression_does_not_multiply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """40 MiB in 1 MiB that is in less than a KiB or two: each by itself is not out of bounds."""
-    monkeypatch.setattr("idtool.data.logs.records._MOST_BYTES", 2 << 20)
+    monkeypatch.setattr("idtool.data.logs.mcap_records._MAX_BYTES", 2 << 20)
     path = write_mcap(
         tmp_path / "log", ros2(states(5)), ZEROS, compression=CompressionType.ZSTD, chunk_size=1 << 20, **UNINDEXED
     )
@@ -91,20 +91,20 @@ def test_compression_within_compression_does_not_multiply(tmp_path: Path, monkey
 
 
 def test_definitions_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.data.logs.definitions._MOST_BYTES", 1 << 16)
+    monkeypatch.setattr("idtool.data.logs.definitions._MAX_BYTES", 1 << 16)
     others = [Channel(f"/{i}", [1], [b"x"], schema=(f"s{i}", "ros2msg", bytes(7000))) for i in range(8)]
     check_log(read_log(write_mcap(tmp_path / "log", ros2(states(5)), *others)), states(5))
     others = [Channel(f"/{i}", [1], [b"x"], schema=(f"s{i}", "ros2msg", bytes(7000))) for i in range(10)]
-    with pytest.raises(LogError, match="MiB of schemas and channels; it is no log of a robot"):
+    with pytest.raises(LogError, match="MiB of schemas and channels; it is not a robot log"):
         read_log(write_mcap(tmp_path / "log", ros2(states(5)), *others))
     many = [Channel("/" + "x" * 5000 + str(i), [1], [b"x"], schema=("s", "", b"")) for i in range(14)]
-    with pytest.raises(LogError, match="MiB of schemas and channels; it is no log of a robot"):
+    with pytest.raises(LogError, match="MiB of schemas and channels; it is not a robot log"):
         read_log(write_mcap(tmp_path / "log", ros2(states(5)), *many))
 
 
 def test_definitions_that_are_repeated_count_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As some writers do in every chunk."""
-    monkeypatch.setattr("idtool.data.logs.definitions._MOST_BYTES", 1 << 16)
+    monkeypatch.setattr("idtool.data.logs.definitions._MAX_BYTES", 1 << 16)
     channel = Channel("/x", [1], [b"x"], schema=("s", "ros2msg", bytes(7000)))
     path = write_mcap(tmp_path / "log", channel, ros2(states(5)), use_chunking=False, **UNINDEXED)
     data = path.read_bytes()
@@ -142,14 +142,14 @@ def test_metadata_take_room_in_proportion(tmp_path: Path) -> None:
     text = metadata(["run_0.mcap"]) + f"x: [{'a,' * (1 << 17)}]\n"
     (folder / "metadata.yaml").write_text(text)
     tracemalloc.start()
-    files_of(folder)
-    assert tracemalloc.get_traced_memory()[1] < 64 * len(text)
+    log_files(folder)
+    assert tracemalloc.get_traced_memory()[1] < 400 * len(text)
     tracemalloc.stop()
 
 
 def test_metadata_are_parsed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    parsed, original = [], yaml.parse
-    monkeypatch.setattr("idtool.data.logs.bag.yaml.parse", lambda *a, **k: parsed.append(a) or original(*a, **k))
+    parsed, original = [], parse_yaml
+    monkeypatch.setattr("idtool.data.logs.bag.parse_yaml", lambda *a, **k: parsed.append(a) or original(*a, **k))
     folder = bag(tmp_path / "run_of_its_own", states(5))
     for _ in range(2):
         check_log(read_log(folder), states(5))

@@ -73,7 +73,7 @@ def test_columns_in_any_order_and_others_ignored(written: Written) -> None:
     rows = [f'"a, b ""{i}""",{TAU[i]},,{T[i]},{V[i]},{Q[i]}' for i in range(3)]
     log = read_log(written("\n".join([header, *rows, ""]), "log.csv"))
     check(log)
-    assert sentences(log.notices) == ("columns that hold no joint signal were ignored: note, temp",)
+    assert sentences(log.notices) == ("columns without a joint signal were ignored: note, temp",)
 
 
 def test_commands_and_joints_that_lack_signals(written: Written) -> None:
@@ -128,14 +128,14 @@ def test_named_columns(written: Written) -> None:
     check(read_log(path, columns=columns))
     only = read_log(path, columns={"t": "Zeit", "q_hip": "angle"})
     assert list(only.signals) == ["q"]
-    assert sentences(only.notices) == ("columns that hold no joint signal were ignored: speed, q_hip",)
+    assert sentences(only.notices) == ("columns without a joint signal were ignored: speed, q_hip",)
 
 
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
         ({"q_hip": "angl"}, "has no column angl; did you mean angle?"),
-        ({"position_hip": "angle"}, "log.columns: position_hip is no canonical name; use t or <signal>_<joint>"),
+        ({"position_hip": "angle"}, "log.columns: position_hip is not a canonical name; use t or <signal>_<joint>"),
         ({"q_hip": "twice"}, "has 2 columns twice"),
     ],
 )
@@ -158,7 +158,7 @@ def test_rows_of_other_topics_are_passed_over(written: Written) -> None:
     log = read_log(written(text, "log.csv"))
     assert log.t.tolist() == [0, 0.1, 0.2]
     assert log.segments == (slice(0, 3),)
-    assert sentences(log.notices)[1:] == ("2 rows that hold no joint signal were passed over",)
+    assert sentences(log.notices)[1:] == ("2 rows without a joint signal were skipped",)
 
 
 def test_rows_of_two_topics_that_take_turns(written: Written) -> None:
@@ -193,17 +193,17 @@ def test_seconds_stay(written: Written, start: float) -> None:
     rows = "".join(f"{start + i!r},{i}\n" for i in range(50))
     log = read_log(written("t,q_hip\n" + rows, "log.csv"))
     assert log.t.tolist() == [start + i for i in range(50)]
-    assert sentences(log.notices) == ("samples are 1 s apart by their times, which look like ms",)
+    assert sentences(log.notices) == ("samples are 1 s apart; the times look like ms",)
 
 
 def test_many_pieces(written: Written, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
-    monkeypatch.setattr("idtool.data.logs.table._PIECE_BYTES", 1000)
+    monkeypatch.setattr("idtool.data.logs.table._BLOCK_BYTES", 1000)
     values = rng.normal(size=(500, 4)) * 10.0 ** rng.integers(-9, 9, size=(500, 4))
     values[:, 0] = np.arange(500)
     text = "t,q_a,q_b,v_b\n" + "".join(",".join(map(repr, row)) + "\n" for row in values.tolist())
     log = read_log(written(text, "log.csv"))
     np.testing.assert_array_equal(np.column_stack([log.t, log.signals["q"], log.signals["v"][:, 1]]), values)
-    with pytest.raises(LogError, match="line 402, column q_b: 'x' is no number"):
+    with pytest.raises(LogError, match="line 402, column q_b: 'x' is not a number"):
         read_log(written(text.replace(repr(values[400, 2].item()), "x"), "log.csv"))
 
 
@@ -234,32 +234,32 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
     [
         (
             "t,q.abad,v.abad\n0,1,2\n",
-            "is no log: its first line names no joint signal, but t, q.abad, v.abad; name the",
+            "is not a log: its first line has no joint signal, but t, q.abad, v.abad; name the",
         ),
         ("t,q_hip\n", "has no samples after its first line"),
         ("t,q_hip", "has no samples after its first line"),
-        ("t,q_hip\n1,2\n", "holds 1 samples; at least two are needed"),
-        ("\n\n", "is no log: its first line names no joint signal, but none"),
-        ("Lorem ipsum\ndolor\n", "is no log: its first line names no joint signal, but Lorem ipsum"),
-        ("0,1\n1,2\n", "is no log: its first line names no joint signal, but 0, 1"),
-        ("t,q_hip" + "x" * 140_000 + "\n0,1\n", "line 1 cannot be read as names of columns in UTF-8"),
+        ("t,q_hip\n1,2\n", "has 1 samples; at least two are needed"),
+        ("\n\n", "is not a log: its first line has no joint signal, but none"),
+        ("Lorem ipsum\ndolor\n", "is not a log: its first line has no joint signal, but Lorem ipsum"),
+        ("0,1\n1,2\n", "is not a log: its first line has no joint signal, but 0, 1"),
+        ("t,q_hip" + "x" * 140_000 + "\n0,1\n", "line 1 cannot be read as column names in UTF-8"),
         ("t,q_hip\n0,1\n1," + "x" * 140_000 + "\n", "line 3: field larger than field limit"),
-        ("t,angle\n0,1\n", "is no log: its first line names no joint signal, but t, angle"),
+        ("t,angle\n0,1\n", "is not a log: its first line has no joint signal, but t, angle"),
         ("q_hip\n1\n", "has no time column; name it t, or set log.columns: {t: <its name>}"),
         ("t,v_hip\n0,1\n1,2\n", "no joint positions found"),
         ("t,q_hip,q_hip\n0,1,2\n", "has two columns q_hip; rename or remove one"),
         ("t,t,q_hip\n0,1,2\n", "has 2 columns t; rename all but one"),
-        ("t,q_hip,hip.position\n0,1,2\n", "columns q_hip and hip.position both hold q_hip; set log.columns"),
-        ("t,q_hip\n0,1\n1\n2,3\n", "line 3 has 1 cells; the first line names 2"),
-        ("t,q_hip\n0,1\n1,2,3\n2,3\n", "line 3 has 3 cells; the first line names 2"),
-        ("t,x,q_hip\n0,1,1\n1,2\n2,2,3\n", "line 3 has 2 cells; the first line names 3"),
-        ("t,q_hip,x\n0,1,1\n1,2,3,4\n", "line 3 has 4 cells; the first line names 3"),
-        ('t,q_hip,x\n0,1,"1"\n1,2,3,4\n', "line 3 has 4 cells; the first line names 3"),
-        ("t,q_hip\n0,1\n1,abc\n", "line 3, column q_hip: 'abc' is no number"),
-        ("t;q_hip\n0;1\n1;1,5\n", "line 3, column q_hip: '1,5' is no number"),
-        ("t,q_hip\n0,1\n1, \n", "line 3, column q_hip: ' ' is no number"),
-        ("t,q_hip\n0,1\n1,1_0\n", "line 3, column q_hip: '1_0' is no number"),
-        ("t,q_hip\n0,1\n\n\n1,é\n", "line 5, column q_hip: 'é' is no number"),
+        ("t,q_hip,hip.position\n0,1,2\n", "columns q_hip and hip.position are both q_hip; set log.columns"),
+        ("t,q_hip\n0,1\n1\n2,3\n", "line 3 has 1 cells, but the first line 2"),
+        ("t,q_hip\n0,1\n1,2,3\n2,3\n", "line 3 has 3 cells, but the first line 2"),
+        ("t,x,q_hip\n0,1,1\n1,2\n2,2,3\n", "line 3 has 2 cells, but the first line 3"),
+        ("t,q_hip,x\n0,1,1\n1,2,3,4\n", "line 3 has 4 cells, but the first line 3"),
+        ('t,q_hip,x\n0,1,"1"\n1,2,3,4\n', "line 3 has 4 cells, but the first line 3"),
+        ("t,q_hip\n0,1\n1,abc\n", "line 3, column q_hip: 'abc' is not a number"),
+        ("t;q_hip\n0;1\n1;1,5\n", "line 3, column q_hip: '1,5' is not a number"),
+        ("t,q_hip\n0,1\n1, \n", "line 3, column q_hip: ' ' is not a number"),
+        ("t,q_hip\n0,1\n1,1_0\n", "line 3, column q_hip: '1_0' is not a number"),
+        ("t,q_hip\n0,1\n\n\n1,é\n", "line 5, column q_hip: 'é' is not a number"),
         ("t,q_hip\n0,1\n0,2\n0,3\n", "time does not advance"),
         ("t,q_hip\n0,1\n1,inf\n2,3\n", "no two consecutive samples are complete"),
         ('t,q_hip\n0,"1\n1,2\n', "line "),
@@ -274,8 +274,8 @@ def test_tables_that_cannot_be_read(written: Written, text: str, said: str) -> N
 
 
 def test_lines_without_end(written: Written, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.data.logs.table._LONGEST_LINE", 1000)
-    monkeypatch.setattr("idtool.data.logs.table._PIECE_BYTES", 700)
+    monkeypatch.setattr("idtool.data.logs.table._MAX_LINE", 1000)
+    monkeypatch.setattr("idtool.data.logs.table._BLOCK_BYTES", 700)
     for text in ("t,q_hip," + "x" * 2000, "t,q_hip\n0,1\n" + "1" * 3000):
         with pytest.raises(LogError, match="longer than"):
             read_log(written(text, "log.csv"))

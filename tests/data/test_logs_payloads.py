@@ -16,7 +16,7 @@ from sentences import sentences
 from idtool.common.exceptions import LogError
 from idtool.data.logs import read_log
 from idtool.data.logs.payloads import wire
-from idtool.data.logs.payloads.template import Layout
+from idtool.data.logs.payloads.layout import Layout
 
 PROTOS = {
     "doubles": Proto(),
@@ -49,11 +49,11 @@ def test_protobuf_floats(tmp_path: Path) -> None:
 def test_protobuf_is_read_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     laid_out = []
 
-    def counted(message: bytes, plan: wire.Plan) -> Layout | None:
+    def counted(message: bytes, plan: wire.FieldPlan) -> Layout | None:
         laid_out.append(message)
-        return wire.lay_out(message, plan)
+        return wire.layout_of(message, plan)
 
-    monkeypatch.setattr("idtool.data.logs.payloads.protobuf.lay_out", counted)
+    monkeypatch.setattr("idtool.data.logs.payloads.protobuf.layout_of", counted)
     items = states(2000, step=1_000_003)
     proto = PROTOS["more fields"]
     check_log(read_log(write_mcap(tmp_path / "log", proto_channel(items, proto, **extra(proto, 2000)))), items)
@@ -78,8 +78,8 @@ def test_protobuf_mixed_shapes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("payload", "said"),
     [
-        (b"\x3a\x7f", "message 3 of /joint_states is not what its schema says"),
-        (b"\x3a\x01\xff", "message 3 of /joint_states is not what its schema says"),
+        (b"\x3a\x7f", "message 3 of /joint_states does not match its schema"),
+        (b"\x3a\x01\xff", "message 3 of /joint_states does not match its schema"),
         (b"\x3a\x01a\xa2\x01\x10" + bytes(16), "has 1 names and 2 values of position"),
         (b"\x3a\x01a\x3a\x01a", "names joint a twice"),
         (b"\x3a\x01\n", "characters that cannot be printed"),
@@ -212,10 +212,10 @@ def test_json_null_is_missing(tmp_path: Path) -> None:
         (b'{"name":[]},{"name":[]}', "is not JSON"),
         (b"[" * 100_000, "is not JSON"),
         (b"\xff", "is not JSON"),
-        (b"[]", "message 3 of /joint_states is no joint state"),
-        (b'{"name":"hip","position":[1,2,3]}', "is no joint state"),
-        (b'{"name":[["hip"]],"position":[1]}', "is no joint state"),
-        (b'{"name":["hip"],"position":1}', "is no joint state"),
+        (b"[]", "message 3 of /joint_states is not a joint state"),
+        (b'{"name":"hip","position":[1,2,3]}', "is not a joint state"),
+        (b'{"name":[["hip"]],"position":[1]}', "is not a joint state"),
+        (b'{"name":["hip"],"position":1}', "is not a joint state"),
         (b'{"name":["hip"],"header":{"stamp":{"sec":"1"}}}', "has a header.stamp that is neither a number nor"),
         (b'{"name":["hip"],"header":{"stamp":{"sec":1' + b"0" * 400 + b"}}}", "has a header.stamp that is neither"),
         (b'{"name":["hip"],"stamp":{"sec":null,"nanosec":1}}', "has a stamp that is neither a number nor"),
@@ -225,10 +225,10 @@ def test_json_null_is_missing(tmp_path: Path) -> None:
             "neither a number nor .*: 2024-01-01T00:00:00Z",
         ),
         (b'{"name":["hip"],"timestamp":"sec"}', "has a timestamp that is neither"),
-        (b'{"name":["hip"],"position":["x"]}', "message 3 of /joint_states holds values that are no numbers"),
-        (b'{"name":["hip"],"position":["x"],"velocity":[1],"effort":[1]}', "message 3 of /joint_states holds values"),
-        (b'{"name":["hip"],"position":[[1]]}', "holds values that are no numbers"),
-        (b'{"name":["hip"],"position":[1' + b"0" * 400 + b"]}", "holds values that are no numbers"),
+        (b'{"name":["hip"],"position":["x"]}', "message 3 of /joint_states has values that are not numbers"),
+        (b'{"name":["hip"],"position":["x"],"velocity":[1],"effort":[1]}', "message 3 of /joint_states has values"),
+        (b'{"name":["hip"],"position":[[1]]}', "has values that are not numbers"),
+        (b'{"name":["hip"],"position":[1' + b"0" * 400 + b"]}", "has values that are not numbers"),
         (b'{"name":["hip"],"position":[1,2]}', "has 1 names and 2 values of position"),
         (b'{"name":["hip","hip"],"position":[1,2]}', "names joint hip twice"),
         (b'{"name":["\\ud800"],"position":[1]}', "characters that cannot be printed"),
@@ -249,7 +249,9 @@ def test_one_topic_in_two_encodings(tmp_path: Path) -> None:
 
 def test_encodings_that_are_not_known(tmp_path: Path) -> None:
     channel = Channel("/joint_states", [1], [b"x"], "ros1", ("sensor_msgs/JointState", "ros1msg", b""))
-    said = "topic /joint_states carries joint states as ROS 1 encodes them, which is not read; run 'rosbags-convert "
+    said = (
+        "topic /joint_states carries joint states in the ROS 1 encoding, which is not supported; run 'rosbags-convert "
+    )
     with pytest.raises(LogError, match=said):
         read_log(write_mcap(tmp_path / "log", channel))
     name = "a_package_of_a_department_of_a_company/msg/StateOfAllJoints"

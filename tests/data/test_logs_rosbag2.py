@@ -195,13 +195,13 @@ def test_a_compressed_file_that_is_no_use(tmp_path: Path, monkeypatch: pytest.Mo
     path = tmp_path / "x"
     path.write_text("t,q_hip\n")
     path = compressed(path)
-    with pytest.raises(LogError, match="holds no MCAP"):
+    with pytest.raises(LogError, match="is not an MCAP file"):
         read_log(path)
     path.write_bytes(path.read_bytes()[:4] + b"\xff" * 40)
     with pytest.raises(LogError, match="is damaged"):
         read_log(path)
     (tmp_path / "y").write_bytes(b"\x89MCAP0\r\n" + bytes(4 << 20))
-    monkeypatch.setattr("idtool.data.logs.files._LEAST_BYTES", 1 << 20)
+    monkeypatch.setattr("idtool.data.logs.mcap_file._MIN_SIZE_LIMIT", 1 << 20)
     with pytest.raises(LogError, match="expands to more than 256 times its size"):
         read_log(compressed(tmp_path / "y"))
 

@@ -62,7 +62,7 @@ class TestSegments:
         t[200] = np.nan
         log = of(t, q=q, v=v, tau=np.full(400, np.nan))
         assert bounds(log) == [(1, 64), (66, 70), (71, 200), (201, 399)]
-        assert sentences(log.notices) == ("6 samples hold values that are not finite and were left out",)
+        assert sentences(log.notices) == ("6 samples have values that are not finite; they were left out",)
         assert list(log.signals) == ["q", "v"]
 
     def test_lone_samples_are_no_segments(self) -> None:
@@ -85,7 +85,7 @@ def test_joints_that_lack_a_signal() -> None:
     ("t", "q", "said"),
     [
         ([0, 1], [np.nan, np.nan], "no joint positions found"),
-        ([0], [1], "holds 1 samples; at least two are needed"),
+        ([0], [1], "has 1 samples; at least two are needed"),
         ([0, 0, 0], [1, 2, 3], "time does not advance"),
         ([2, 1, 0], [1, 2, 3], "time does not advance"),
         ([0, np.nan, np.inf], [1, 2, 3], "time does not advance"),
@@ -99,8 +99,8 @@ def test_errors(t: list[float], q: list[float], said: str) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".mcap"])
 def test_memory_beyond_the_result_does_not_grow(tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.data.logs.series._SPARE_BYTES", 1 << 16)
-    monkeypatch.setattr("idtool.data.logs.table._PIECE_BYTES", 1 << 18)
+    monkeypatch.setattr("idtool.data.logs.sample_buffer._SPARE_BYTES", 1 << 16)
+    monkeypatch.setattr("idtool.data.logs.table._BLOCK_BYTES", 1 << 18)
     beyond = {}
     for count in (40_000, 160_000):
         path = tmp_path / f"{count}{ending}"

@@ -13,7 +13,7 @@ from sentences import sentences
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import read_log
-from idtool.data.logs.choices import state_topics
+from idtool.data.logs.state_topics import state_topics
 
 
 def imu(topic: str = "/imu") -> Channel:
@@ -44,7 +44,7 @@ def test_topic_without_messages_is_no_candidate(tmp_path: Path) -> None:
     [
         ("/joint_state", "has no topic /joint_state; did you mean /joint_states?"),
         ("/imu", "topic /imu carries sensor_msgs/msg/Imu, cdr, not joint states; there are: /joint_states"),
-        ("/empty", "topic /empty holds no messages"),
+        ("/empty", "topic /empty has no messages"),
     ],
 )
 def test_topics_that_cannot_be_read(tmp_path: Path, topic: str, said: str) -> None:
@@ -82,7 +82,7 @@ BESIDE = {change.__name__: change for change in (effort_only, velocity_only, no_
 def test_commands_and_latched_states_are_no_candidates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, beside: str, first: bool, batch: int
 ) -> None:
-    monkeypatch.setattr("idtool.data.logs.records._BATCH", batch)
+    monkeypatch.setattr("idtool.data.logs.mcap_records._BATCH", batch)
     items = states(50)
     channels = [ros2(BESIDE[beside](states(50, start=10**17)), "/command"), ros2(items)]
     path = write_mcap(tmp_path / "log", *channels[:: 1 if first else -1])
@@ -131,18 +131,18 @@ def test_the_topics_of_a_bag_in_several_files(tmp_path: Path) -> None:
 
 
 def test_topics_are_found_without_decoding_all_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from idtool.data.logs.topics import Topics
+    from idtool.data.logs.topics import TopicReader
 
     decoded: list[int] = []
-    original = Topics._decode
+    original = TopicReader._decode
 
-    def counted(self: Topics, *given: Any) -> Any:
+    def counted(self: TopicReader, *given: Any) -> Any:
         samples = original(self, *given)
         decoded.append(sum(len(piece.t) for piece in samples))
         return samples
 
-    monkeypatch.setattr(Topics, "_decode", counted)
-    monkeypatch.setattr("idtool.data.logs.records._BATCH", 10)
+    monkeypatch.setattr(TopicReader, "_decode", counted)
+    monkeypatch.setattr("idtool.data.logs.mcap_records._BATCH", 10)
     path = write_mcap(tmp_path / "log", ros2(states(100), "/a"), ros2(states(100), "/b"))
     assert state_topics(path) == ("/a", "/b")
     assert sum(decoded) == 10

@@ -84,7 +84,7 @@ IMU = Channel("/imu", [1], [b"x" * 40], schema=("sensor_msgs/msg/Imu", "ros2msg"
 REFUSED: dict[str, tuple[list[Channel], str]] = {
     "none": (
         [IMU],
-        "run1.mcap: no topic /robot_description carries the robot's URDF (std_msgs/msg/String); there are: "
+        "run1.mcap: no topic /robot_description carries a URDF (std_msgs/msg/String); there are: "
         "/imu (sensor_msgs/msg/Imu, cdr), /joint_states (sensor_msgs/msg/JointState, cdr); give a URDF before the log",
     ),
     "of another type": (
@@ -95,25 +95,25 @@ REFUSED: dict[str, tuple[list[Channel], str]] = {
         [described(TEXT, topic="/robot_description_semantic")],
         "/robot_description_semantic (std_msgs",
     ),
-    "no message": ([described()], "topic /robot_description holds no message; give a URDF before the log"),
-    "an empty message": ([described("")], "topic /robot_description holds no message"),
-    "two": ([described(TEXT, OTHER)], "topic /robot_description holds another robot description than /robot_descr"),
+    "no message": ([described()], "topic /robot_description has no messages; give a URDF before the log"),
+    "an empty message": ([described("")], "topic /robot_description has no messages"),
+    "two": ([described(TEXT, OTHER)], "topic /robot_description has another robot description than topic /robot_descr"),
     "two topics": (
         [described(TEXT), described(OTHER, topic="/arm/robot_description")],
-        "topic /arm/robot_description holds another robot description than /robot_description; give the URDF",
+        "topic /arm/robot_description has another robot description than topic /robot_description; give the URDF",
     ),
     "no CDR": ([replace(described(TEXT), payloads=[b"<robot/>"])], "a message of /robot_description is not plain CDR"),
     "cut CDR": ([replace(described(TEXT), payloads=[b"\0\1\0\0\xff\0\0\0<robot/>"])], "ends after 16 bytes"),
     "no JSON": (
         [replace(described(TEXT, encoding="json"), payloads=[b"<robot/>"])],
-        "is no text in a field called data",
+        "has no text in a field called data",
     ),
-    "no text": ([replace(described(TEXT, encoding="json"), payloads=[b'{"data": 3}'])], "is no text in a field"),
+    "no text": ([replace(described(TEXT, encoding="json"), payloads=[b'{"data": 3}'])], "has no text in a field"),
     "half a character": (
         [replace(described(TEXT, encoding="json"), payloads=[b'{"data": "\\ud800"}'])],
-        "is no text in a field",
+        "has no text in a field",
     ),
-    "no protobuf": ([replace(described(TEXT, encoding="protobuf"), payloads=[b"\xff"])], "is not what its schema says"),
+    "no protobuf": ([replace(described(TEXT, encoding="protobuf"), payloads=[b"\xff"])], "does not match its schema"),
     "no XML": ([described("robot")], "run1.mcap/robot_description: is not XML"),
     "no robot": (
         [described("<sdf/>", topic="/arm/robot_description")],
@@ -137,7 +137,7 @@ def test_two_bags_of_different_robots(tmp_path: Path) -> None:
     first = recorded(tmp_path, described(TEXT))
     second = recorded(tmp_path, described(OTHER), name="run2.mcap")
     said = (
-        "run2.mcap: topic /robot_description holds another robot description than run1.mcap, topic /robot_description"
+        "run2.mcap: topic /robot_description has another robot description than topic /robot_description of run1.mcap"
     )
     with pytest.raises(LogError, match=said):
         robot_and_logs(first, [second])

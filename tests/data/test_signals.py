@@ -186,5 +186,5 @@ def test_a_joint_without_torque_needs_its_gains(controller: dict[str, Any] | Non
     t = clock(1)
     log = swinging(t, tau=None, qcmd=swing(t))
     missing = "hip" if controller is None else "knee"
-    with pytest.raises(LogError, match=f"joint {missing} has no torque; give the gains under controller.kp and kd"):
+    with pytest.raises(LogError, match=f"joint {missing} has no torque; set its gains controller.kp and kd"):
         signals_of(log, controller=controller)

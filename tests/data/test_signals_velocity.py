@@ -60,7 +60,7 @@ def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     signals = signals_of(swinging(t, v=swing(t - lag, 1)), velocity="measured")
     np.testing.assert_allclose(signals.lag, lag, atol=0.05 * DT)
     assert any(
-        f"up to {abs(lag) * 1e3:.1f} ms late, which is undone" in warning for warning in sentences(signals.notices)
+        f"up to {abs(lag) * 1e3:.1f} ms late; the lag is undone" in warning for warning in sentences(signals.notices)
     )
     used = joined(signals, lambda m: m.t)
     truth = swing(used, 1).T
@@ -84,7 +84,7 @@ def test_a_velocity_in_time_is_left_alone() -> None:
     t = clock(6)
     signals = signals_of(swinging(t), velocity="measured")
     np.testing.assert_array_equal(signals.lag, 0)
-    assert signals.notices == []
+    assert not signals.notices
 
 
 def jittering(rng: np.random.Generator, samples: float, true: bool) -> tuple[Log, Array]:
@@ -136,7 +136,7 @@ def test_a_velocity_that_belongs_to_something_else_is_not_used(rng: np.random.Ge
     for strange in (swing(t, 1) * 180 / np.pi, swing(t, 1)[:, ::-1], noise(rng, swing(t), 1.0)):
         signals = signals_of(swinging(t, v=strange))
         assert signals.differentiated.all()
-        assert "logged velocity is not the derivative of q, which is differentiated instead: hip, knee" in sentences(
+        assert "logged velocity is not the derivative of q; q is differentiated instead: hip, knee" in sentences(
             signals.notices
         )
         np.testing.assert_allclose(

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from sentences import sentences
 
 import idtool
-from idtool.data.command import LONGEST_DELAY
+from idtool.data.command import MAX_DELAY
 from idtool.data.filters import delayed
 from idtool.data.logs import Log, make_log, read_log
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
@@ -170,11 +170,11 @@ def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
 
 def test_a_delay_beyond_those_that_are_looked_for_is_said() -> None:
     log = run(0.0)
-    late = int((LONGEST_DELAY + 15 * MS) * RATE)
+    late = int((MAX_DELAY + 15 * MS) * RATE)
     early = {name: log.signals[name][:-late] for name in ("q", "v")}
     early |= {name: log.signals[name][late:] for name in ("qcmd", "vcmd")}
     found = found_in(noisy(make_log(log.path, log.t[late:], log.joints, early), seed=1))
-    assert found.value == LONGEST_DELAY
+    assert found.value == MAX_DELAY
     assert "50 ms or more fits best" in sentences(found.notices)[0]
 
 

@@ -30,12 +30,12 @@ def test_nested_aliases_are_refused(refusal: Refusal, link: str) -> None:
         f"{name}: &{name} {link.format(', '.join([f'*{previous}'] * 9))}"
         for previous, name in itertools.pairwise(names)
     ]
-    assert "aliases written out" in refusal("\n".join(["a: &a {x: 1}", *levels]))
+    assert "aliases are expanded" in refusal("\n".join(["a: &a {x: 1}", *levels]))
 
 
 @pytest.mark.parametrize("text", ["&a [*a]", "joints: &a [*a]", "&a {log: *a}"])
 def test_an_alias_to_what_holds_it_is_refused(refusal: Refusal, text: str) -> None:
-    assert "aliases written out" in refusal(text)
+    assert "aliases are expanded" in refusal(text)
 
 
 def test_an_alias_that_only_saves_typing_is_fine(read: Read) -> None:
@@ -77,7 +77,7 @@ def test_what_is_not_yaml_is_refused(refusal: Refusal, text: str | bytes) -> Non
 
 
 def test_a_huge_file_is_refused_unread(refusal: Refusal) -> None:
-    assert refusal("#" * (2 << 20)) == "is larger than 1 MiB, which no configuration is"
+    assert refusal("#" * (2 << 20)) == "is larger than 1 MiB"
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:

@@ -49,7 +49,10 @@ def test_of_torque_with_the_wrong_sign_nothing_is_believed(tmp_path: Path) -> No
     report = init(robot(tmp_path), as_csv(tmp_path / "run.csv", {**log, "tau": -log["tau"]}))
     assert report["config"]["effects"] == []
     assert not any(trial["kept"] for trial in report["trials"])
-    assert any("left unexplained (rms): " in warning and "check its sign" in warning for warning in report["warnings"])
+    assert any(
+        "unexplained share of the held-out torque (rms): " in warning and "check its sign" in warning
+        for warning in report["warnings"]
+    )
 
 
 def test_cutoff_lies_above_the_motion_which_is_below_3_hz(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.bounds import find_bounds
-from idtool.setup.gears import gear_ratios, rotor_links, rotor_template, solid_ellipsoid
+from idtool.setup.transmissions import gear_ratios, rotor_links, rotor_template, solid_ellipsoid
 
 Read = Callable[[str | bytes], Robot]
 
@@ -120,7 +120,7 @@ def bounded(text: str, read: Read) -> tuple[dict[str, float], set[str]]:
     """Least semi-axes of ellipsoids that were found, and links that have none."""
     own = read(text)
     bounds = find_bounds(own, build_model(own, Config(), ["turn", "lift", "roll"]))
-    return {name: min(entry[0]["semi_axes"]) for name, entry in bounds.found.items()}, set(bounds.missing)
+    return {name: min(entry[0]["semi_axes"]) for name, entry in bounds.ellipsoids.items()}, set(bounds.missing)
 
 
 def test_part_whose_centre_of_mass_lies_in_anothers_ellipsoid_needs_none(robot_of: Read) -> None:

@@ -51,7 +51,7 @@ def test_what_is_given_and_what_is_found_are_told_apart(tmp_path: Path) -> None:
     given = {"gravity": [0.0, 0.0, -9.81], "velocity": "measured", "effects": [], "locked_joints": {"roll": 0.2}}
     report = init(robot(tmp_path), run(tmp_path), "--config", config_with(tmp_path / "given.yaml", **given))
     said = blocks(report)
-    assert "# Given in given.yaml, and the same as is found here. Gravity" in said["gravity"]
+    assert "# Given in given.yaml; idtool init finds the same value. Gravity" in said["gravity"]
     assert "# Given in given.yaml.\nvelocity: measured" in said["velocity"]
     assert "# Given in given.yaml.\neffects: []" in said["effects"]  # no trial found that there are none
     assert "given in given.yaml: roll" in said["locked_joints"]

@@ -19,7 +19,7 @@ from starts import arm, as_csv, as_states, robot
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
-from idtool.setup.recorded import Recorded, recorded
+from idtool.setup.log_summary import LogSummary, summarize_logs
 
 MIMIC = (
     '<link name="finger"/><joint name="close" type="revolute"><parent link="tool"/><child link="finger"/>'
@@ -28,9 +28,9 @@ MIMIC = (
 )
 
 
-def told(folder: Path, *logs: Path, text: str = ARM, **given: Any) -> Recorded:
+def told(folder: Path, *logs: Path, text: str = ARM, **given: Any) -> LogSummary:
     """What logs tell, with a configuration given."""
-    return recorded(read_robot(robot(folder, text)), logs, parse_config(given, "given.yaml"), silent)
+    return summarize_logs(read_robot(robot(folder, text)), logs, parse_config(given, "given.yaml"), silent)
 
 
 def csv(folder: Path, log: Log, *signals: str, name: str = "run.csv") -> Path:
@@ -55,13 +55,13 @@ def test_torque_that_never_changes_is_none_where_there_is_a_command(tmp_path: Pa
     assert (seen.joints, seen.commanded) == (JOINTS, ("lift",))
     assert not seen.logs[0].has("tau", "lift")  # so that trials take the controller's
     assert seen.logs[0].has("tau", "turn")
-    assert any("taken as not logged: lift" in warning for warning in sentences(seen.notices))
+    assert any("treated as not logged: lift" in warning for warning in sentences(seen.notices))
 
 
 def test_torque_that_never_changes_is_that_of_a_passive_joint_where_it_is_asked_for(tmp_path: Path) -> None:
     log = csv(tmp_path, without(moved(), "tau", 1), "q", "v", "tau")
     seen = told(tmp_path, log, joints=list(JOINTS))
-    assert (seen.joints, seen.commanded, seen.untold) == (JOINTS, (), {})
+    assert (seen.joints, seen.commanded, seen.without_torque) == (JOINTS, (), {})
     assert seen.logs[0].has("tau", "lift")
 
 
@@ -70,22 +70,22 @@ def test_joint_that_moves_without_torque_is_not_held_still_without_a_word(tmp_pa
     log = csv(tmp_path, without(moved(), "tau", 1, 0.0 if tau == "zero" else np.nan), "q", "v", "tau")
     seen = told(tmp_path, log)
     assert seen.joints == ("turn", "roll")
-    assert seen.locked["lift"].why == "has neither torque nor position command in run.csv"
-    assert seen.untold == {"lift": "run.csv"}
-    assert "held still though they move, which the other joints' torque does not fit: lift" in sentences(seen.notices)
+    assert seen.locked["lift"].reason == "has neither torque nor position command in run.csv"
+    assert seen.without_torque == {"lift": "run.csv"}
+    assert "locked joints move in the logs, which disturbs the torque of the others: lift" in sentences(seen.notices)
 
 
 def test_joints_that_stand_still_are_no_reason_for_a_word(tmp_path: Path) -> None:
     still = without(without(moved(), "q", 1, 0.3), "v", 1)
     seen = told(tmp_path, csv(tmp_path, still, "q", "v", "tau"))
-    assert (seen.joints, seen.untold, sentences(seen.notices)) == (("turn", "roll"), {}, ())
+    assert (seen.joints, seen.without_torque, sentences(seen.notices)) == (("turn", "roll"), {}, ())
     still = without(still, "tau", 1, np.nan)
     seen = told(tmp_path, csv(tmp_path, still, "q", "v", "tau"))
-    assert (seen.joints, seen.untold, sentences(seen.notices)) == (("turn", "roll"), {}, ())
+    assert (seen.joints, seen.without_torque, sentences(seen.notices)) == (("turn", "roll"), {}, ())
     asked = told(tmp_path, csv(tmp_path, still, "q", "v", "tau"), joints=list(JOINTS))
     assert asked.commanded == ()
-    assert (asked.joints, asked.moving, asked.able) == (JOINTS, ("turn", "roll"), ("turn", "roll"))
-    assert any("nothing is learnt of them: lift" in warning for warning in sentences(asked.notices))
+    assert (asked.joints, asked.moving, asked.identifiable) == (JOINTS, ("turn", "roll"), ("turn", "roll"))
+    assert any("so they cannot be identified: lift" in warning for warning in sentences(asked.notices))
 
 
 def test_gains_are_needed_of_a_joint_that_is_asked_for_though_it_stands_still(tmp_path: Path) -> None:
@@ -102,8 +102,8 @@ def test_of_a_log_with_torque_and_one_with_commands_joints_are_commanded(tmp_pat
 def test_joints_given_as_held_still_are(tmp_path: Path) -> None:
     seen = told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), locked_joints={"lift": 0.2})
     assert seen.joints == ("turn", "roll")
-    assert seen.locked["lift"].why == "given as held still"
-    assert any(warning.startswith("held still though they move") for warning in sentences(seen.notices))
+    assert seen.locked["lift"].reason == "given as locked"
+    assert any(warning.startswith("locked joints move") for warning in sentences(seen.notices))
     with pytest.raises(ConfigError, match="is no actuated joint of the URDF"):
         told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), joints=["left"])
 
@@ -145,7 +145,7 @@ def test_without_any_torque_the_error_names_the_columns_that_were_left_over(tmp_
         told(tmp_path, file)
     said = str(caught.value)
     assert "has neither torque nor position command in run.csv: turn, lift, roll" in said
-    assert "name the torque's column in log.columns, as tau_turn, and N·m per its unit in log.scale" in said
+    assert "map the torque's column to tau_turn in log.columns, and set its N·m per unit in log.scale" in said
     assert "ignored: current_turn, current_lift, current_roll" in said
     refuse(tmp_path, "init", tmp_path / "arm.urdf", file, naming="current_turn", file="run.csv")
 
@@ -188,5 +188,5 @@ def test_topic_is_one_that_all_logs_have(tmp_path: Path) -> None:
     both = mcap(tmp_path, whole=states, part=only(states, 2, "v", "tau"))
     seen = told(tmp_path, both, mcap(tmp_path, "other.mcap", part=only(states, 2, "v", "tau")))
     assert (seen.topic, seen.joints) == ("/part", ("turn", "lift"))
-    with pytest.raises(LogError, match="none of its topics in common"):
+    with pytest.raises(LogError, match="no topic in common"):
         told(tmp_path, both, mcap(tmp_path, "other.mcap", else_=states))

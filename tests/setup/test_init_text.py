@@ -70,7 +70,7 @@ def test_bodies_with_geometry_are_bounded_and_of_others_it_is_said_what_is_missi
     assert set(report["config"]["bounding_ellipsoids"]) == {"turret"}  # the tool, on the forearm, lies outside its
     written = Path(report["file"]).read_text()
     assert r"mesh package://arm/\nevil: 1.stl is not found" in written
-    where = f"looked for in {tmp_path} and the folders above, ROS_PACKAGE_PATH (not set)"
+    where = f"searched in {tmp_path} and the folders above, ROS_PACKAGE_PATH (not set)"
     assert where in written.replace("\n# ", " ")
     (left,) = (left["what"] for left in report["left"] if left["key"] == "bounding_ellipsoids")
     assert left.startswith("of upper, tool; meshes of upper could not be read (upper: line ")

@@ -13,10 +13,10 @@ from imposed import silent
 from sentences import sentences, texts
 
 from idtool.data.logs import Log, make_log
-from idtool.setup import loaded_log as seen
-from idtool.setup.loaded_log import shortened
-from idtool.setup.trial_evaluator import Verdict
-from idtool.setup.trials import Found, TrialTerms, try_out
+from idtool.setup import loaded_logs as seen
+from idtool.setup.loaded_logs import first_samples
+from idtool.setup.trial_evaluator import TrialScore
+from idtool.setup.trials import TrialResults, TrialTerms, run_trials
 
 Errors = Callable[[TrialTerms], Sequence[float]]  # mean square per joint, of the parts to fit or of the held-out ones
 
@@ -44,32 +44,34 @@ class TrialEvaluator:
     def torque(self) -> Any:
         return np.array([TORQUE, TORQUE])
 
-    def judge(self, terms: TrialTerms) -> Verdict:
+    def score(self, terms: TrialTerms) -> TrialScore:
         self.judged.append(terms)
         values = {(effect, joint): 0.1 for effect in (ROTOR, OFFSET) for joint in JOINTS}
         train, held_out = (np.array(errors(terms), dtype=float) for errors in (self.train, self.held_out))
-        return Verdict(train, held_out, values, dict.fromkeys(values, self.share))
+        return TrialScore(train, held_out, values, dict.fromkeys(values, self.share))
 
 
 def tried(
     held_out: Errors, train: Errors | None = None, share: float = 10.0, delays: bool = False, offsets: bool = False
-) -> tuple[Found, TrialEvaluator]:
+) -> tuple[TrialResults, TrialEvaluator]:
     """What is found where errors are these."""
-    bench = TrialEvaluator(held_out, train or held_out, share)
-    shop: Any = SimpleNamespace(joints=JOINTS, progress=silent, config=lambda terms: terms, bench=lambda terms: bench)
+    evaluator = TrialEvaluator(held_out, train or held_out, share)
+    runner: Any = SimpleNamespace(
+        joints=JOINTS, progress=silent, config=lambda terms: terms, evaluator=lambda terms: evaluator
+    )
     effects = [*([] if delays else [ROTOR]), *([OFFSET] if offsets else [])]
     on_joints = [(effect, joint) for effect in effects for joint in JOINTS]
-    return try_out(shop, on_joints, [DELAY] if delays else []), bench
+    return run_trials(runner, on_joints, [DELAY] if delays else []), evaluator
 
 
-def joints(found: Found, effect: str) -> tuple[str | None, ...]:
+def joints(found: TrialResults, effect: str) -> tuple[str | None, ...]:
     """Joints with an effect that was kept."""
     return tuple(joint for kind, joint in found.values if kind == effect)
 
 
-def delay(of: Found | TrialTerms) -> float:
+def delay(of: TrialResults | TrialTerms) -> float:
     """The delay that was kept, or that a variant has [s]."""
-    if isinstance(of, Found):
+    if isinstance(of, TrialResults):
         return of.values.get((DELAY, None), 0.0)
     return dict(of.searched).get(DELAY, 0.0)
 
@@ -94,15 +96,15 @@ def test_terms_that_make_the_whole_worse_go() -> None:
 def test_that_other_joints_lose_is_said() -> None:
     found, _ = tried(lambda terms: (1.1, 1.0) if (ROTOR, "knee") in terms.on_joints else (1.0, 9.0))
     assert joints(found, ROTOR) == ("knee",)
-    assert "makes the held-out error larger of hip; one set of bodies" in texts(found.notices)[0]
+    assert "increase the held-out error of hip; one set of bodies" in texts(found.notices)[0]
 
 
 def test_what_is_too_small_to_be_missed_is_not_fitted_for() -> None:
-    found, bench = tried(lambda terms: (1.0, 1.0), share=0.01)
+    found, evaluator = tried(lambda terms: (1.0, 1.0), share=0.01)
     assert not joints(found, ROTOR)
-    assert all(len(terms.on_joints) in (0, len(JOINTS)) for terms in bench.judged)
-    _, bench = tried(lambda terms: (1.0, 1.0), share=1.0)
-    assert not all(len(terms.on_joints) in (0, len(JOINTS)) for terms in bench.judged)
+    assert all(len(terms.on_joints) in (0, len(JOINTS)) for terms in evaluator.judged)
+    _, evaluator = tried(lambda terms: (1.0, 1.0), share=1.0)
+    assert not all(len(terms.on_joints) in (0, len(JOINTS)) for terms in evaluator.judged)
 
 
 def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
@@ -114,7 +116,10 @@ def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
 
     found, _ = tried(errors, offsets=True)
     assert joints(found, OFFSET) == ("hip",)
-    assert any("unexplained (rms): knee 95%; check its sign and unit" in warning for warning in texts(found.notices))
+    assert any(
+        "share of the held-out torque (rms): knee 95%; check its sign and unit" in warning
+        for warning in texts(found.notices)
+    )
 
 
 def delayed(at: float) -> Errors:
@@ -179,9 +184,9 @@ def segmented(*lengths: int) -> Log:
 def test_of_a_long_log_the_first_samples_are_kept_over_its_segments(monkeypatch: pytest.MonkeyPatch) -> None:
     log = segmented(60, 50, 40)
     assert [s.stop - s.start for s in log.segments] == [60, 50, 40]
-    assert shortened(log) is log
-    monkeypatch.setattr(seen, "MOST", 80)
-    short = shortened(log)
+    assert first_samples(log) is log
+    monkeypatch.setattr(seen, "MAX_SAMPLES", 80)
+    short = first_samples(log)
     assert [(s.start, s.stop) for s in short.segments] == [(0, 60), (60, 80)]
     assert len(short) == len(short.signals["v"]) == 80
     assert all(x.base is None for x in (short.t, *short.signals.values()))  # the rest can be freed

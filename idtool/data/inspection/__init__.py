@@ -52,10 +52,10 @@ __all__ = [
     "velocity_lag",
 ]
 
-_MOST = 1 << 17  # samples that statistics are taken from
-_STRETCH = 1 << 14  # samples
-_SHORTEST = 64  # samples of a stretch, where there are longer ones
-_LONGEST_GAPS = 5
+_MAX_SAMPLES = 1 << 17  # samples that statistics are taken from
+_STRETCH_SAMPLES = 1 << 14  # samples
+_MIN_STRETCH = 64  # samples of a stretch, where there are longer ones
+_LISTED_GAPS = 5
 _SHORT = 0.5  # s
 
 
@@ -73,10 +73,10 @@ def inspect_log(log: Log) -> Inspection:
         Figures per log and per joint, and the findings.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # values beyond all sense are no crash
-        return _inspected(log)
+        return _inspect(log)
 
 
-def _inspected(log: Log) -> Inspection:
+def _inspect(log: Log) -> Inspection:
     stretches = _stretches(log.segments)
     spans = {name: span(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
@@ -110,13 +110,15 @@ def _inspected(log: Log) -> Inspection:
 
 
 def _stretches(segments: tuple[slice, ...]) -> list[slice]:
-    """Stretches of the segments, evenly spread over the log, of at most about `_MOST` samples in all."""
-    cut = [slice(a, min(a + _STRETCH, s.stop)) for s in segments for a in range(s.start, s.stop, _STRETCH)]
+    """Stretches of the segments, evenly spread over the log, of at most about `_MAX_SAMPLES` samples in all."""
+    cut = [
+        slice(a, min(a + _STRETCH_SAMPLES, s.stop)) for s in segments for a in range(s.start, s.stop, _STRETCH_SAMPLES)
+    ]
     total = sum(s.stop - s.start for s in segments)
-    if total <= _MOST:
+    if total <= _MAX_SAMPLES:
         cut = list(segments)
-    cut = [s for s in cut if s.stop - s.start >= _SHORTEST] or cut
-    count = min(max(len(cut) * _MOST // total, 1), len(cut), _MOST // _SHORTEST)
+    cut = [s for s in cut if s.stop - s.start >= _MIN_STRETCH] or cut
+    count = min(max(len(cut) * _MAX_SAMPLES // total, 1), len(cut), _MAX_SAMPLES // _MIN_STRETCH)
     return [cut[i] for i in np.linspace(0, len(cut) - 1, count).astype(int)]
 
 
@@ -138,7 +140,7 @@ def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float
         backward=int(np.sum(step < 0)),
         gaps=len(lost),
         lost=sum(gap.lost for gap in lost),
-        longest_gaps=lost[:_LONGEST_GAPS],
+        longest_gaps=lost[:_LISTED_GAPS],
         short=short / sum(s.stop - s.start for s in log.segments),
         repeated=repeated,
         sampling=instants,

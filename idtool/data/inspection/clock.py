@@ -15,7 +15,7 @@ from idtool.data.inspection.records import Gap, Sampling
 from idtool.data.logs.log import Log
 
 _AROUND = 9  # stamps to either side of a gap
-_FEWEST = 200  # steps that tell the time, for a statement
+_MIN_STEPS = 200  # steps that tell the time, for a statement
 _UNCERTAIN = 0.1  # standard error of a step, in samples, above which it does not tell the time
 _SKIP = 1.6  # steps longer than this skip a sample
 
@@ -131,7 +131,7 @@ def sampling(stretches: Sequence[tuple[Array, Array, Array]], dt: float) -> Samp
         return None
     steps, error, stamps = np.concatenate(parts, axis=1)
     certain = error < _UNCERTAIN
-    if certain.sum() < _FEWEST:
+    if certain.sum() < _MIN_STEPS:
         return None
     noise = 2 * float(np.mean(error[certain] ** 2))
     steps[~certain] = np.nan

@@ -12,8 +12,8 @@ from scipy.signal import detrend, welch
 from idtool.common.arrays import Array, Mask
 
 _BLOCK = 1 << 14  # rows
-_FEWEST = 100  # samples that a share is taken of
-_FEWEST_LEVELS = 16  # fewer are believed only where most samples repeat one
+_MIN_SAMPLES = 100  # samples that a share is taken of
+_MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
 _ON_GRID = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
 _ON_GRID_SHARE = 0.95
 _FINEST = 1e-6  # of the range: a finer step is as good as none
@@ -55,7 +55,7 @@ def quantisation(x: Array) -> float | None:
     grid. Values rounded to a few decimals do, as they should.
     """
     levels = np.unique(x)
-    if len(levels) < 2 or (len(levels) < _FEWEST_LEVELS and len(levels) > len(x) / 2):
+    if len(levels) < 2 or (len(levels) < _MIN_LEVELS and len(levels) > len(x) / 2):
         return None
     steps = np.diff(levels)
     span = float(levels[-1] - levels[0])
@@ -158,7 +158,7 @@ def stale_share(x: Array, moving: Mask, step: float | None, noise: float) -> flo
         return None
     change = np.abs(x[2 * half :] - x[: -2 * half]) / (2 * half)
     on_its_way = moving[half:-half] & (change > (2 * step + 3 * noise if step else 0.0))
-    if on_its_way.sum() < _FEWEST:
+    if on_its_way.sum() < _MIN_SAMPLES:
         return None
     return float(np.mean((x[half:-half] == x[half - 1 : -half - 1])[on_its_way]))
 
@@ -169,7 +169,7 @@ def stuck_share(x: Array, low: float, high: float, step: float | None) -> float:
     A turning point gathers samples too, but its neighbourhood gathers nearly as many: the extreme value has to hold
     five times what the next step, or thousandth of the range, holds.
     """
-    if len(x) < _FEWEST or not low < high:
+    if len(x) < _MIN_SAMPLES or not low < high:
         return 0.0
     total = 0.0
     width = max(step or 0.0, 1e-3 * (high - low))

@@ -22,7 +22,7 @@ _SAME_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
 _OWN_NOISE = 0.7
 _DROWNED = 2.0  # fast changes over noise
 _REPEATED = 0.3  # share of repeated values
-_FEWEST = 256  # samples of a stretch
+_MIN_SAMPLES = 256  # samples of a stretch
 _WINDOW = 50  # samples
 _RESOLUTION = 1.5 / np.sqrt(12)  # noise below this many steps may be the rounding's
 
@@ -41,7 +41,7 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
     tau
         The summary of the torque.
     """
-    if max(len(x) for x in runs["tau"]) < _FEWEST:
+    if max(len(x) for x in runs["tau"]) < _MIN_SAMPLES:
         return TorqueSource("unknown", "no stretch without a gap is long enough to tell")
     law = _law(runs, tau)
     if law is not None:
@@ -73,7 +73,7 @@ def _law(runs: Runs, tau: Signal) -> str | None:
         rows = _rows(runs, names, delay)
         free = (rows[:, -1] > tau.minimum) & (rows[:, -1] < tau.maximum)  # a law is cut off at the drive's limits
         columns, torque = rows[free, :-1], rows[free, -1]
-        if len(torque) < _FEWEST:
+        if len(torque) < _MIN_SAMPLES:
             return None
         gains, rest = _line(columns, torque)
         rounding = 0.4 * (tau.step or 0.0)

@@ -14,8 +14,8 @@ from scipy.signal import oaconvolve
 
 from idtool.common.arrays import Array
 
-_SHORTEST = 64  # samples
-_LONGEST_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
+_MIN_SAMPLES = 64  # samples
+_MAX_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
 _SMOOTHING = 15  # bins over which spectra are averaged for the coherence
 _COHERENT = 0.5  # bins below this squared coherence have no say in the band; noise alone passes in 1 of 500
 _BAND_POWER = 0.99
@@ -77,13 +77,13 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     noise of q enters D and A, which are uncorrelated, and so leaves the lag unbiased. As power weights it, a low-pass
     filter comes out as its delay at the frequencies of the motion.
     """
-    if len(q) < _SHORTEST or not (np.ptp(q) > 0 and np.ptp(v) > 0):
+    if len(q) < _MIN_SAMPLES or not (np.ptp(q) > 0 and np.ptp(v) > 0):
         return _UNKNOWN
     lag, band = _coarse(q, v, dt)
     if band == 0:
         return _UNRELATED
     sigma = max(1 / (2 * np.pi * band), dt)
-    reach = int((_REACH * sigma + _LONGEST_LAG) / dt) + 1
+    reach = int((_REACH * sigma + _MAX_LAG) / dt) + 1
     x = np.linspace(-reach * dt, reach * dt, 2 * reach + 1)
     if len(q) < 2 * len(x):
         return _UNKNOWN
@@ -94,7 +94,7 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
         A = oaconvolve(q, ((x - lag) ** 2 / sigma**2 - 1) / sigma**2 * g, "valid")
         M = np.stack([D, A, np.ones_like(D)], axis=1)
         gain, slope, offset = np.linalg.lstsq(M, V, rcond=None)[0]
-        if gain == 0 or abs(lag - slope / gain) > _LONGEST_LAG:
+        if gain == 0 or abs(lag - slope / gain) > _MAX_LAG:
             return _UNRELATED
         lag -= slope / gain
     rest = V - gain * D - slope * A - offset
@@ -117,7 +117,7 @@ def _coarse(q: Array, v: Array, dt: float) -> tuple[float, float]:
     D = rfft(window * np.diff(q) / dt)
     V = rfft(window * 0.5 * (v[1:] + v[:-1]))
     S = np.conj(D) * V
-    most = int(min(_LONGEST_LAG / dt, n // 8))
+    most = int(min(_MAX_LAG / dt, n // 8))
     k = np.arange(-most, most + 1)
     correlation = irfft(S, n)[k] * (1 - 0.1 * np.abs(k) / (most + 1))  # the shorter lag wins a tie
     lag = float(k[np.argmax(np.abs(correlation))] * dt)

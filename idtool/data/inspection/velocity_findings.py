@@ -21,7 +21,7 @@ ANOTHERS = 0.9  # share of v's power that another joint's position must explain:
 GAIN = 0.03  # off 1: more than a clock is out
 WRONG_UNIT = 0.25  # of log |gain|: more than a calibration is out
 
-_LOOKED_AT = 1 << 15  # samples
+_MAX_SAMPLES = 1 << 15  # samples
 
 
 def exchanged_velocities(log: Log, joints: Mapping[str, Joint]) -> dict[str, str]:
@@ -34,7 +34,7 @@ def exchanged_velocities(log: Log, joints: Mapping[str, Joint]) -> dict[str, str
         if joint.velocity is not None and joint.velocity.agreement < UNRELATED:
             unrelated.append(name)
     longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
-    stretch = slice(longest.start, min(longest.stop, longest.start + _LOOKED_AT))
+    stretch = slice(longest.start, min(longest.stop, longest.start + _MAX_SAMPLES))
     exchanged: dict[str, str] = {}
     for name, other in itertools.permutations(unrelated, 2):
         q = np.ascontiguousarray(log.signals["q"][stretch, log.joints.index(name)])

@@ -1,6 +1,6 @@
 """Logs of joint signals. A new format is one new file in this folder.
 
-A format's file gives `SUFFIXES`, the endings it is written under; `matches`, which knows it by a file's first bytes;
+A format's file defines `SUFFIXES`, its file name extensions; `matches`, which recognizes the first bytes of a file;
 `read`; and `write`.
 """
 
@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import suggestion
+from idtool.common.names import printable, suggestion
 from idtool.common.provenance import source_from_file
-from idtool.data.logs.bag import ROS1, SQLITE, files_of, is_bag, not_mcap, of_ros1
+from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, Log, make_log
 
 __all__ = ["SIGNALS", "Log", "is_bag", "make_log", "read_log", "write_log"]
@@ -51,92 +51,94 @@ def read_log(
     columns: Mapping[str, str] = {},
     scale: Mapping[str, Mapping[str, float]] = {},
 ) -> Log:
-    """Read a log, whatever its format.
+    """Read a log of any format.
 
     Parameters
     ----------
     path
-        The file, or a rosbag2 folder. What a file holds tells the format, not its name.
+        The file, or a rosbag2 folder. The contents of a file determine the format, not its name.
     topic
-        The topic that carries the joint states, where the log has several.
+        The topic that carries the joint states, if the log has several.
     columns
-        Canonical name (``t``, ``q_hip``, …) to the column of the file that holds it, for CSV.
+        Canonical name (``t``, ``q_hip``, …) to the name of the column in the file, for CSV.
     scale
         Signal to joint to SI units per logged unit.
 
     Raises
     ------
     LogError
-        If the file cannot be read, or does not hold what the options name.
+        If the file cannot be read, or lacks a topic, column, signal or joint that the options name.
     """
     path = Path(path)
     try:
         log = _read(path, topic, columns)
-        sources = tuple(source_from_file("log", file) for file in files_of(path))
+        sources = tuple(source_from_file("log", file) for file in log_files(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
-    return _scaled(replace(log, sources=sources), scale)
+    _apply_scale(log, scale)
+    return replace(log, sources=sources)
 
 
 def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
-    """The log as its format's file reads it; OSError where that cannot."""
+    """The log in its own units; OSError if a file cannot be read."""
     if path.is_dir():
         from idtool.data.logs.mcap import read
 
-        named = path if path.name or not is_bag(path) else path.resolve()  # the folder one is in
-        return read(named, topic, columns)
+        if not path.name and is_bag(path):  # the working directory
+            path = path.resolve()
+        return read(path, topic, columns)
     if not path.is_file():
         raise LogError(path, "there is no such file")
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     if not head:
         raise LogError(path, "is empty")
-    for form in _formats():
-        if form.matches(head):
-            return form.read(path, topic, columns)
+    for log_format in _formats():
+        if log_format.matches(head):
+            return log_format.read(path, topic, columns)
     if head.startswith(SQLITE):
-        raise LogError(path, not_mcap(path, "sqlite3"))
+        raise LogError(path, wrong_storage_message(path, "sqlite3"))
     if head.startswith(ROS1):
-        raise LogError(path, of_ros1(path))
+        raise LogError(path, ros1_message(path))
     if head.startswith(_GZIP):
-        raise LogError(path, f"is compressed with gzip; run 'gunzip -k {shlex.quote(str(path))}', give what it makes")
-    raise LogError(path, f"is no log that can be read: {' or '.join(_endings())}, CSV in UTF-8")
+        raise LogError(path, f"is compressed with gzip; run 'gunzip -k {shlex.quote(str(path))}' first")
+    raise LogError(path, f"is not a log in a supported format ({' or '.join(_suffixes())}; CSV must be UTF-8)")
 
 
 def write_log(path: str | os.PathLike[str], log: Log) -> None:
-    """Write a log in the format that the ending of ``path`` names.
+    """Write a log in the format given by the extension of ``path``.
 
-    The file appears only when it is whole; until then what was there stays.
+    The file appears only when it is complete; until then an existing one stays.
 
     Raises
     ------
     LogError
-        If the ending is not known, or the log cannot be written.
+        If the extension is not supported, or the log cannot be written.
     """
     path = Path(path)
-    form = next((form for form in _formats() if path.suffix.lower() in form.SUFFIXES), None)
-    if form is None:
-        raise LogError(path, f"cannot be written under this ending; use {' or '.join(_endings())}")
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    log_format = next((member for member in _formats() if path.suffix.lower() in member.SUFFIXES), None)
+    if log_format is None:
+        raise LogError(path, f"unsupported log format '{printable(path.suffix)}'; use {' or '.join(_suffixes())}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
-            with part.open("wb") as file:
-                form.write(file, log)
-            part.replace(path)
+            with temporary.open("wb") as file:
+                log_format.write(file, log)
+            temporary.replace(path)
         finally:
-            part.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise LogError(path, f"cannot be written: {error.strerror or error}") from None
     except ValueError as error:
         raise LogError(path, f"cannot be written: {error}") from None
 
 
-def _endings() -> list[str]:
-    return [suffix for form in _formats() for suffix in form.SUFFIXES]
+def _suffixes() -> list[str]:
+    return [suffix for log_format in _formats() for suffix in log_format.SUFFIXES]
 
 
-def _scaled(log: Log, scale: Mapping[str, Mapping[str, float]]) -> Log:
-    """The log in SI units; its arrays are changed in place."""
+def _apply_scale(log: Log, scale: Mapping[str, Mapping[str, float]]) -> None:
+    """Convert a log to SI units, in place."""
     for signal, factors in scale.items():
         if factors and signal not in log.signals:
             raise LogError(log.path, f"log.scale: the log has no {signal}; {suggestion(signal, list(log.signals))}")
@@ -146,4 +148,3 @@ def _scaled(log: Log, scale: Mapping[str, Mapping[str, float]]) -> Log:
                     log.path, f"log.scale: {signal}: the log has no joint {joint}; {suggestion(joint, log.joints)}"
                 )
             log.signals[signal][:, log.joints.index(joint)] *= factor
-    return log

@@ -1,7 +1,7 @@
-"""Which column of a table holds which signal of which joint.
+"""The columns of a table by signal and joint.
 
 A column is named ``<signal>_<joint>``, or ``<joint>.<field>`` or ``<joint>/<field>`` with the fields of a joint state;
-before the joint there may be a topic, as in ``/joint_states/hip/position``.
+a topic may precede the joint, as in ``/joint_states/hip/position``.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.log import SIGNALS
 
-_TIMES = ("t", "time", "__time", "timestamp")
+_TIME_NAMES = ("t", "time", "__time", "timestamp")
 _FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}
 _CANONICAL = re.compile(rf"({'|'.join(SIGNALS)})_(.+)")
 _FIELD = re.compile(rf"(.+)[./]({'|'.join(_FIELDS)})")
 
-Signal = tuple[str, str]  # signal and joint
+JointSignal = tuple[str, str]  # signal and joint
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Places of columns.
+class ColumnMap:
+    """Indices of the columns of a table.
 
     Attributes
     ----------
     time
-        That of the time.
+        Index of the time column.
     joints
-        Names of the joints, in the order of their first columns.
+        Joint names, in the order of their first columns.
     signals
-        Signal to the place for each joint; None where the joint lacks it.
+        Signal to the index of its column for each joint; None for a joint that lacks it.
     unused
         Names of the other columns.
     """
@@ -46,7 +46,7 @@ class Columns:
     unused: tuple[str, ...]
 
 
-def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Mapping[str, str]) -> Columns:
+def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: Mapping[str, str]) -> ColumnMap:
     """Find the columns of a header.
 
     Parameters
@@ -54,59 +54,60 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, named: Ma
     path
         The file; errors name it.
     header
-        The columns' names.
+        Names of the columns.
     topic
-        The topic that counts, where columns name several.
-    named
-        Canonical name to a column's name; goes before what the columns' own names say.
+        The topic to read, if columns of several topics are in the table.
+    mapping
+        Canonical name to the name of a column; takes precedence over the canonical names in the header.
 
     Raises
     ------
     LogError
-        If there is no time or no signal, two columns hold the same, or ``named`` names what is not there.
+        If there is no time or no signal, two columns have the same signal, or ``mapping`` names a missing column.
     """
-    given = {_canonical(path, name): _place(path, header, column) for name, column in named.items()}
-    free = {i: name for i, name in enumerate(header) if i not in given.values()}
-    signals = {key: i for key, i in given.items() if isinstance(key, tuple)}
-    for i, key in _signals(path, free, topic).items():
-        other = signals.setdefault(key, i)
-        if other != i and key not in given:
-            raise LogError(path, _clash(header[other], header[i], key))
-    time = given.get("t")
+    mapped = {_parse_canonical(path, name): _column_index(path, header, column) for name, column in mapping.items()}
+    unmapped = {i: name for i, name in enumerate(header) if i not in mapped.values()}
+    columns = {key: i for key, i in mapped.items() if isinstance(key, tuple)}
+    for i, key in _recognize(path, unmapped, topic).items():
+        other = columns.setdefault(key, i)
+        if other != i and key not in mapped:
+            raise LogError(path, _conflict_message(header[other], header[i], key))
+    time = mapped.get("t")
     if time is None:
-        time = next((_place(path, header, name) for name in _TIMES if name in free.values()), None)
-    if not signals:
+        for name in _TIME_NAMES:
+            if time is None and name in unmapped.values():
+                time = _column_index(path, header, name)
+    if not columns:
         raise LogError(
             path,
-            f"is no log: its first line names no joint signal, but {join_names(header)}; name the columns t, "
-            "q_<joint>, v_<joint>, tau_<joint>, or map these to them in log.columns",
+            f"is not a log: its first line has no joint signal, but {join_names(header)}; name the columns t, "
+            "q_<joint>, v_<joint>, tau_<joint>, or map them in log.columns",
         )
     if time is None:
         raise LogError(path, "has no time column; name it t, or set log.columns: {t: <its name>}")
-    joints = tuple(dict.fromkeys(joint for (_, joint), _ in sorted(signals.items(), key=lambda item: item[1])))
+    in_order = sorted(columns, key=lambda key: columns[key])
+    joints = tuple(dict.fromkeys(joint for _, joint in in_order))
     if not all(map(str.isprintable, joints)):
-        raise LogError(path, "names a joint in characters that cannot be printed")
-    used = {time, *signals.values()}
-    return Columns(
-        time,
-        joints,
-        {s: [signals.get((s, joint)) for joint in joints] for s in SIGNALS if any(s == name for name, _ in signals)},
-        tuple(name for i, name in enumerate(header) if name and i not in used),
-    )
+        raise LogError(path, "has a joint name with characters that cannot be printed")
+    present = {signal for signal, _ in columns}
+    signals = {name: [columns.get((name, joint)) for joint in joints] for name in SIGNALS if name in present}
+    used = {time, *columns.values()}
+    unused = tuple(name for i, name in enumerate(header) if name and i not in used)
+    return ColumnMap(time, joints, signals, unused)
 
 
-def _canonical(path: Path, name: str) -> Signal | str:
-    """Key of a canonical name: itself for the time, else signal and joint."""
+def _parse_canonical(path: Path, name: str) -> JointSignal | str:
+    """Signal and joint of a canonical name; the time's name is returned as it is."""
     match = _CANONICAL.fullmatch(name)
     if not match and name != "t":
+        names = join_names(SIGNALS)
         raise LogError(
-            path,
-            f"log.columns: {printable(name)} is no canonical name; use t or <signal>_<joint> ({join_names(SIGNALS)})",
+            path, f"log.columns: {printable(name)} is not a canonical name; use t or <signal>_<joint> ({names})"
         )
     return (match[1], match[2]) if match else name
 
 
-def _place(path: Path, header: Sequence[str], column: str) -> int:
+def _column_index(path: Path, header: Sequence[str], column: str) -> int:
     if column not in header:
         raise LogError(path, f"has no column {printable(column)}; {suggestion(column, header)}")
     if header.count(column) > 1:
@@ -114,49 +115,52 @@ def _place(path: Path, header: Sequence[str], column: str) -> int:
     return header.index(column)
 
 
-def _signals(path: Path, names: Mapping[int, str], topic: str | None) -> dict[int, Signal]:
-    """Place to signal and joint, by the columns' own names."""
+def _recognize(path: Path, names: Mapping[int, str], topic: str | None) -> dict[int, JointSignal]:
+    """Signal and joint of each column with a canonical name or a joint state's field, by index."""
     fields = {i: match for i, name in names.items() if (match := _FIELD.fullmatch(name))}
-    joints = _joints(path, {match[1] for match in fields.values()}, topic)
-    found: dict[int, Signal] = {}
+    joints = _joint_names(path, {match[1] for match in fields.values()}, topic)
+    recognized: dict[int, JointSignal] = {}
     for i, name in names.items():
         if i in fields:
-            if joint := joints[fields[i][1]]:
-                found[i] = (_FIELDS[fields[i][2]], joint)
+            prefix, field = fields[i].groups()
+            if joint := joints[prefix]:
+                recognized[i] = (_FIELDS[field], joint)
         elif match := _CANONICAL.fullmatch(name):
-            found[i] = (match[1], match[2])
-    return found
+            recognized[i] = (match[1], match[2])
+    return recognized
 
 
-def _joints(path: Path, stems: set[str], topic: str | None) -> dict[str, str | None]:
-    """What stands before a field, to the joint's name; None where it is on another topic.
+def _joint_names(path: Path, prefixes: set[str], topic: str | None) -> dict[str, str | None]:
+    """Joint name for each text before a field; None if it is on another topic.
 
-    The topic is ``topic``. Else it is all up to the last slash, where names begin with a slash as those of topics do;
-    and what all names have in common, where they do not, as joints' own names may hold slashes.
+    The topic is ``topic``, if given. Otherwise, it is everything up to the last slash in names that begin with a slash,
+    as topics do, and the common part of all names that do not, as joint names may have slashes of their own.
     """
-    rooted = {stem for stem in stems if stem.startswith("/")}
+    rooted = {prefix for prefix in prefixes if prefix.startswith("/")}
+    joints: dict[str, str | None] = {}
     if topic is not None and rooted:
-        before = f"/{topic.strip('/')}/"
-        if not any(stem.startswith(before) for stem in rooted):
-            raise LogError(path, f"has no columns of topic {topic}; {suggestion(topic, _topics(rooted))}")
-        joints = {stem: stem.removeprefix(before) if stem.startswith(before) else None for stem in rooted}
+        topic_prefix = f"/{topic.strip('/')}/"
+        if not any(prefix.startswith(topic_prefix) for prefix in rooted):
+            topics = sorted({prefix.rpartition("/")[0] for prefix in rooted})
+            raise LogError(path, f"has no columns of topic {topic}; {suggestion(topic, topics)}")
+        for prefix in rooted:
+            joints[prefix] = prefix.removeprefix(topic_prefix) if prefix.startswith(topic_prefix) else None
     else:
-        joints = {stem: stem.rpartition("/")[2] for stem in rooted}
-    others = stems - rooted
-    folders = [stem.split("/")[:-1] for stem in others]
+        for prefix in rooted:
+            joints[prefix] = prefix.rpartition("/")[2]
+    others = prefixes - rooted
+    folders = [prefix.split("/")[:-1] for prefix in others]
     common = len(list(takewhile(lambda parts: len(set(parts)) == 1, zip(*folders, strict=False))))
-    return joints | {stem: "/".join(stem.split("/")[common:]) for stem in others}
+    for prefix in others:
+        joints[prefix] = "/".join(prefix.split("/")[common:])
+    return joints
 
 
-def _topics(stems: set[str]) -> list[str]:
-    return sorted({stem.rpartition("/")[0] for stem in stems})
-
-
-def _clash(first: str, second: str, key: Signal) -> str:
+def _conflict_message(first: str, second: str, key: JointSignal) -> str:
     if first == second:
         return f"has two columns {printable(first)}; rename or remove one"
     both = f"columns {printable(first)} and {printable(second)}"
     if first.startswith("/") and second.startswith("/"):
         return f"{both} are of different topics; set log.topic to the one to read"
     name = printable("_".join(key))
-    return f"{both} both hold {name}; set log.columns: {{{name}: <one of them>}}"
+    return f"{both} are both {name}; set log.columns: {{{name}: <one of them>}}"

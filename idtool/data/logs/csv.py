@@ -1,4 +1,4 @@
-"""CSV logs: a first line that names the columns, then one line per sample."""
+"""CSV logs: a header line, then one line per sample."""
 
 from __future__ import annotations
 
@@ -15,68 +15,74 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
-from idtool.data.logs.interleaved import log_of
-from idtool.data.logs.log import SIGNALS, Log, truncation
-from idtool.data.logs.series import Samples, Series
+from idtool.data.logs.interleaved import make_log_of_complete_samples
+from idtool.data.logs.log import SIGNALS, Log, truncation_notice
+from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 from idtool.data.logs.table import Table
-from idtool.data.logs.times import in_seconds
+from idtool.data.logs.times import convert_to_seconds
 
 SUFFIXES = (".csv",)
 
 _BLOCK = 1 << 14  # samples written together
-_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_CONTROL_CHARACTERS = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
 
 def matches(head: bytes) -> bool:
-    """Whether a file that begins with ``head`` is text in UTF-8."""
+    """True if a file that begins with ``head`` is text in UTF-8."""
     try:
         head.decode()
     except UnicodeDecodeError as error:
-        if error.start < len(head) - 3:  # else a character that goes on behind the head
+        if error.start < len(head) - 3:  # otherwise, the last character is cut off
             return False
-    return not _CONTROL.search(head)
+    return not _CONTROL_CHARACTERS.search(head)
 
 
 def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
-    """Read a table whose columns are named as the contract says, or by ``columns``; ``topic`` chooses among topics.
+    """Read a table with canonical column names, or those in ``columns``; ``topic`` selects one of several topics.
 
     Raises
     ------
     LogError
-        If the first line names no signals, or another line does not fit it.
+        If the header has no signals, or a line does not fit the header.
     """
     with path.open("rb") as file:
         table = Table(path, file)
-        found = find_columns(path, table.header, topic, columns)
-        used = [found.time, *(i for places in found.signals.values() for i in places if i is not None)]
-        # a joint that lacks a signal gets it from one more column, at the end, of NaN
-        places = {name: [used.index(i) if i is not None else -1 for i in of] for name, of in found.signals.items()}
-        series, others = Series(path), 0
+        column_map = find_columns(path, table.header, topic, columns)
+        used = [column_map.time]
+        positions: dict[str, list[int]] = {}  # in the rows, where -1 is an extra column of NaN
+        for signal, indices in column_map.signals.items():
+            positions[signal] = []
+            for i in indices:
+                positions[signal].append(-1 if i is None else len(used))
+                if i is not None:
+                    used.append(i)
+        samples = SampleBuffer(path)
+        empty_rows = 0
         for rows in table.rows(used):
-            held = rows[~np.isnan(rows[:, 1:]).all(axis=1)]
-            others += len(rows) - len(held)
-            wide = np.pad(held, ((0, 0), (0, 1)), constant_values=np.nan)
-            signals = {name: wide[:, of] for name, of in places.items()}
-            series.append([Samples(np.arange(len(held)), held[:, 0], found.joints, signals)])
-    if not len(series):
+            filled = rows[~np.isnan(rows[:, 1:]).all(axis=1)]
+            empty_rows += len(rows) - len(filled)
+            with_nan = np.pad(filled, ((0, 0), (0, 1)), constant_values=np.nan)
+            signals = {signal: with_nan[:, i] for signal, i in positions.items()}
+            samples.append([Samples(np.arange(len(filled)), filled[:, 0], column_map.joints, signals)])
+    if not len(samples):
         raise LogError(path, "has no samples after its first line")
-    t, joints, arrays = series.arrays()
+    t, joints, arrays = samples.arrays()
     notices: list[Notice] = []
-    if found.unused:
-        message = f"columns that hold no joint signal were ignored: {join_names(found.unused)}"
-        advice = "if one of them does, name it under log.columns in the configuration"
+    if column_map.unused:
+        message = f"columns without a joint signal were ignored: {join_names(column_map.unused)}"
+        advice = "if one of them is a joint signal, map it in log.columns of the configuration"
         notices.append(Notice("unused_columns", "note", None, message, advice))
-    if others:
-        message = f"{others} rows that hold no joint signal were passed over"
+    if empty_rows:
+        message = f"{empty_rows} rows without a joint signal were skipped"
         notices.append(Notice("unused_rows", "note", None, message))
-    notices += in_seconds(t)
-    if table.cut:
-        notices.append(truncation("the file", f"{len(t)} samples, up to t = {t[-1]:.3f} s"))
-    return log_of(path, t, joints, arrays, tuple(notices))
+    notices += convert_to_seconds(t)
+    if table.truncated:
+        notices.append(truncation_notice("the file", f"{len(t)} samples, up to t = {t[-1]:.3f} s"))
+    return make_log_of_complete_samples(path, t, joints, arrays, tuple(notices))
 
 
 def write(file: BinaryIO, log: Log) -> None:
-    """Write a log under its canonical names, every number to its last digit."""
+    """Write a log with canonical column names and all digits of every number."""
     columns = [(name, j) for j, joint in enumerate(log.joints) for name in SIGNALS if log.has(name, joint)]
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(["t", *(f"{name}_{log.joints[j]}" for name, j in columns)])

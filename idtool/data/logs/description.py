@@ -1,4 +1,4 @@
-"""The robot that a bag describes: `robot_state_publisher` latches the URDF's text on a topic of its own."""
+"""The robot description in a bag: `robot_state_publisher` latches the text of the URDF on a topic of its own."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import printable
-from idtool.data.logs.bag import files_of, is_bag
-from idtool.data.logs.definitions import Definitions, kind_of, listed
-from idtool.data.logs.files import records
+from idtool.data.logs.bag import is_bag, log_files
+from idtool.data.logs.definitions import Definitions, list_topics, message_type
+from idtool.data.logs.mcap_file import open_mcap
+from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, Batch, McapRecords
 from idtool.data.logs.payloads import text_decoder_for
 from idtool.data.logs.payloads.base import TextDecoder
-from idtool.data.logs.records import HEAD, MESSAGE_FIELDS, Batch, Records
 
 _TOPIC = "/robot_description"
-_KIND = "std_msgs/msg/String"
+_MESSAGE_TYPE = "std_msgs/msg/String"
 
 
 @dataclass(frozen=True)
-class Description:
+class RobotDescription:
     """A robot description.
 
     Attributes
@@ -31,9 +31,9 @@ class Description:
     path
         The bag.
     topic
-        The topic it is on.
+        Its topic.
     text
-        The URDF's text.
+        The text of the URDF.
     """
 
     path: Path
@@ -41,11 +41,11 @@ class Description:
     text: bytes
 
 
-def robot_description(paths: Sequence[Path]) -> Description:
-    """The one robot description that some logs hold.
+def find_robot_description(paths: Sequence[Path]) -> RobotDescription:
+    """The robot description in the bags among some logs.
 
-    It is that on any topic whose name ends in ``robot_description``. All messages are looked at, and all bags among the
-    logs, so that two robots are not taken for one.
+    It may be on any topic whose name ends in ``robot_description``. All messages of all bags are compared, so that two
+    different robots are not mixed up.
 
     Parameters
     ----------
@@ -55,67 +55,65 @@ def robot_description(paths: Sequence[Path]) -> Description:
     Raises
     ------
     LogError
-        If there is none, there are two that differ, or a bag cannot be read.
+        If there is no description, two differ, or a bag cannot be read.
     """
-    seen = _Seen()
-    found: Description | None = None
+    topics = _TopicTypes()
+    first: RobotDescription | None = None
     for path in filter(is_bag, paths):
-        for other in _descriptions(path, seen):
-            if found is None:
-                found = other
-            if found.text != other.text:
-                where = (
-                    printable(found.topic)
-                    if found.path == path
-                    else f"{found.path.name}, topic {printable(found.topic)}"
-                )
-                what = f"topic {printable(other.topic)} holds another robot description than {where}"
-                raise LogError(path, f"{what}; give the URDF to use before the logs")
-    if found is None:
-        raise LogError(paths[0], f"{seen.missing()}; give a URDF before the log")
-    return found
+        for other in _descriptions(path, topics):
+            if first is None:
+                first = other
+            if first.text != other.text:
+                source = f"topic {printable(first.topic)}"
+                if first.path != path:
+                    source += f" of {first.path.name}"
+                message = f"topic {printable(other.topic)} has another robot description than {source}"
+                raise LogError(path, f"{message}; give the URDF to use before the logs")
+    if first is None:
+        raise LogError(paths[0], f"{topics.missing_message()}; give a URDF before the log")
+    return first
 
 
 @dataclass
-class _Seen:
-    """Topics of the bags, and what is on them."""
+class _TopicTypes:
+    """Message types of the bags' topics, and the topics that could carry a description."""
 
-    kinds: dict[str, str] = field(default_factory=dict)
-    possible: list[str] = field(default_factory=list)  # that could carry a description
+    types: dict[str, str] = field(default_factory=dict)
+    candidates: list[str] = field(default_factory=list)
 
-    def missing(self) -> str:
-        if self.possible:
-            return f"topic {printable(self.possible[0])} holds no message"
-        return f"no topic {_TOPIC} carries the robot's URDF ({_KIND}); there are: {listed(self.kinds)}"
+    def missing_message(self) -> str:
+        if self.candidates:
+            return f"topic {printable(self.candidates[0])} has no messages"
+        return f"no topic {_TOPIC} carries a URDF ({_MESSAGE_TYPE}); there are: {list_topics(self.types)}"
 
 
-def _descriptions(path: Path, seen: _Seen) -> Iterator[Description]:
-    """Every message with a description in a bag."""
+def _descriptions(path: Path, topics: _TopicTypes) -> Iterator[RobotDescription]:
+    """Every robot description in a bag."""
     try:
-        for file in files_of(path):
-            with records(file) as found:
-                for topic, text in _texts(path, file, found, seen):
-                    yield Description(path, topic, text)
+        for file in log_files(path):
+            with open_mcap(file) as records:
+                for topic, text in _texts(path, file, records, topics):
+                    yield RobotDescription(path, topic, text)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
 
 
-def _texts(path: Path, file: Path, found: Records, seen: _Seen) -> Iterator[tuple[str, bytes]]:
-    """The descriptions in a file, each with its topic; what space is around them does not count."""
+def _texts(path: Path, file: Path, records: McapRecords, topics: _TopicTypes) -> Iterator[tuple[str, bytes]]:
+    """The robot descriptions in a file with their topics; surrounding white space is removed."""
     definitions = Definitions(file)
-    decoders: dict[tuple[str, int], TextDecoder | None] = {}  # by encoding and schema, as channels share schemas
+    decoders: dict[tuple[str, int], TextDecoder | None] = {}  # by encoding and schema, which channels share
     channels: dict[int, tuple[str, TextDecoder]] = {}
-    for batch in found:
-        for channel, schema in definitions.take(batch):
-            seen.kinds.setdefault(channel.topic, kind_of(channel, schema))
+    for batch in records:
+        for channel, schema in definitions.read(batch):
+            topics.types.setdefault(channel.topic, message_type(channel, schema))
             if not (schema and channel.topic.endswith(_TOPIC[1:])):
                 continue
-            key = channel.message_encoding, schema.id
+            key = (channel.message_encoding, schema.id)
             if key not in decoders:
                 decoders[key] = text_decoder_for(channel.message_encoding, schema)
             if decoder := decoders[key]:
-                channels[channel.id] = channel.topic, decoder
-                seen.possible.append(channel.topic)
+                channels[channel.id] = (channel.topic, decoder)
+                topics.candidates.append(channel.topic)
         for channel_id, message in _messages(batch, list(channels)):
             topic, decode = channels[channel_id]
             try:
@@ -127,10 +125,11 @@ def _texts(path: Path, file: Path, found: Records, seen: _Seen) -> Iterator[tupl
 
 
 def _messages(batch: Batch, channels: Sequence[int]) -> Iterator[tuple[int, bytes]]:
-    """The messages of some channels, each with its channel."""
+    """The messages of some channels, each with the channel's id."""
     if not channels or not len(batch.messages):
         return
     heads: NDArray[np.void] = batch.heads
     for i in np.flatnonzero(np.isin(heads["channel"], channels)).tolist():
         start = int(batch.messages[i]) + HEAD.itemsize
-        yield int(heads["channel"][i]), batch.buffer[start : start + int(heads["length"][i]) - MESSAGE_FIELDS]
+        stop = start + int(heads["length"][i]) - MESSAGE_FIELDS
+        yield int(heads["channel"][i]), batch.buffer[start:stop]

@@ -1,6 +1,6 @@
-"""Logs in which sources take turns, so that no sample holds every signal: the largest part that fits together.
+"""Logs of several sources that take turns, so that no sample has every signal: the largest consistent part.
 
-An arm and a gripper that publish on one topic are such a log, and so are two topics exported into one table.
+Examples are an arm and a gripper that publish on one topic, and two topics exported into one table.
 """
 
 from __future__ import annotations
@@ -15,54 +15,60 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.log import Log, make_log
 
-_BLOCK = 1 << 14  # samples looked at together
+_BLOCK = 1 << 14  # samples checked together
 
 
-def log_of(
+def make_log_of_complete_samples(
     path: Path,
     t: Array,
     joints: tuple[str, ...],
     signals: Mapping[str, Array],
     notices: tuple[Notice, ...] = (),
 ) -> Log:
-    """The log that `make_log` makes, without what keeps its samples from being complete.
+    """`make_log`, but only with samples that fit together.
 
-    Where no two samples in a row hold every joint and signal, those that one kind of sample holds are kept: the kind
-    that holds a position, and most values over all. A notice names what is left out.
+    If no two samples in a row have every joint and signal, only the samples of one kind are kept: the kind that has
+    a position, and most values in all. A notice names the rest.
 
     Parameters and errors are those of `make_log`.
     """
-    if "q" not in signals or _complete(signals):
+    if "q" not in signals or _has_complete_samples(signals):
         return make_log(path, t, joints, signals, notices)
     filled = np.stack([~np.isnan(array) for array in signals.values()], axis=1)  # (N, ns, nj)
     _, kind = np.unique(np.packbits(filled.reshape(len(t), -1), axis=1), axis=0, return_inverse=True)
-    values = filled.sum(axis=(1, 2)) * filled[:, list(signals).index("q")].any(axis=1)
-    kept = filled[np.argmax(kind.ravel() == np.bincount(kind.ravel(), values).argmax())]  # (ns, nj)
-    rows = (filled | ~kept).all(axis=(1, 2))
-    held = kept.any(axis=0)
-    names = np.array([[f"{name}_{joint}" for joint in joints] for name in signals])
-    lost = [f"{(~rows).sum()} samples"] * (not rows.all()) + names[filled.any(axis=0) & ~kept].tolist()
-    few = tuple(np.array(joints)[held].tolist())
+    kind = kind.ravel()
+    has_position = filled[:, list(signals).index("q")].any(axis=1)
+    values = filled.sum(axis=(1, 2)) * has_position
+    best = np.bincount(kind, values).argmax()
+    pattern = filled[np.argmax(kind == best)]  # (ns, nj), the values that are kept
+    rows = (filled | ~pattern).all(axis=(1, 2))
+    columns = pattern.any(axis=0)
+    kept_joints = tuple(np.array(joints)[columns].tolist())
+
+    column_names = np.array([[f"{name}_{joint}" for joint in joints] for name in signals])
+    removed = column_names[filled.any(axis=0) & ~pattern].tolist()
+    if not rows.all():
+        removed.insert(0, f"{(~rows).sum()} samples")
     message = (
-        "no two samples in a row hold every signal, as where several sources take turns; "
-        f"kept the {rows.sum()} samples of {join_names(few)}, left out {join_names(lost)}"
+        "no two consecutive samples have every signal, as if several sources took turns; "
+        f"kept the {rows.sum()} samples of {join_names(kept_joints)}, left out {join_names(removed)}"
     )
-    notices += (Notice("interleaved_signals", "warning", None, message, "log position and torque in the same message"),)
-    fitting = {
-        name: np.where(has, array[rows], np.nan)[:, held]
-        for (name, array), has in zip(signals.items(), kept, strict=True)
-    }
-    return make_log(path, t[rows], few, fitting, notices)
+    advice = "log position and torque in the same message"
+    notices += (Notice("interleaved_signals", "warning", None, message, advice),)
+    kept_signals = {}
+    for (name, array), has in zip(signals.items(), pattern, strict=True):
+        kept_signals[name] = np.where(has, array[rows], np.nan)[:, columns]
+    return make_log(path, t[rows], kept_joints, kept_signals, notices)
 
 
-def _complete(signals: Mapping[str, Array]) -> bool:
-    """Whether two samples in a row hold every joint and signal that any sample holds."""
+def _has_complete_samples(signals: Mapping[str, Array]) -> bool:
+    """True if two samples in a row have every joint and signal that any sample has."""
     columns = [column for array in signals.values() for column in array.T if not np.isnan(column).all()]
     if not columns:
         return True
     for start in range(0, len(columns[0]), _BLOCK):
         rows = slice(start, start + _BLOCK + 1)
-        whole = ~np.any([np.isnan(column[rows]) for column in columns], axis=0)
-        if (whole[1:] & whole[:-1]).any():
+        complete = ~np.any([np.isnan(column[rows]) for column in columns], axis=0)
+        if (complete[1:] & complete[:-1]).any():
             return True
     return False

@@ -16,12 +16,12 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.logs.times import doubtful_unit, wrong_time_unit
+from idtool.data.logs.times import suspected_unit, time_unit_notice
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
-_RECOVERY = 20  # samples before and after a long step that tell whether it is a gap
-_BLOCK = 1 << 15  # samples looked at together
+_RECOVERY = 20  # samples before and after a long step that decide whether it is a gap
+_BLOCK = 1 << 15  # samples checked together
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Log:
     Attributes
     ----------
     path
-        The file or folder they came from.
+        The file or folder that was read.
     joints
         Joint names, in the order of the columns.
     t
@@ -44,9 +44,9 @@ class Log:
     dt
         Nominal sample time [s].
     notices
-        What the reader had to say.
+        Notices of the reader.
     sources
-        The files that it was read from.
+        The files that were read.
     """
 
     path: Path
@@ -62,17 +62,17 @@ class Log:
         return len(self.t)
 
     def has(self, signal: str, joint: str) -> bool:
-        """Whether ``joint`` carries ``signal``."""
+        """True if ``joint`` has ``signal``."""
         if joint not in self.joints or signal not in self.signals:
             return False
         column = self.signals[signal][:, self.joints.index(joint)]
         return bool(np.isfinite(column[:1]).any() or np.isfinite(column).any())
 
 
-def truncation(what: str, kept: str) -> Notice:
-    """Notice that a file was cut off while it was written, and what of it was kept."""
-    advice = "record again if what was kept is too short"
-    return Notice("log_truncated", "warning", None, f"{what} was cut off in mid-write; kept: {kept}", advice)
+def truncation_notice(file: str, kept: str) -> Notice:
+    """Notice that a file was cut off while it was written, and how much of it was kept."""
+    advice = "record again if this is too short"
+    return Notice("log_truncated", "warning", None, f"{file} was cut off in mid-write; kept: {kept}", advice)
 
 
 def make_log(
@@ -82,15 +82,15 @@ def make_log(
     signals: Mapping[str, Array],
     notices: tuple[Notice, ...] = (),
 ) -> Log:
-    """Check what a reader has read and split it into segments.
+    """Check the data of a reader and split them into segments.
 
-    Rows in which a present signal or the time is not finite end a segment, as gaps and backward steps in time do.
-    Samples that repeat the stamp before them count as jitter when the stamps catch up again.
+    Rows in which the time or a signal is not finite end a segment, as do gaps and backward steps in time. Samples that
+    repeat the previous stamp count as jitter if later stamps catch up.
 
     Parameters
     ----------
     path
-        The file the data came from; errors name it.
+        The file that was read; errors name it.
     t
         Sample times [s], shape (N,).
     joints
@@ -98,88 +98,93 @@ def make_log(
     signals
         Any of `SIGNALS`, each of shape (N, nj).
     notices
-        What the reader had to say.
+        Notices of the reader.
 
     Raises
     ------
     LogError
-        If there is no position, fewer than two samples, or no usable run of samples.
+        If there is no position, fewer than two samples, or no two consecutive complete samples.
     """
-    bad, held = _incomplete(t, signals)
-    if "q" not in held:
+    invalid, present = _check_values(t, signals)
+    if "q" not in present:
         raise LogError(path, "no joint positions found; name them q_<joint> or <joint>/position")
     if len(t) < 2:
-        raise LogError(path, f"holds {len(t)} samples; at least two are needed")
+        raise LogError(path, f"has {len(t)} samples; at least two are needed")
     with np.errstate(invalid="ignore", over="ignore"):
-        step = _steps(t)
-        forward = step[(step > 0) & np.isfinite(step)]
+        steps = _sampled_steps(t)
+        forward = steps[(steps > 0) & np.isfinite(steps)]
         if not len(forward):
             raise LogError(path, "time does not advance; check the time column")
-        dt, longest = _clock(forward)
-        segments = _segments(t, dt, longest, bad)
+        dt, longest_step = _nominal_step(forward)
+        segments = _split(t, dt, longest_step, invalid)
     if not segments:
         raise LogError(path, "no two consecutive samples are complete; check for missing values")
-    if bad.any():
-        message = f"{int(bad.sum())} samples hold values that are not finite and were left out"
-        advice = "nothing to do if they are few; else see what idtool inspect says"
+    if invalid.any():
+        message = f"{int(invalid.sum())} samples have values that are not finite; they were left out"
+        advice = "nothing to do if they are few; otherwise run idtool inspect"
         notices += (Notice("not_finite", "note", None, message, advice),)
-    if unit := doubtful_unit(dt, segments, held):
-        notices += (wrong_time_unit(dt, unit, held),)
-    return Log(path, joints, t, held, segments, dt, notices)
+    if unit := suspected_unit(dt, segments, present):
+        notices += (time_unit_notice(dt, unit, present),)
+    return Log(path, joints, t, present, segments, dt, notices)
 
 
-def _incomplete(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:
-    """Samples that lack a value, shape (N,), and the signals that some joint has."""
-    bad = ~np.isfinite(t)
-    held = {}
+def _check_values(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:
+    """Whether a sample lacks a value, shape (N,), and the signals that at least one joint has."""
+    invalid = ~np.isfinite(t)
+    present = {}
     for name, array in signals.items():
         # a column at a time: a mask of the whole array would add an eighth to the memory
         for column in array.T:
             missing = ~np.isfinite(column)
             if not missing.all():
-                held[name] = array
-                bad |= missing
-    return bad, held
+                present[name] = array
+                invalid |= missing
+    return invalid, present
 
 
-def _clock(step: Array) -> tuple[float, float]:
-    """Nominal sample time, and the longest step that is no gap [s].
+def _nominal_step(steps: Array) -> tuple[float, float]:
+    """Nominal sample time, and the longest step that is not a gap [s].
 
-    Where samples are lost, a step is a multiple of the sample time. Stamps that jitter fill the room in between too:
-    then a step is only a gap where it is longer than jitter makes it.
+    Lost samples make steps that are multiples of the sample time. Jitter makes steps of any length in between: then
+    only a longer step counts as a gap.
     """
-    middle = float(np.median(step))
-    between = np.count_nonzero((step > 1.2 * middle) & (step < 1.8 * middle))
-    longest = (2.5 if between > np.count_nonzero(step >= 1.8 * middle) else 1.5) * middle
-    return float(step[step <= longest].mean()), longest
+    median = float(np.median(steps))
+    between = np.count_nonzero((steps > 1.2 * median) & (steps < 1.8 * median))
+    multiples = np.count_nonzero(steps >= 1.8 * median)
+    longest_step = (2.5 if between > multiples else 1.5) * median
+    return float(steps[steps <= longest_step].mean()), longest_step
 
 
-def _steps(t: Array) -> Array:
-    """Time from sample to sample, of a long log those of a part of the samples spread over it."""
+def _sampled_steps(t: Array) -> Array:
+    """Steps between consecutive times; of a long log only some, spread evenly over it."""
     i = np.unique(np.linspace(0, len(t) - 2, _BLOCK).astype(int))
     return np.asarray(t[i + 1] - t[i])
 
 
-def _segments(t: Array, dt: float, longest: float, bad: Mask) -> tuple[slice, ...]:
-    """Runs without a gap: a break is time that was lost for good, not a stamp that came late."""
+def _split(t: Array, dt: float, longest_step: float, invalid: Mask) -> tuple[slice, ...]:
+    """Runs without a gap. A late stamp is no gap if later stamps catch up."""
     edges = [np.array([0])]
-    for start in range(0, len(t) - 1, _BLOCK):  # of bounded size: no array beside the log's own is as long as it
+    for start in range(0, len(t) - 1, _BLOCK):  # in blocks, so that no temporary array is as long as the log
         rows = slice(start, start + _BLOCK + 1)
         step = np.diff(t[rows])
-        suspect = start + np.flatnonzero((step > longest) | (step < -0.5 * dt))
-        edges.append(suspect[~_late(t, dt, suspect)] + 1)
-        edges.append(start + np.flatnonzero(np.diff(bad[rows])) + 1)
-    breaks = np.unique(np.concatenate([*edges, [len(t)]]))
-    whole = (np.diff(breaks) >= 2) & ~bad[breaks[:-1]]
-    return tuple(map(slice, breaks[:-1][whole].tolist(), breaks[1:][whole].tolist()))
+        candidates = start + np.flatnonzero((step > longest_step) | (step < -0.5 * dt))
+        edges.append(candidates[~_catches_up(t, dt, candidates)] + 1)
+        edges.append(start + np.flatnonzero(np.diff(invalid[rows])) + 1)
+    edges.append(np.array([len(t)]))
+    breaks = np.unique(np.concatenate(edges))
+    starts, stops = breaks[:-1], breaks[1:]
+    usable = (stops - starts >= 2) & ~invalid[starts]
+    return tuple(map(slice, starts[usable].tolist(), stops[usable].tolist()))
 
 
-def _late(t: Array, dt: float, suspect: Indices) -> Mask:
-    """Whether the stamps after a long step are in time with those before it, so that it lost no time."""
+def _catches_up(t: Array, dt: float, candidates: Indices) -> Mask:
+    """Whether the stamps after a long step return to the clock of those before it, so that no time was lost."""
     count = np.arange(_RECOVERY + 1)
-    before = suspect[:, None] - count
-    expected = np.where(before >= 0, t[np.maximum(before, 0)] + dt * count, np.nan)  # of the sample before the step
-    following = suspect[:, None] + count[1:]
-    lateness = t[np.minimum(following, len(t) - 1)] - np.nanmedian(expected, axis=1)[:, None] - dt * count[1:]
-    caught_up = (lateness < 0.5 * dt) & (following < len(t))
-    return np.asarray(caught_up.any(axis=1) & (t[suspect + 1] > t[suspect]))
+    before = candidates[:, None] - count
+    after = candidates[:, None] + count[1:]
+    # time of the sample before the step, extrapolated from several samples before it
+    extrapolated = np.where(before >= 0, t[np.maximum(before, 0)] + dt * count, np.nan)
+    start = np.nanmedian(extrapolated, axis=1)[:, None]
+    lateness = t[np.minimum(after, len(t) - 1)] - start - dt * count[1:]
+    caught_up = (lateness < 0.5 * dt) & (after < len(t))
+    return np.asarray(caught_up.any(axis=1) & (t[candidates + 1] > t[candidates]))

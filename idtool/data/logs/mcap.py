@@ -1,6 +1,6 @@
 """MCAP logs: ROS 2 JointState messages, and the same fields as JSON and protobuf.
 
-What is written holds the states on one topic and the commands, if there are any, on another.
+Written logs have the states on one topic and the commands, if any, on another.
 """
 
 from __future__ import annotations
@@ -15,30 +15,31 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.data.logs.bag import MCAP, ZSTD, files_of
-from idtool.data.logs.files import records
-from idtool.data.logs.interleaved import log_of
-from idtool.data.logs.log import Log, truncation
+from idtool.data.logs.bag import MCAP, ZSTD, log_files
+from idtool.data.logs.interleaved import make_log_of_complete_samples
+from idtool.data.logs.log import Log, truncation_notice
+from idtool.data.logs.mcap_file import open_mcap
 from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
-from idtool.data.logs.series import Series
-from idtool.data.logs.times import in_seconds
-from idtool.data.logs.topics import COMMANDS_OF, Topics
+from idtool.data.logs.sample_buffer import SampleBuffer
+from idtool.data.logs.times import convert_to_seconds
+from idtool.data.logs.topics import COMMANDS_OF, TopicReader
 
 SUFFIXES = (".mcap",)
 
-_STATES_TOPIC, _COMMANDS_TOPIC = "/joint_states", "/joint_commands"
-_STATES = {"q": "q", "v": "v", "tau": "tau"}  # a message's signals to the log's
+_STATES_TOPIC = "/joint_states"
+_COMMANDS_TOPIC = "/joint_commands"
+_STATES = {"q": "q", "v": "v", "tau": "tau"}  # from a message's signals to the log's
 _COMMANDS = {"q": "qcmd", "v": "vcmd"}
-_BLOCK = 4096  # messages built together
+_BLOCK = 4096  # messages encoded together
 
 
 def matches(head: bytes) -> bool:
-    """Whether a file that begins with ``head`` is MCAP, or compressed as rosbag2 compresses MCAP."""
-    return head.startswith((MCAP, ZSTD))  # what follows the former is the version
+    """True if a file that begins with ``head`` is MCAP, or MCAP compressed by rosbag2."""
+    return head.startswith((MCAP, ZSTD))
 
 
 def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
-    """Read the joint states of ``topic``, or of the only topic that carries some; ``columns`` are for CSV.
+    """Read the joint states of ``topic``, or of the only topic that carries any; ``columns`` are for CSV.
 
     Parameters
     ----------
@@ -48,47 +49,46 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     Raises
     ------
     LogError
-        If a file is damaged, or no topic or several can be meant.
+        If a file is damaged, or there is not exactly one topic to read.
     """
-    topics, cut = Topics(path, topic), {}
-    for i, file in enumerate(files_of(path)):
-        topics.begin(file)
-        with records(file) as found:
-            for batch in found:
-                topics.take(batch)
-        if found.cut:
-            cut[i] = "the file" if file == path else file.name
-    if cut and not len(topics):
+    topics = TopicReader(path, topic)
+    truncated: dict[int, str] = {}  # names of truncated files by their number
+    for i, file in enumerate(log_files(path)):
+        topics.begin_file(file)
+        with open_mcap(file) as records:
+            for batch in records:
+                topics.read(batch)
+        if records.truncated:
+            truncated[i] = "the file" if file == path else file.name
+    if truncated and not len(topics):
         raise LogError(path, "was cut off before its first message")
-    states, commands = topics.chosen()
+    states, commands = topics.select()
     notices: list[Notice] = []
-    for i, name in cut.items():
-        notices.append(truncation(name, _kept(*states.held(i))))
+    for i, name in truncated.items():
+        count, last_time = states.part_extent(i)
+        kept = f"{count} samples, up to t = {last_time:.3f} s" if count else "no samples"
+        notices.append(truncation_notice(name, kept))
     t, joints, signals = states.arrays()
     if commands:
         try:
-            signals |= _aligned(commands, t, joints)
+            signals |= _command_signals(commands, t, joints)
         except ValueError as error:
             advice = "nothing to do if the log holds the measured torque"
             message = f"the commands were left out: {error}"
             notices.append(Notice("commands_left_out", "warning", None, message, advice))
     if columns:
-        message = f"log.columns names columns of CSV, of which MCAP has none; ignored: {join_names(columns)}"
+        message = f"log.columns is only for CSV and was ignored: {join_names(columns)}"
         notices.append(Notice("columns_ignored", "note", None, message))
-    return log_of(path, t, joints, signals, (*notices, *in_seconds(t)))
+    notices += convert_to_seconds(t)
+    return make_log_of_complete_samples(path, t, joints, signals, tuple(notices))
 
 
-def _kept(samples: int, end: float) -> str:
-    """How much of a file that was cut off is read, in words."""
-    return f"{samples} samples, up to t = {end:.3f} s" if samples else "no samples"
-
-
-def _aligned(commands: Series, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:
-    """Commands as signals of the states' samples; ValueError where they are not those of the same samples."""
+def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:
+    """Commands as signals of the states' samples; ValueError if joints or times differ."""
     times, names, signals = commands.arrays()
-    count = min(len(times), len(t))  # a file that was cut off may lack the last ones
+    count = min(len(times), len(t))  # a truncated file may lack the last commands
     if names != joints or not np.array_equal(times[:count], t[:count]):
-        raise ValueError("their joints or times are not those of the states")
+        raise ValueError("their joints or times differ from those of the states")
     for array in signals.values():
         array.resize((len(t), len(joints)), refcheck=False)
         array[count:] = np.nan
@@ -96,7 +96,7 @@ def _aligned(commands: Series, t: Array, joints: tuple[str, ...]) -> dict[str, A
 
 
 def write(file: BinaryIO, log: Log) -> None:
-    """Write a log, its stamps rounded to nanoseconds.
+    """Write a log with stamps rounded to nanoseconds.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def write(file: BinaryIO, log: Log) -> None:
     from mcap.writer import Writer
 
     if not (np.abs(log.t) < 2**31 - 1).all():
-        raise ValueError("holds times that do not fit a header stamp, which has 32 bits for the seconds")
+        raise ValueError("its times do not fit a header stamp, which has 32 bits for the seconds")
     writer = Writer(file)
     writer.start(profile="ros2", library="idtool")
     schema = writer.register_schema(TYPE, "ros2msg", DEFINITION.encode())

@@ -1,4 +1,4 @@
-"""The unit of a log's times. They are seconds; times that can't be are converted, doubtful ones are named.
+"""The unit of a log's times: seconds. Times that cannot be seconds are converted; doubtful ones are reported.
 
 Letters: t time [s], q position [rad or m], v velocity [rad/s or m/s], N samples, nj joints.
 """
@@ -12,14 +12,15 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 
-_UNITS = {"ns": 1e9, "us": 1e6, "ms": 1e3}  # to the second
-_LOOKED_AT, _FEW = 1 << 14, 16  # samples
-_SLOWEST = 0.2  # s from sample to sample, with which no log of a motion is made
-_AGREES = 1.25  # ratio of v to dq/dt, or of dq/dt to v, that is no other unit
+_UNITS = {"ns": 1e9, "us": 1e6, "ms": 1e3}  # units per second
+_MAX_SAMPLES = 1 << 14  # samples that the unit is judged by
+_FIRST_SAMPLES = 16
+_MAX_STEP = 0.2  # s between samples; no log of a motion is sampled more slowly
+_MAX_RATIO = 1.25  # of v to dq/dt or the reverse, if both have the same unit of time
 
 
-def in_seconds(t: Array) -> list[Notice]:
-    """Convert times that can't be seconds, in place: their epoch or their step would be far off.
+def convert_to_seconds(t: Array) -> list[Notice]:
+    """Convert times that cannot be seconds, by their epoch or their step, in place.
 
     Parameters
     ----------
@@ -28,9 +29,9 @@ def in_seconds(t: Array) -> list[Notice]:
 
     Returns
     -------
-    A notice of what was done, if anything was.
+    A notice if the times were converted.
     """
-    unit = _unit(t[:_LOOKED_AT])
+    unit = _certain_unit(t[:_MAX_SAMPLES])
     if unit is None:
         return []
     t /= _UNITS[unit]
@@ -38,9 +39,9 @@ def in_seconds(t: Array) -> list[Notice]:
     return [Notice("times_converted", "note", None, message, "nothing to do if that is right")]
 
 
-def _unit(t: Array) -> str | None:
-    """The unit of times that can't be seconds; None for seconds."""
-    if (t[:_FEW] % 1 > 0).any():  # of nearly all logs
+def _certain_unit(t: Array) -> str | None:
+    """The unit of times that cannot be seconds; None for seconds."""
+    if (t[:_FIRST_SAMPLES] % 1 > 0).any():  # true of nearly all logs
         return None
     t = t[np.isfinite(t)]
     if len(t) < 2 or not (t == np.rint(t)).all():
@@ -50,14 +51,15 @@ def _unit(t: Array) -> str | None:
             return unit
     forward = np.diff(t)[np.diff(t) > 0]
     step = np.median(forward) if len(forward) else 0
-    return "ns" if step >= 1e5 else "us" if step >= 100 else None
+    if step >= 1e5:
+        return "ns"
+    return "us" if step >= 100 else None
 
 
-def doubtful_unit(dt: float, segments: Sequence[slice], signals: Mapping[str, Array]) -> str | None:
-    """The unit that times seem to be in, where they are too far apart for seconds; None where there is no doubt.
+def suspected_unit(dt: float, segments: Sequence[slice], signals: Mapping[str, Array]) -> str | None:
+    """The likely unit of times that are too far apart for seconds; None if there is no doubt.
 
-    Where a velocity was logged it must be dq/dt in that unit: a motion that is slow enough to be sampled so seldom is
-    left in peace.
+    If a velocity was logged, it must be dq/dt in that unit, so that slow motions with a low sampling rate pass.
 
     Parameters
     ----------
@@ -66,30 +68,33 @@ def doubtful_unit(dt: float, segments: Sequence[slice], signals: Mapping[str, Ar
     segments
         Runs of samples without a gap.
     signals
-        Among them q and, where it was logged, v, each of shape (N, nj).
+        At least q, and v if it was logged, each of shape (N, nj).
     """
-    unit = next((unit for unit, per in reversed(_UNITS.items()) if dt / per < _SLOWEST), None)
-    if dt < _SLOWEST or unit is None or "v" not in signals:
-        return unit if dt >= _SLOWEST else None
+    if dt < _MAX_STEP:
+        return None
+    unit = next((unit for unit, per_second in reversed(_UNITS.items()) if dt / per_second < _MAX_STEP), None)
+    if unit is None or "v" not in signals:
+        return unit
     longest = max(segments, key=lambda s: s.stop - s.start)
-    q, v = (signals[name][longest][:_LOOKED_AT] for name in ("q", "v"))
-    way, expected = np.diff(q, axis=0), 0.5 * dt * (v[1:] + v[:-1])
-    scale = np.nansum(way * expected) / max(float(np.nansum(expected**2)), np.finfo(float).tiny)  # least squares
-    return unit if 1 / _AGREES < scale * _UNITS[unit] < _AGREES else None
+    q, v = (signals[name][longest][:_MAX_SAMPLES] for name in ("q", "v"))
+    dq = np.diff(q, axis=0)
+    expected = 0.5 * dt * (v[1:] + v[:-1])
+    scale = np.nansum(dq * expected) / max(float(np.nansum(expected**2)), np.finfo(float).tiny)  # least squares
+    return unit if 1 / _MAX_RATIO < scale * _UNITS[unit] < _MAX_RATIO else None
 
 
-def wrong_time_unit(dt: float, unit: str, signals: Mapping[str, Array]) -> Notice:
-    """Notice that the times seem to be in another unit than seconds.
+def time_unit_notice(dt: float, unit: str, signals: Mapping[str, Array]) -> Notice:
+    """Notice that the times do not seem to be in seconds.
 
     Parameters
     ----------
     dt
         Nominal sample time [s].
     unit
-        The unit that they seem to be in, from `doubtful_unit`.
+        Their likely unit, from `suspected_unit`.
     signals
-        Those of the log, by name.
+        The log's signals by name.
     """
-    evidence = f"which are in {unit}, as v tells" if "v" in signals else f"which look like {unit}"
-    message = f"samples are {dt:.3g} s apart by their times, {evidence}"
+    evidence = f"are in {unit}, judging by v" if "v" in signals else f"look like {unit}"
+    message = f"samples are {dt:.3g} s apart; the times {evidence}"
     return Notice("wrong_unit", "problem", None, message, "write them in seconds")

@@ -1,4 +1,4 @@
-"""The topics of MCAP files: which one carries the joint states, and what its messages hold."""
+"""The topics of MCAP files: the one that carries the joint states, and the samples in its messages."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from numpy.typing import NDArray
 from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
-from idtool.data.logs.definitions import Definitions, kind_of, listed
+from idtool.data.logs.definitions import Definitions, list_topics, message_type
+from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, Batch
 from idtool.data.logs.payloads import decoder_for
 from idtool.data.logs.payloads.base import Decoder, PayloadError
-from idtool.data.logs.records import HEAD, MESSAGE_FIELDS, Batch
-from idtool.data.logs.series import Samples, Series
+from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 
-COMMANDS_OF = "idtool.commands_of"  # in a channel's metadata: its messages are the commands to the states of this topic
-_FEWEST = 2  # samples with positions that make a log
-_ROS1 = "sensor_msgs/JointState, ros1"  # the kind of such messages, by `kind_of`
+# Key in a channel's metadata: its messages are the commands that belong to the states of the named topic.
+COMMANDS_OF = "idtool.commands_of"
+_MIN_POSITIONS = 2  # samples with positions that make a log
+_ROS1 = "sensor_msgs/JointState, ros1"  # `message_type` of ROS 1 joint states
 
 
 @dataclass
 class _Topic:
-    kind: str  # of its messages, for people
-    joints: bool  # whether they are joint states
+    message_type: str
+    has_joint_states: bool
     commands_of: str | None
-    series: Series
+    samples: SampleBuffer
     messages: int = 0
-    positions: int = 0  # samples that hold some, counted up to `_FEWEST` or a batch more
+    positions: int = 0  # samples with positions, counted up to about `_MIN_POSITIONS`
 
 
-class Topics:
-    """Takes the messages of a log's files, one after the other, and keeps those that may be wanted.
+class TopicReader:
+    """Decodes the messages of a log's files, one file after the other, and keeps the samples that may be needed.
 
-    A topic whose metadata says that it carries commands is read with the topic of the states, and for states only
-    when it is asked for. Where some topics hold positions, those that hold none, or one sample that was latched, are
-    no candidates: they are commands, or where a robot started from.
+    A topic whose metadata say that it carries commands is read together with the topic of the states, and as states
+    only if it is asked for. If some topics have positions, topics without positions or with a single latched sample
+    are no candidates: they are commands, or a start position.
 
     Parameters
     ----------
@@ -46,158 +47,170 @@ class Topics:
         The log; errors name it.
     wanted
         The topic to read; None to find it.
-    keeping
-        Whether samples are kept; else only `names` are found.
+    keep_samples
+        If false, only `names` are found.
     """
 
-    def __init__(self, path: Path, wanted: str | None, keeping: bool = True) -> None:
+    def __init__(self, path: Path, wanted: str | None, keep_samples: bool = True) -> None:
         self._path = path
         self._wanted = wanted
-        self._keeping = keeping
+        self._keep_samples = keep_samples
         self._definitions = Definitions(path)
-        self._decoders: dict[tuple[str, int], Decoder | None] = {}  # by encoding and schema, as channels share schemas
+        self._decoders: dict[tuple[str, int], Decoder | None] = {}  # by encoding and schema, which channels share
         self._channels: dict[int, tuple[str, Decoder | None]] = {}
         self._topics: dict[str, _Topic] = {}
         self._files = 0
 
-    def begin(self, file: Path) -> None:
-        """What is taken from now on is from this file, in which channels have other numbers."""
-        self._definitions, self._decoders = Definitions(file), {}
+    def begin_file(self, file: Path) -> None:
+        """Start the next file, in which channels have other ids."""
+        self._definitions = Definitions(file)
+        self._decoders = {}
         self._files += 1
         for topic in self._topics.values():
-            topic.series.part()
+            topic.samples.begin_part()
 
-    def take(self, batch: Batch) -> None:
-        """Decode what is wanted of a batch.
+    def read(self, batch: Batch) -> None:
+        """Decode the messages of a batch that may be needed.
 
         Raises
         ------
         LogError
             If a definition or a message cannot be read.
         """
-        for added in self._definitions.take(batch):
-            self._add(*added)
+        for channel, schema in self._definitions.read(batch):
+            self._add_channel(channel, schema)
         if not len(batch.messages):
             return
         heads = batch.heads
-        pieces: dict[str, list[Samples]] = {}
-        for channel in np.unique(heads["channel"]).tolist():
-            self._definitions.check(channel)
-            name, decoder = self._channels[channel]
+        samples_by_topic: dict[str, list[Samples]] = {}
+        for channel_id in np.unique(heads["channel"]).tolist():
+            self._definitions.check_channel(channel_id)
+            name, decoder = self._channels[channel_id]
             topic = self._topics[name]
-            which = np.flatnonzero(heads["channel"] == channel)
-            if decoder and ((kept := self._keeps(name)) or topic.positions < _FEWEST):
-                samples = self._decode(name, decoder, batch, heads, which)
-                if topic.positions < _FEWEST:
-                    topic.positions += sum(map(_positions, samples))
-                if kept:
-                    pieces.setdefault(name, []).extend(samples)
-            topic.messages += len(which)
-        for name, samples in pieces.items():
-            self._topics[name].series.append(samples)
+            index = np.flatnonzero(heads["channel"] == channel_id)
+            needed = self._is_needed(name)
+            if decoder and (needed or topic.positions < _MIN_POSITIONS):
+                samples = self._decode(name, decoder, batch, heads, index)
+                if topic.positions < _MIN_POSITIONS:
+                    topic.positions += sum(map(_count_positions, samples))
+                if needed:
+                    samples_by_topic.setdefault(name, []).extend(samples)
+            topic.messages += len(index)
+        for name, samples in samples_by_topic.items():
+            self._topics[name].samples.append(samples)
 
     def __len__(self) -> int:
-        """How many topics there are, with messages or without."""
+        """Number of topics, with or without messages."""
         return len(self._topics)
 
-    def chosen(self) -> tuple[Series, Series | None]:
-        """The samples of the states' topic, and those of their commands.
+    def select(self) -> tuple[SampleBuffer, SampleBuffer | None]:
+        """The samples of the states' topic, and those of its commands.
 
         Raises
         ------
         LogError
-            If there is no such topic, or there are several.
+            If there is not exactly one such topic.
         """
         name = self._wanted
         if name is None:
             if len(self.names) > 1:
-                several = (
+                message = (
                     f"{len(self.names)} topics carry joint states; set log.topic to one of {join_names(self.names)}"
                 )
-                raise LogError(self._path, several)
+                raise LogError(self._path, message)
             if not self.names:
-                raise LogError(self._path, self._none())
+                raise LogError(self._path, self._no_topic_message())
             (name,) = self.names
-        elif not (name in self._topics and self._topics[name].joints and self._topics[name].messages):
-            raise LogError(self._path, self._why_not(name))
-        commands = (topic.series for topic in self._topics.values() if topic.commands_of == name and len(topic.series))
-        return self._topics[name].series, next(commands, None)
+        elif not (name in self._topics and self._topics[name].has_joint_states and self._topics[name].messages):
+            raise LogError(self._path, self._unusable_topic_message(name))
+        commands = None
+        for topic in self._topics.values():
+            if commands is None and topic.commands_of == name and len(topic.samples):
+                commands = topic.samples
+        return self._topics[name].samples, commands
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The topics that may be meant, in the order of their channels."""
-        held = {
-            name: min(topic.positions, _FEWEST)
+        """The candidates for the states' topic, in the order of their channels."""
+        positions = {
+            name: min(topic.positions, _MIN_POSITIONS)
             for name, topic in self._topics.items()
-            if topic.joints and topic.messages and not topic.commands_of
+            if topic.has_joint_states and topic.messages and not topic.commands_of
         }
-        most = max(held.values(), default=0)
-        return tuple(name for name, positions in held.items() if positions == most)
+        most = max(positions.values(), default=0)
+        return tuple(name for name, count in positions.items() if count == most)
 
-    def _none(self) -> str:
-        """Why no topic is read."""
-        topics = {name: topic for name, topic in self._topics.items() if topic.messages}
-        ros1 = next((name for name, topic in topics.items() if topic.kind == _ROS1), None)
-        if ros1 is not None:
-            return (
-                f"topic {printable(ros1)} carries joint states as ROS 1 encodes them, which is not read; run 'rosbags-"
-                "convert --src <the .bag they were recorded in> --dst <a new folder> --dst-storage mcap' (pip install "
-                "rosbags) and give that folder"
-            )
-        there = listed({name: topic.kind for name, topic in topics.items()})
-        return f"no topic carries joint states (sensor_msgs/msg/JointState); there are: {there}"
+    def _no_topic_message(self) -> str:
+        types = {name: topic.message_type for name, topic in self._topics.items() if topic.messages}
+        for name, kind in types.items():
+            if kind == _ROS1:
+                return (
+                    f"topic {printable(name)} carries joint states in the ROS 1 encoding, which is not supported; run "
+                    "'rosbags-convert --src <the original .bag> --dst <a new folder> --dst-storage mcap' (pip install "
+                    "rosbags) and use that folder"
+                )
+        return f"no topic carries joint states (sensor_msgs/msg/JointState); there are: {list_topics(types)}"
 
-    def _why_not(self, name: str) -> str:
+    def _unusable_topic_message(self, name: str) -> str:
         if name not in self._topics:
             return f"has no topic {name}; {suggestion(name, self.names or list(self._topics))}"
         topic = self._topics[name]
-        if not topic.joints:
-            return f"topic {name} carries {topic.kind}, not joint states; {suggestion(name, self.names)}"
-        return f"topic {name} holds no messages"
+        if not topic.has_joint_states:
+            return f"topic {name} carries {topic.message_type}, not joint states; {suggestion(name, self.names)}"
+        return f"topic {name} has no messages"
 
-    def _keeps(self, name: str) -> bool:
-        """Whether the messages of a topic may be wanted, as far as is known."""
+    def _is_needed(self, name: str) -> bool:
+        """True if the samples of a topic may be needed, as far as is known from the messages so far."""
+        if not self._keep_samples:
+            return False
         commands_of = self._topics[name].commands_of
-        if self._wanted is not None or not self._keeping:
-            return self._keeping and self._wanted in (name, commands_of)
-        known = (other for other, topic in self._topics.items() if topic.positions >= _FEWEST and not topic.commands_of)
-        return commands_of is not None or next(known, name) == name
+        if self._wanted is not None:
+            return self._wanted in (name, commands_of)
+        if commands_of is not None:
+            return True
+        for other, topic in self._topics.items():
+            if topic.positions >= _MIN_POSITIONS and not topic.commands_of:
+                return other == name
+        return True
 
-    def _add(self, channel: Channel, schema: Schema | None) -> None:
+    def _add_channel(self, channel: Channel, schema: Schema | None) -> None:
         decoder = None
         if schema:
-            key = channel.message_encoding, schema.id
+            key = (channel.message_encoding, schema.id)
             if key not in self._decoders:
                 self._decoders[key] = decoder_for(channel.message_encoding, schema)
             decoder = self._decoders[key]
         if channel.topic not in self._topics:
             commands_of = channel.metadata.get(COMMANDS_OF)
-            topic = _Topic(kind_of(channel, schema), False, commands_of, Series(self._path))
+            topic = _Topic(message_type(channel, schema), False, commands_of, SampleBuffer(self._path))
             for _ in range(self._files):
-                topic.series.part()
+                topic.samples.begin_part()
             self._topics[channel.topic] = topic
-        self._topics[channel.topic].joints |= decoder is not None
-        self._channels[channel.id] = channel.topic, decoder
+        self._topics[channel.topic].has_joint_states |= decoder is not None
+        self._channels[channel.id] = (channel.topic, decoder)
 
     def _decode(
-        self, name: str, decoder: Decoder, batch: Batch, heads: NDArray[np.void], which: Indices
+        self, name: str, decoder: Decoder, batch: Batch, heads: NDArray[np.void], index: Indices
     ) -> list[Samples]:
-        heads = heads[which]
-        starts = batch.messages[which] + HEAD.itemsize
+        """The samples of the messages of a batch at ``index``; those without a stamp get their log time."""
+        heads = heads[index]
+        starts = batch.messages[index] + HEAD.itemsize
+        lengths = heads["length"].astype(np.intp) - MESSAGE_FIELDS
         try:
-            samples = decoder(batch.buffer, starts, heads["length"].astype(np.intp) - MESSAGE_FIELDS)
+            decoded = decoder(batch.buffer, starts, lengths)
         except PayloadError as error:
             number = self._topics[name].messages + error.index + 1
             raise LogError(self._path, f"message {number} of {printable(name)} {error}") from None
         seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
-        logged = seconds + nanoseconds / 1e9
-        return [
-            replace(piece, index=which[piece.index], t=np.where(piece.t == 0, logged[piece.index], piece.t))
-            for piece in samples
-        ]
+        log_time = seconds + nanoseconds / 1e9
+        samples = []
+        for piece in decoded:
+            t = np.where(piece.t == 0, log_time[piece.index], piece.t)
+            samples.append(replace(piece, index=index[piece.index], t=t))
+        return samples
 
 
-def _positions(samples: Samples) -> int:
-    """How many samples hold the position of some joint."""
+def _count_positions(samples: Samples) -> int:
+    """Number of samples with the position of at least one joint."""
     q = samples.signals.get("q")
     return 0 if q is None else int(np.isfinite(q).any(axis=1).sum())

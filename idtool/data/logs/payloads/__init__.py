@@ -1,7 +1,7 @@
-"""What a message's bytes say of the joints. A new encoding is one new file in this folder.
+"""Decoders of message payloads. A new encoding is one new file in this folder.
 
-A member gives `ENCODING`, the message encoding that it reads, and `decoder`, which tells from a channel's schema
-whether the messages are joint states and how to decode them; `text` does so for messages that are one text.
+A member defines `ENCODING`, the message encoding that it reads; `decoder`, which returns the decoder of a channel's
+messages if its schema is that of joint states; and `text`, the same for messages that are a single text.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ class _Encoding(Protocol):
 
 
 def decoder_for(encoding: str, schema: Schema) -> Decoder | None:
-    """The decoder of a channel's messages; None where they are not joint states in an encoding that is known."""
+    """The decoder of a channel's messages; None unless they are joint states in a supported encoding."""
     member = _encodings().get(encoding)
     return member.decoder(schema) if member else None
 
 
 def text_decoder_for(encoding: str, schema: Schema) -> TextDecoder | None:
-    """The decoder of a channel's messages; None where they are no `std_msgs/msg/String` in a known encoding."""
+    """The decoder of a channel's messages; None unless they are `std_msgs/msg/String` in a supported encoding."""
     member = _encodings().get(encoding)
     return member.text(schema) if member else None
 

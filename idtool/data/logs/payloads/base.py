@@ -1,24 +1,24 @@
-"""What the payload decoders share: their type, their error, and a joint state's fields by name."""
+"""Common parts of the payload decoders: their type, their error, and the fields of a joint state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.names import printable
-from idtool.data.logs.series import Samples
+from idtool.data.logs.sample_buffer import Samples
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
-STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))
+STAMP_PATHS = (("header", "stamp"), ("stamp",), ("timestamp",))
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 
-# A buffer, where in it each message starts and how long it is, to their samples; a message without a stamp has t = 0.
+# Decodes messages, given a buffer and the start and length of each message; t = 0 for a message without a stamp.
 Decoder = Callable[[bytes, Indices, Indices], list[Samples]]
-# A message to its text in UTF-8; ValueError where it cannot be decoded.
+# Decodes the text of a message, in UTF-8; ValueError if that fails.
 TextDecoder = Callable[[bytes], bytes]
 
 
@@ -28,19 +28,18 @@ class PayloadError(Exception):
     Parameters
     ----------
     index
-        Its place among the messages given to the decoder.
-    what
+        Its index among the messages given to the decoder.
+    message
         What is wrong with it.
     """
 
-    def __init__(self, index: int, what: object) -> None:
+    def __init__(self, index: int, message: object) -> None:
         self.index = index
-        super().__init__(str(what))
+        super().__init__(str(message))
 
 
-@dataclass(frozen=True, slots=True)
-class State:
-    """One message: time [s], joint names, and their values by signal, a signal that is not there empty."""
+class JointState(NamedTuple):
+    """One message: time [s], joint names, and the values of each signal, empty if missing."""
 
     t: float
     joints: tuple[str, ...]
@@ -48,48 +47,49 @@ class State:
 
 
 def check_names(joints: Sequence[str]) -> None:
-    """Raise ValueError for names of joints that cannot be told apart or printed."""
+    """Raise ValueError for joint names that repeat or cannot be printed."""
     if len(set(joints)) < len(joints):
-        raise ValueError(f"names joint {printable(next(name for name in joints if joints.count(name) > 1))} twice")
+        repeated = next(name for name in joints if joints.count(name) > 1)
+        raise ValueError(f"names joint {printable(repeated)} twice")
     if not "".join(joints).isprintable():
-        raise ValueError("names a joint in characters that cannot be printed")
+        raise ValueError("has a joint name with characters that cannot be printed")
 
 
 def check_counts(joints: int, counts: Sequence[int]) -> None:
-    """Raise ValueError where there are values, but not one for each joint."""
+    """Raise ValueError if a signal has values, but not one for each joint."""
     for field, count in zip(SIGNALS, counts, strict=True):
         if count not in (0, joints):
             raise ValueError(f"has {joints} names and {count} values of {field}")
 
 
-def samples_of(states: Sequence[State]) -> list[Samples]:
-    """Samples of messages that were decoded one by one.
+def group_states(states: Sequence[JointState]) -> list[Samples]:
+    """Joint states as arrays, those with the same joints and signals together.
 
     Raises
     ------
     PayloadError
-        For the first kind of message whose names or values cannot be used.
+        For the first message with unusable names or values.
     """
-    kinds: dict[tuple[tuple[str, ...], tuple[int, ...]], list[int]] = {}
-    for i, state in enumerate(states):
-        kinds.setdefault((state.joints, tuple(map(len, state.values))), []).append(i)
+    groups: dict[tuple[tuple[str, ...], tuple[int, ...]], list[int]] = {}
+    for i, (_, joints, values) in enumerate(states):
+        groups.setdefault((joints, tuple(map(len, values))), []).append(i)
     samples = []
-    for (joints, counts), index in kinds.items():
+    for (joints, counts), index in groups.items():
         try:
             check_names(joints)
             check_counts(len(joints), counts)
         except ValueError as error:
             raise PayloadError(index[0], error) from None
-        signals = {
-            signal: _array([states[i].values[k] for i in index], index)
-            for k, signal in enumerate(SIGNALS.values())
-            if counts[k]
-        }
+        signals = {}
+        for k, signal in enumerate(SIGNALS.values()):
+            if counts[k]:
+                signals[signal] = _array([states[i].values[k] for i in index], index)
         samples.append(Samples(np.array(index), np.array([states[i].t for i in index]), joints, signals))
     return samples
 
 
 def _array(rows: Sequence[Sequence[float]], index: Sequence[int]) -> Array:
+    """Values of several messages, shape (k, nj); PayloadError for the first message whose values are no numbers."""
     try:
         array = np.array(rows, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
@@ -97,5 +97,5 @@ def _array(rows: Sequence[Sequence[float]], index: Sequence[int]) -> Array:
     if array.ndim == 2:
         return array
     if len(rows) == 1:
-        raise PayloadError(index[0], "holds values that are no numbers")
+        raise PayloadError(index[0], "has values that are not numbers")
     return np.concatenate([_array([row], [i]) for row, i in zip(rows, index, strict=True)])

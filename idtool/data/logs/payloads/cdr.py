@@ -1,6 +1,6 @@
 """ROS 2 `sensor_msgs/msg/JointState` in CDR: XCDR1, and plain XCDR2, in both byte orders.
 
-Four bytes say which CDR it is. Then, each aligned to its size (at most 4 bytes in XCDR2) from there on:
+Four bytes tell the representation. Then follow, each aligned to its size (at most 4 bytes in XCDR2):
 int32 sec, uint32 nanosec, string frame_id, string[] name, float64[] position, velocity, effort.
 A string is its length with the closing zero byte, and its bytes; a sequence is its count, and its elements.
 XCDR2 puts the size in bytes before a sequence of strings. `std_msgs/msg/String` is one string.
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from idtool.common.arrays import Array, Indices
 from idtool.data.logs.payloads.base import SIGNALS, Decoder, TextDecoder, check_counts, check_names
-from idtool.data.logs.payloads.template import Bytes, Layout, decode_alike
-from idtool.data.logs.series import Samples
+from idtool.data.logs.payloads.layout import Bytes, Layout, decode_by_layout
+from idtool.data.logs.sample_buffer import Samples
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -43,82 +43,86 @@ int32 sec
 uint32 nanosec
 """
 
-_KINDS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}  # byte order, largest alignment
+_REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}  # byte order, largest alignment
 _HEADER = 4
 
 
 def decoder(schema: Schema) -> Decoder | None:
-    """Of JointState messages, whatever language their schema is written in."""
+    """Decoder of JointState messages, in whatever language their schema is written."""
     return _decode if schema.name.replace("/msg/", "/") == "sensor_msgs/JointState" else None
 
 
 def text(schema: Schema) -> TextDecoder | None:
-    """Of String messages, whatever language their schema is written in."""
+    """Decoder of String messages, in whatever language their schema is written."""
     return _text if schema.name.replace("/msg/", "/") == "std_msgs/String" else None
 
 
 def _text(message: bytes) -> bytes:
-    order, _ = _kind(message)
-    begin = _HEADER + 4
-    size = struct.unpack_from(f"{order}I", message, _HEADER)[0] if len(message) >= begin else begin
-    if begin + size > len(message):
-        raise _ended(message)
-    return message[begin : begin + size].removesuffix(b"\0")
+    order, _ = _representation(message)
+    start = _HEADER + 4
+    if len(message) < start:
+        raise _truncation_error(message)
+    size = struct.unpack_from(f"{order}I", message, _HEADER)[0]
+    if start + size > len(message):
+        raise _truncation_error(message)
+    return message[start : start + size].removesuffix(b"\0")
 
 
 def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-    samples, _ = decode_alike(buffer, starts, lengths, lay_out)
+    samples, _ = decode_by_layout(buffer, starts, lengths, layout_of)
     return samples
 
 
-def _kind(message: bytes) -> tuple[str, int]:
+def _representation(message: bytes) -> tuple[str, int]:
     """Byte order and largest alignment of a message."""
-    kind = _KINDS.get(int.from_bytes(message[:2], "big")) if len(message) >= _HEADER else None
-    if kind is None:
+    representation = None
+    if len(message) >= _HEADER:
+        representation = _REPRESENTATIONS.get(int.from_bytes(message[:2], "big"))
+    if representation is None:
         raise ValueError(f"is not plain CDR: it begins with {message[:_HEADER].hex(' ') or 'nothing'}")
-    return kind
+    return representation
 
 
-def _ended(message: bytes) -> ValueError:
+def _truncation_error(message: bytes) -> ValueError:
     return ValueError(f"ends after {len(message)} bytes, within its fields")
 
 
 class _Cursor:
-    """Walks over a message and notes which of its bytes make the layout."""
+    """Reads a message from front to back and marks the bytes that define its layout."""
 
     def __init__(self, message: bytes) -> None:
-        self.order, self.most = _kind(message)
+        self.order, self.max_alignment = _representation(message)
         self.message = message
-        self.at = _HEADER
+        self.offset = _HEADER
         self.mask = np.zeros(len(message), np.uint8)
         self.mask[:2] = 0xFF
 
-    def skip(self, size: int, align: int = 1) -> int:
-        """Where the next ``size`` bytes begin, which are passed over."""
-        start = self.at + (_HEADER - self.at) % min(align, self.most)
-        self.at = start + size
-        if self.at > len(self.message):
-            raise _ended(self.message)
+    def skip(self, size: int, alignment: int = 1) -> int:
+        """Skip ``size`` bytes and return where they begin."""
+        start = self.offset + (_HEADER - self.offset) % min(alignment, self.max_alignment)
+        self.offset = start + size
+        if self.offset > len(self.message):
+            raise _truncation_error(self.message)
         return start
 
-    def fixed(self, size: int, align: int = 1) -> bytes:
-        """The next ``size`` bytes, which make the layout."""
-        start = self.skip(size, align)
-        self.mask[start : self.at] = 0xFF
-        return self.message[start : self.at]
+    def read_fixed(self, size: int, alignment: int = 1) -> bytes:
+        """Read ``size`` bytes that belong to the layout."""
+        start = self.skip(size, alignment)
+        self.mask[start : self.offset] = 0xFF
+        return self.message[start : self.offset]
 
     def count(self) -> int:
-        return int(struct.unpack(f"{self.order}I", self.fixed(4, 4))[0])
+        return int(struct.unpack(f"{self.order}I", self.read_fixed(4, 4))[0])
 
     def string(self) -> str:
-        text = self.fixed(self.count()).removesuffix(b"\0")
+        text = self.read_fixed(self.count()).removesuffix(b"\0")
         try:
             return text.decode()
         except UnicodeDecodeError:
             raise ValueError(f"has a name that is not UTF-8: {text[:40]!r}") from None
 
 
-def lay_out(message: bytes) -> Layout:
+def layout_of(message: bytes) -> Layout:
     """The layout of a JointState message.
 
     Raises
@@ -128,8 +132,8 @@ def lay_out(message: bytes) -> Layout:
     """
     cursor = _Cursor(message)
     stamp = cursor.skip(8, 4)
-    cursor.skip(cursor.count())  # the frame's name may change from message to message
-    if cursor.most == 4:
+    cursor.skip(cursor.count())  # the name of the frame may differ between messages
+    if cursor.max_alignment == 4:
         cursor.skip(4, 4)
     count = cursor.count()
     if count > len(message):
@@ -139,9 +143,10 @@ def lay_out(message: bytes) -> Layout:
     fields = {}
     counts = []
     for signal in SIGNALS.values():
-        counts.append(cursor.count())
-        if counts[-1]:
-            fields[signal] = (cursor.skip(8 * counts[-1], 8), np.dtype(f"{cursor.order}f8"))
+        values = cursor.count()
+        counts.append(values)
+        if values:
+            fields[signal] = (cursor.skip(8 * values, 8), np.dtype(f"{cursor.order}f8"))
     check_counts(count, counts)
     return Layout(joints, cursor.mask, fields, partial(_seconds, offset=stamp, order=cursor.order))
 
@@ -158,29 +163,30 @@ def encode(nanoseconds: NDArray[np.int64], joints: Sequence[str], signals: Mappi
     Parameters
     ----------
     nanoseconds
-        Header stamps [ns], shape (k,), whose seconds fit 32 bits.
+        Header stamps [ns], shape (k,); the seconds must fit 32 bits.
     joints
-        Names of the joints.
+        Joint names.
     signals
         Any of q, v and tau, each of shape (k, len(joints)).
     """
-    form = _form(joints, signals)
-    layout = lay_out(form)
-    messages = np.tile(np.frombuffer(form, np.uint8), (len(nanoseconds), 1))
-    messages[:, _HEADER : _HEADER + 8] = np.stack(np.divmod(nanoseconds, 10**9), axis=1).astype("<i4").view(np.uint8)
+    template = _zero_message(joints, signals)
+    layout = layout_of(template)
+    messages = np.tile(np.frombuffer(template, np.uint8), (len(nanoseconds), 1))
+    stamps = np.stack(np.divmod(nanoseconds, 10**9), axis=1).astype("<i4")
+    messages[:, _HEADER : _HEADER + 8] = stamps.view(np.uint8)
     for signal in layout.fields:
         layout.values(messages, signal)[:] = signals[signal]
     return messages
 
 
-def _form(joints: Sequence[str], signals: Mapping[str, Array]) -> bytes:
-    """A message with all values zero."""
-    form = bytearray(b"\0\1\0\0" + bytes(8))
+def _zero_message(joints: Sequence[str], signals: Mapping[str, Array]) -> bytes:
+    """A message in which the stamp and all values are zero."""
+    message = bytearray(b"\0\1\0\0" + bytes(8))
 
-    def put(data: bytes, align: int) -> None:
-        form.extend(bytes((_HEADER - len(form)) % align) + data)
+    def put(data: bytes, alignment: int) -> None:
+        message.extend(bytes((_HEADER - len(message)) % alignment) + data)
 
-    put(struct.pack("<I", 1) + b"\0", 4)  # no frame
+    put(struct.pack("<I", 1) + b"\0", 4)  # an empty frame_id
     put(struct.pack("<I", len(joints)), 4)
     for joint in joints:
         name = joint.encode() + b"\0"
@@ -189,4 +195,4 @@ def _form(joints: Sequence[str], signals: Mapping[str, Array]) -> bytes:
         put(struct.pack("<I", len(joints) * (signal in signals)), 4)
         if signal in signals:
             put(bytes(8 * len(joints)), 8)
-    return bytes(form)
+    return bytes(message)

@@ -11,14 +11,14 @@ from idtool.data.logs.payloads.base import (
     NANOSECONDS,
     SECONDS,
     SIGNALS,
-    STAMPS,
+    STAMP_PATHS,
     Decoder,
+    JointState,
     PayloadError,
-    State,
     TextDecoder,
-    samples_of,
+    group_states,
 )
-from idtool.data.logs.series import Samples
+from idtool.data.logs.sample_buffer import Samples
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -27,7 +27,7 @@ ENCODING = "json"
 
 
 def decoder(schema: Schema) -> Decoder | None:
-    """Of messages whose schema has lists of names and positions, or, where it names no fields, is called JointState."""
+    """Decoder of messages with lists of names and positions, or of type JointState if the schema names no fields."""
     properties = _properties(schema)
     if not properties:
         return _decode if schema.name.endswith("JointState") else None
@@ -39,13 +39,13 @@ def decoder(schema: Schema) -> Decoder | None:
 
 
 def text(schema: Schema) -> TextDecoder | None:
-    """Of messages whose schema has a field ``data``, or, where it names no fields, is called String."""
+    """Decoder of messages with a field ``data``, or of type String if the schema names no fields."""
     properties = _properties(schema)
     return _text if "data" in properties or (not properties and schema.name.endswith("String")) else None
 
 
 def _properties(schema: Schema) -> Any:
-    """What the schema says of the fields; empty where it names none."""
+    """The schema's fields; empty if it names none."""
     try:
         return json.loads(schema.data).get("properties") or {}
     except (ValueError, RecursionError, AttributeError):
@@ -56,18 +56,18 @@ def _text(message: bytes) -> bytes:
     try:
         return str.encode(json.loads(message)["data"])
     except (ValueError, RecursionError, KeyError, TypeError):
-        raise ValueError("is no text in a field called data") from None
+        raise ValueError("has no text in a field called data") from None
 
 
 def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-    texts = [buffer[a : a + n] for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)]
+    texts = [buffer[start : start + size] for start, size in zip(starts.tolist(), lengths.tolist(), strict=True)]
     try:
-        messages = json.loads(b"[%b]" % b",".join(texts))  # one call for all, which is faster than one for each
+        messages = json.loads(b"[%b]" % b",".join(texts))  # faster than one call for each
     except (ValueError, RecursionError):
         messages = []
     if len(messages) != len(texts):
         messages = [_load(i, text) for i, text in enumerate(texts)]
-    return samples_of([_state(i, message) for i, message in enumerate(messages)])
+    return group_states([_state(i, message) for i, message in enumerate(messages)])
 
 
 def _load(i: int, text: bytes) -> Any:
@@ -77,7 +77,7 @@ def _load(i: int, text: bytes) -> Any:
         raise PayloadError(i, f"is not JSON: {error}") from None
 
 
-def _state(i: int, message: Any) -> State:
+def _state(i: int, message: Any) -> JointState:
     try:
         joints = tuple(message["name"])
         values = tuple(message.get(field) or () for field in SIGNALS)
@@ -86,31 +86,30 @@ def _state(i: int, message: Any) -> State:
         if not all(isinstance(value, list | tuple) for value in values):
             raise TypeError
     except (AttributeError, KeyError, TypeError):
-        raise PayloadError(i, "is no joint state: it needs a list of names, and lists of values") from None
-    return State(_seconds(i, message), joints, values)
+        raise PayloadError(i, "is not a joint state; it needs a list of names and lists of values") from None
+    return JointState(_seconds(i, message), joints, values)
 
 
 def _seconds(i: int, message: Any) -> float:
-    """The stamp of a message; one that is a number is left in its unit."""
-    for path in STAMPS:
+    """The stamp of a message [s]; a plain number is returned as it is."""
+    for path in STAMP_PATHS:
         stamp = message
         for field in path:
             stamp = stamp.get(field) if isinstance(stamp, dict) else None
         if stamp:
             try:
-                return float(stamp if isinstance(stamp, int | float) else _sum(stamp))
+                return float(stamp if isinstance(stamp, int | float) else _stamp_seconds(stamp))
             except (TypeError, OverflowError):
-                what = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}: {printable(str(stamp))}"
-                raise PayloadError(i, what) from None
+                message_text = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}"
+                raise PayloadError(i, f"{message_text}: {printable(str(stamp))}") from None
     return 0.0
 
 
-def _sum(stamp: Any) -> Any:
-    total = _first(stamp, SECONDS) + _first(stamp, NANOSECONDS) / 1e9
-    if not (total or any(name in stamp for name in (*SECONDS, *NANOSECONDS))):
+def _stamp_seconds(stamp: Any) -> Any:
+    if not any(name in stamp for name in (*SECONDS, *NANOSECONDS)):
         raise TypeError
-    return total
+    return _first_value(stamp, SECONDS) + _first_value(stamp, NANOSECONDS) / 1e9
 
 
-def _first(stamp: Any, names: tuple[str, ...]) -> Any:
+def _first_value(stamp: Any, names: tuple[str, ...]) -> Any:
     return next((stamp[name] for name in names if name in stamp), 0)

@@ -1,7 +1,7 @@
-"""Where a protobuf message holds what, read off its bytes.
+"""The layout of a protobuf message, read from its bytes.
 
-A field is a tag, which is its number and kind, and its content: a varint (seven bits to a byte, the lowest first,
-the eighth says that more follow), 4 or 8 bytes, or a length and as many bytes.
+A field is a tag, with its number and wire type, and its content: a varint (seven bits per byte, the lowest first; the
+eighth bit says that more follow), 4 or 8 bytes, or a length and as many bytes.
 Source: protobuf.dev/programming-guides/encoding
 """
 
@@ -14,19 +14,21 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.logs.payloads.base import SIGNALS, check_counts, check_names
-from idtool.data.logs.payloads.template import Bytes, Layout
+from idtool.data.logs.payloads.layout import Bytes, Layout
 
-# Field number to what the field holds: joint "name", "sec" or "nanosec", a signal with the type of its packed
-# values, or a message with a plan of its own.
-Plan = Mapping[int, "str | tuple[str, np.dtype[np.floating]] | Plan"]
+# Field number to the content of the field: a joint's "name", "sec" or "nanosec", a signal with the type of its packed
+# values, or a nested message with its own plan.
+FieldPlan = Mapping[int, "str | tuple[str, np.dtype[np.floating]] | FieldPlan"]
 
-
-class _UnusualError(Exception):
-    """The message is not built in the usual way, or not whole."""
+_VARINT, _FIXED64, _LENGTH_DELIMITED, _FIXED32 = 0, 1, 2, 5  # wire types
 
 
-class _Walk:
-    """What was found in a message."""
+class _UnsupportedError(Exception):
+    """The message has an unusual structure, or is incomplete."""
+
+
+class _Parser:
+    """Reads a message from front to back and notes the offsets of its fields."""
 
     def __init__(self, message: bytes) -> None:
         self.message = message
@@ -35,82 +37,88 @@ class _Walk:
         self.values: dict[str, tuple[int, int, np.dtype[np.floating]]] = {}  # signal to offset, count and type
         self.stamp: dict[str, slice] = {}
 
-    def fields(self, at: int, end: int, plan: Plan) -> None:
-        while at < end:
-            tag, at = self.varint(at, end, 0xFF)
-            kind, holds = tag & 7, plan.get(tag >> 3)
-            start = at
-            if kind == 0:
-                _, at = self.varint(at, end, 0x80)  # any number that takes as many bytes
-                self.number(slice(start, at), holds)
-            elif kind == 2:
-                size, start = self.varint(at, end, 0xFF)
-                at = start + size
-                self.content(slice(start, min(at, end)), holds)
-            elif kind in (1, 5) and holds is None:
-                at += 8 if kind == 1 else 4
+    def read_fields(self, offset: int, end: int, plan: FieldPlan) -> None:
+        while offset < end:
+            tag, offset = self.read_varint(offset, end, 0xFF)
+            wire_type = tag & 7
+            content = plan.get(tag >> 3)
+            start = offset
+            if wire_type == _VARINT:
+                _, offset = self.read_varint(offset, end, 0x80)  # any number of the same length
+                self.add_number(slice(start, offset), content)
+            elif wire_type == _LENGTH_DELIMITED:
+                size, start = self.read_varint(offset, end, 0xFF)
+                offset = start + size
+                self.add_content(slice(start, min(offset, end)), content)
+            elif wire_type in (_FIXED64, _FIXED32) and content is None:
+                offset += 8 if wire_type == _FIXED64 else 4
             else:
-                raise _UnusualError
-        if at != end:
-            raise _UnusualError
+                raise _UnsupportedError
+        if offset != end:
+            raise _UnsupportedError
 
-    def varint(self, at: int, end: int, mask: int) -> tuple[int, int]:
-        """The number there, and where it ends."""
+    def read_varint(self, offset: int, end: int, mask: int) -> tuple[int, int]:
+        """The number at ``offset``, and the offset after it; ``mask`` are the bits of its bytes that are layout."""
         number = 0
-        for i, byte in enumerate(self.message[at : min(end, at + 10)]):
+        for i, byte in enumerate(self.message[offset : min(end, offset + 10)]):
             number |= (byte & 0x7F) << 7 * i
             if byte < 0x80:
-                self.mask[at : at + i + 1] = mask
-                return number, at + i + 1
-        raise _UnusualError
+                self.mask[offset : offset + i + 1] = mask
+                return number, offset + i + 1
+        raise _UnsupportedError
 
-    def number(self, where: slice, holds: object) -> None:
-        if holds in ("sec", "nanosec") and holds not in self.stamp:
-            self.stamp[str(holds)] = where
-        elif holds is not None:
-            raise _UnusualError
+    def add_number(self, location: slice, content: object) -> None:
+        if content in ("sec", "nanosec") and content not in self.stamp:
+            self.stamp[str(content)] = location
+        elif content is not None:
+            raise _UnsupportedError
 
-    def content(self, where: slice, holds: object) -> None:
-        match holds:
+    def add_content(self, location: slice, content: object) -> None:
+        match content:
             case None:
                 pass
             case "name":
-                self.mask[where] = 0xFF
-                self.joints.append(self.message[where].decode())
+                self.mask[location] = 0xFF
+                self.joints.append(self.message[location].decode())
             case (str(signal), np.dtype() as dtype) if signal not in self.values:
-                count, over = divmod(where.stop - where.start, dtype.itemsize)
-                if over:
-                    raise _UnusualError
-                self.values[signal] = where.start, count, dtype
+                count, rest = divmod(location.stop - location.start, dtype.itemsize)
+                if rest:
+                    raise _UnsupportedError
+                self.values[signal] = (location.start, count, dtype)
             case Mapping():
-                self.fields(where.start, where.stop, holds)
+                self.read_fields(location.start, location.stop, content)
             case _:
-                raise _UnusualError
+                raise _UnsupportedError
 
 
-def lay_out(message: bytes, plan: Plan) -> Layout | None:
-    """The layout of a message; None for one that is not built in the usual way, or not whole.
+def layout_of(message: bytes, plan: FieldPlan) -> Layout | None:
+    """The layout of a message; None if it has an unusual structure, or is incomplete.
 
     Raises
     ------
     ValueError
-        If its names or the numbers of its values cannot be used.
+        If its names or the number of its values cannot be used.
     """
-    walk = _Walk(message)
+    parser = _Parser(message)
     try:
-        walk.fields(0, len(message), plan)
-    except (_UnusualError, UnicodeDecodeError):
+        parser.read_fields(0, len(message), plan)
+    except (_UnsupportedError, UnicodeDecodeError):
         return None
-    check_names(walk.joints)
-    counts = {signal: count for signal, (_, count, _) in walk.values.items()}
-    check_counts(len(walk.joints), [counts.get(signal, 0) for signal in SIGNALS.values()])
-    fields = {signal: (offset, dtype) for signal, (offset, count, dtype) in walk.values.items() if count}
-    return Layout(tuple(walk.joints), walk.mask, fields, partial(_seconds, stamp=walk.stamp))
+    check_names(parser.joints)
+    fields = {}
+    counts = []
+    for signal in SIGNALS.values():
+        offset, count, dtype = parser.values.get(signal, (0, 0, np.dtype("<f8")))
+        counts.append(count)
+        if count:
+            fields[signal] = (offset, dtype)
+    check_counts(len(parser.joints), counts)
+    return Layout(tuple(parser.joints), parser.mask, fields, partial(_seconds, stamp=parser.stamp))
 
 
 def _seconds(messages: Bytes, stamp: Mapping[str, slice]) -> Array:
     parts = {"sec": np.zeros(len(messages), np.int64), "nanosec": np.zeros(len(messages), np.int64)}
-    for part, where in stamp.items():
-        for i, byte in enumerate(messages[:, where].T):
+    for part, location in stamp.items():
+        for i, byte in enumerate(messages[:, location].T):
             parts[part] |= (byte & 0x7F).astype(np.int64) << 7 * i
     return np.asarray(parts["sec"] + parts["nanosec"] / 1e9)

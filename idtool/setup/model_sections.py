@@ -8,10 +8,10 @@ from idtool.common.names import join_names
 from idtool.dynamics.effects import effect_types
 from idtool.setup.bounds import search_paths
 from idtool.setup.draft import Draft
-from idtool.setup.gears import rotor_template, solid_ellipsoid
 from idtool.setup.records import Section
 from idtool.setup.sections import errors, sized
-from idtool.setup.trials import Found, search_of, searched_entry, term_type, trial_of
+from idtool.setup.transmissions import rotor_template, solid_ellipsoid
+from idtool.setup.trials import TrialResults, search_of, searched_entry, term_type, trial_of
 
 
 def rotors(draft: Draft) -> Section:
@@ -49,9 +49,9 @@ def _free_name(draft: Draft, joint: str) -> str:
 def effects(draft: Draft) -> Section:
     """What trials found."""
     what = "What the model carries beside rigid bodies and friction"
-    found = draft.found
+    found = draft.trial_results
     if found is None:
-        return Section("effects", (), None, (f"{what}: not tried, as {draft.untried}.",), [])
+        return Section("effects", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), [])
     kept = [trial for trial in found.trials if trial.kept and not effect_types()[trial.effect].friction_key]
     if not kept:
         return Section("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose looks for others.",), [])
@@ -74,17 +74,17 @@ def effects(draft: Draft) -> Section:
     return Section("effects", tuple(comments), entries)
 
 
-def _nothing_kept(found: Found) -> str:
+def _nothing_kept(found: TrialResults) -> str:
     """What was tried, in words, where none of it was kept."""
     names = {effect: kind.init_trial.name for effect, kind in effect_types().items() if kind.init_trial}
     names = {effect: name for effect, name in names.items() if not effect_types()[effect].friction_key}
     was_tried = {trial.effect for trial in found.trials}
     tried = [name for effect, name in names.items() if effect in was_tried]
-    untried = [name for effect, name in names.items() if effect not in was_tried]
+    no_trials_reason = [name for effect, name in names.items() if effect not in was_tried]
     if not tried:
         return "none was tried"
     shows = f"{tried[0]} does not show" if len(tried) == 1 else f"neither {' nor '.join(tried)} shows"
-    others = "".join(f"; {name} was not tried" for name in untried)
+    others = "".join(f"; {name} was not tried" for name in no_trials_reason)
     return f"found by trial: {shows}{others}"
 
 
@@ -98,10 +98,10 @@ def bounding_ellipsoids(draft: Draft) -> Section:
     comments = [
         "Smallest ellipsoids around each link's collision or visual geometry, 5 % longer; m, rad, link frame (URDF)."
     ]
-    if not bounds.found:
+    if not bounds.ellipsoids:
         comments = ["An ellipsoid per link, in its frame, that holds all its mass; m, rad: none was found (URDF)."]
     if not bounds.missing:
-        return Section("bounding_ellipsoids", tuple(comments), dict(bounds.found))
+        return Section("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids))
     remarks = [f"{link}: {why}" for link, why in bounds.missing.items()]
     if bounds.unread:
         remarks.append(f"Meshes were {search_paths(draft.robot)}.")
@@ -115,12 +115,12 @@ def bounding_ellipsoids(draft: Draft) -> Section:
         pi = draft.robot.links[link]
         solid = None if pi is None else solid_ellipsoid(pi)
         template[link] = [solid or {"center": [0.0, 0.0, 0.0], "semi_axes": [None] * 3, "rpy": [0.0, 0.0, 0.0]}]
-    return Section("bounding_ellipsoids", tuple(comments), dict(bounds.found) or None, tuple(remarks), template)
+    return Section("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids) or None, tuple(remarks), template)
 
 
 def controller(draft: Draft) -> Section | None:
     """What is given of it, or a template; None where the logs have torque."""
-    names = draft.recorded.commanded
+    names = draft.log_summary.commanded
     if not names:
         return None
     units = f"kp {draft.unit('stiffness', names)}, kd {draft.unit('damping', names)}"

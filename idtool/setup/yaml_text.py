@@ -1,4 +1,4 @@
-"""Sections → YAML with comments. All names are a stranger's: none may end the comment that it stands in."""
+"""Sections as YAML with comments. Names come from strangers: none may end the comment that it is in."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def written(header: Sequence[str], sections: Sequence[Section]) -> str:
-    """The configuration as text.
+def configuration_text(header: Sequence[str], sections: Sequence[Section]) -> str:
+    """The text of the configuration.
 
     Parameters
     ----------
     header
-        Comments at its head, a line each.
+        Comments at the top, one line each.
     sections
-        Its keys.
+        Sections of the configuration.
     """
     return "\n".join([_comment(header), *map(_block, sections)])
 
 
 def _comment(sentences: Sequence[str]) -> str:
-    """Sentences, each from the beginning of a line on."""
+    """Sentences as comments, each on a new line."""
     lines = []
     for sentence in sentences:  # names stay in one piece
         lines += wrap(one_line(sentence), _WIDTH, break_long_words=False, break_on_hyphens=False)

@@ -1,6 +1,6 @@
-"""`LoadedLog`: what is kept of a log, which is read once: its inspection, and as many samples as trials look at.
+"""`LoadedLog`: a log that is read only once, with its inspection and the samples for trials.
 
-Where a file holds several topics, the robot's own is found.
+If a file has several topics, the one of the robot is found.
 """
 
 from __future__ import annotations
@@ -16,68 +16,70 @@ from idtool.common.names import join_names
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import Joint
 from idtool.data.logs import Log, read_log
-from idtool.data.logs.choices import state_topics
+from idtool.data.logs.state_topics import state_topics
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 
-MOST = 200_000  # samples of a log that trials look at: more tell them nothing new
+MAX_SAMPLES = 200_000  # samples of a log that trials use
 
 
 @dataclass(frozen=True)
 class LoadedLog:
-    """What is kept of a log.
+    """A log and its inspection.
 
     Attributes
     ----------
     log
-        Of a long one its first samples; torque that was not filled in is left out.
+        The log, or the first samples of a long one, without constant torque.
     inspection
-        Of the whole log.
-    middle
+        Inspection of the whole log.
+    median_positions
         Median position by joint [rad or m].
-    unfilled
-        Joints with a torque that never changes while they move: drivers without a sensor publish zeros.
+    constant_torque
+        Joints whose torque never changes while they move: drivers without a sensor publish zeros.
     """
 
     log: Log
     inspection: Inspection
-    middle: dict[str, float]
-    unfilled: tuple[str, ...]
+    median_positions: dict[str, float]
+    constant_torque: tuple[str, ...]
 
     def signals(self, joint: str) -> set[str]:
         """The signals that a joint has."""
-        return set(self.inspection.joints[joint].signals) - ({"tau"} if joint in self.unfilled else set())
+        return set(self.inspection.joints[joint].signals) - ({"tau"} if joint in self.constant_torque else set())
 
     def moves(self, joint: str) -> bool:
-        """Whether the log has the joint and it moves."""
+        """True if the log has the joint and it moves."""
         return joint in self.inspection.joints and self.inspection.joints[joint].moves
 
 
-def see(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, progress: Progress) -> list[LoadedLog]:
+def load_logs(
+    robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, progress: Progress
+) -> list[LoadedLog]:
     """Read and inspect the logs.
 
     Parameters
     ----------
     robot, paths
-        From the URDF; the logs.
+        The robot and its logs.
     given
-        How to read them. A joint that it names under ``joints`` and that nothing commands may have no torque at all.
+        How to read the logs. A joint in its ``joints`` without command is passive and may have zero torque.
     topic
         The topic to read.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its share that is done.
 
     Raises
     ------
     LogError
         If a log cannot be read.
     """
-    seen: list[LoadedLog] = []
+    logs: list[LoadedLog] = []
     for path in paths:
-        progress(f"inspecting {path.name}", len(seen) / len(paths))
-        seen.append(_look(_read(path, given, topic), robot, given.joints or ()))
-    return seen
+        progress(f"inspecting {path.name}", len(logs) / len(paths))
+        logs.append(_inspect(_read(path, given, topic), robot, given.joints or ()))
+    return logs
 
 
 def _read(path: Path, given: Config, topic: str | None) -> Log:
@@ -85,30 +87,34 @@ def _read(path: Path, given: Config, topic: str | None) -> Log:
     return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale))
 
 
-def _look(log: Log, robot: Robot, passive: Collection[str]) -> LoadedLog:
+def _inspect(log: Log, robot: Robot, passive: Collection[str]) -> LoadedLog:
     q = log.signals["q"]
-    middle = {name: float(np.nanmedian(q[:, i])) for i, name in enumerate(log.joints) if log.has("q", name)}
+    median_positions = {}
+    for i, name in enumerate(log.joints):
+        if name in robot.joints and log.has("q", name):
+            median_positions[name] = float(np.nanmedian(q[:, i]))
     inspection = inspect_log(log)
-    unfilled = tuple(
+    constant_torque = tuple(
         name
         for name, joint in inspection.joints.items()
-        if _is_unfilled(joint) and ("qcmd" in joint.signals or name not in passive)
+        if _has_constant_torque(joint) and ("qcmd" in joint.signals or name not in passive)
     )
-    kept = _without_torque(shortened(log), unfilled)
-    return LoadedLog(kept, inspection, {name: x for name, x in middle.items() if name in robot.joints}, unfilled)
+    trial_log = _without_torque(first_samples(log), constant_torque)
+    return LoadedLog(trial_log, inspection, median_positions, constant_torque)
 
 
-def _is_unfilled(joint: Joint) -> bool:
+def _has_constant_torque(joint: Joint) -> bool:
     return joint.moves and "tau" in joint.signals and joint.signals["tau"].constant
 
 
-def shortened(log: Log) -> Log:
-    """The log, of a long one its first samples; it keeps no hold of the others."""
-    kept, left = [], MOST
+def first_samples(log: Log) -> Log:
+    """The log, or a copy of the first samples of a long one."""
+    kept: list[slice] = []
+    remaining = MAX_SAMPLES
     for segment in log.segments:
-        if left > 1:
-            kept.append(slice(segment.start, min(segment.stop, segment.start + left)))
-            left -= segment.stop - segment.start
+        if remaining > 1:
+            kept.append(slice(segment.start, min(segment.stop, segment.start + remaining)))
+            remaining -= segment.stop - segment.start
     last = kept[-1].stop
     if last == log.segments[-1].stop:
         return log
@@ -117,7 +123,7 @@ def shortened(log: Log) -> Log:
 
 
 def _without_torque(log: Log, joints: Sequence[str]) -> Log:
-    """The log as if nothing stood in the torque of some joints."""
+    """The log without the torque of some joints."""
     if not joints:
         return log
     tau = log.signals["tau"].copy()
@@ -141,14 +147,14 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
         return None, ()
     shared = [name for name in topics[several] if all(name in names for names in topics.values() if names)]
     if not shared:
-        raise LogError(several, f"has none of its topics in common with the other logs: {join_names(topics[several])}")
+        raise LogError(several, f"has no topic in common with the other logs: {join_names(topics[several])}")
 
-    def worth(name: str) -> tuple[int, int]:
+    def score(name: str) -> tuple[int, int]:
         try:
             log = _read(several, given, name)
-        except LogError:  # commands of joints have the type of their states, but no position
+        except LogError:  # joint commands have the message type of states, but no position
             return -1, 0
         known = [joint for joint in log.joints if joint in robot.joints]
         return len(known), sum(log.has(signal, joint) for joint in known for signal in log.signals)
 
-    return max(shared, key=worth), tuple(shared)
+    return max(shared, key=score), tuple(shared)

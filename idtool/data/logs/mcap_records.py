@@ -1,0 +1,249 @@
+"""MCAP records: from a file to buffers of complete records, and the messages and definitions in each buffer.
+
+A record is an opcode (1 byte), its content's length (8 bytes) and its content, all little-endian. Messages are
+in the file one by one, or in chunks, which may be compressed. All other records are skipped; indexes and statistics are
+not used, so they may be missing.
+Source: mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from idtool.common.arrays import Indices
+from idtool.common.exceptions import LogError
+
+MAGIC = b"\x89MCAP0\r\n"
+SCHEMA, CHANNEL, MESSAGE, CHUNK = map(int, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK))
+
+_MAX_BYTES = 1 << 28  # of a chunk or a message
+_MAX_EXPANSION = 256  # ratio of the size of all decompressed chunks to the size of the file
+_BATCH = 4096  # messages decoded together
+_PAGE = 1 << 16  # bytes read at a time, from the end
+_MIN_ZEROS = 1024  # at the end of a file that count as padding
+_LOOSE_BYTES = 1 << 20  # of records outside chunks in one buffer
+
+RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII")  # start and end time, uncompressed size, CRC, length of the compression's name
+_MAX_COMPRESSION_NAME = 16  # bytes
+HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+MESSAGE_FIELDS = HEAD.itemsize - RECORD.size
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Records of one buffer.
+
+    Attributes
+    ----------
+    buffer
+        The bytes of the records.
+    definitions
+        Offsets of the schemas and channels.
+    messages
+        Offsets of the messages, shape (k,).
+    """
+
+    buffer: bytes
+    definitions: list[int]
+    messages: Indices
+
+    @property
+    def heads(self) -> NDArray[np.void]:
+        """The messages' fields before the payload, of type `HEAD`, shape (k,), k > 0."""
+        at_every_byte = np.ndarray(len(self.buffer) - HEAD.itemsize + 1, HEAD, self.buffer, strides=(1,))
+        return at_every_byte[self.messages]
+
+
+class McapRecords:
+    """The data section of an MCAP file.
+
+    Iterating raises LogError where the file is damaged anywhere but at its truncated end.
+
+    Parameters
+    ----------
+    path
+        The file; errors name it.
+    file
+        The same file, open.
+    size_on_disk
+        Size of the file [bytes], which bounds the size that its chunks may expand to.
+
+    Attributes
+    ----------
+    truncated
+        True if the file was cut off in mid-write.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO, size_on_disk: int) -> None:
+        self._path = path
+        self._file = file
+        self._size_on_disk = size_on_disk
+        self._end = _end_of_data(file)
+        self._expanded = 0
+        file.seek(max(0, self._end - len(MAGIC)))
+        self.truncated = file.read(len(MAGIC)) != MAGIC or self._end < 2 * len(MAGIC)
+
+    def __iter__(self) -> Iterator[Batch]:
+        for start, buffer, is_complete in self._buffers():
+            definitions: list[int] = []
+            messages: list[int] = []
+            offset = 0
+            while len(buffer) - offset >= RECORD.size:
+                opcode, length = RECORD.unpack_from(buffer, offset)
+                next_offset = offset + RECORD.size + length
+                if next_offset > len(buffer):
+                    break
+                if opcode == MESSAGE:
+                    if length < MESSAGE_FIELDS:
+                        raise self._damage_error(start)
+                    messages.append(offset)
+                    if len(messages) == _BATCH:
+                        yield Batch(buffer, definitions, np.array(messages))
+                        definitions, messages = [], []
+                elif opcode in (SCHEMA, CHANNEL):
+                    definitions.append(offset)
+                offset = next_offset
+            if is_complete and offset != len(buffer):
+                raise self._damage_error(start)
+            if definitions or messages:
+                yield Batch(buffer, definitions, np.array(messages, dtype=np.intp))
+
+    def _buffers(self) -> Iterator[tuple[int, bytes, bool]]:
+        """Runs of records: their offset in the file, their bytes, and whether the last record is complete."""
+        loose = bytearray()  # records outside chunks
+        loose_start = 0
+        offset = self._file.seek(len(MAGIC))
+        while offset + RECORD.size <= self._end:  # beyond it there may be padding of the file system
+            head = self._file.read(RECORD.size)
+            opcode, length = RECORD.unpack(head)
+            offset += RECORD.size
+            available = min(length, self._end - offset)
+            is_complete = available == length
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                break
+            if opcode == 0 or not (is_complete or self.truncated):
+                raise self._damage_error(offset)
+            if opcode == CHUNK:
+                if loose:
+                    yield loose_start, bytes(loose), True
+                    loose.clear()
+                yield offset, self._chunk(offset, available, is_complete), is_complete
+            elif opcode in (SCHEMA, CHANNEL, MESSAGE) and is_complete:
+                self._check_size(offset, length)
+                if not loose:
+                    loose_start = offset
+                loose += head + self._file.read(length)
+            if not is_complete:
+                break
+            offset = self._file.seek(offset + length)
+            if len(loose) >= _LOOSE_BYTES:
+                yield loose_start, bytes(loose), True
+                loose.clear()
+        if loose:
+            yield loose_start, bytes(loose), True
+
+    def _chunk(self, offset: int, available: int, is_complete: bool) -> bytes:
+        """The decompressed records of a chunk with ``available`` bytes; of a truncated one, as many as possible."""
+        head = self._file.read(min(available, _CHUNK.size + _MAX_COMPRESSION_NAME + 8))
+        if len(head) < _CHUNK.size:
+            if is_complete:
+                raise self._damage_error(offset)
+            return b""
+        _, _, size, crc, name_length = _CHUNK.unpack_from(head)
+        data_start = _CHUNK.size + name_length + 8
+        if len(head) < data_start:
+            if is_complete:
+                raise self._damage_error(offset)
+            return b""
+        compression = head[_CHUNK.size : data_start - 8]
+        compressed_size = int.from_bytes(head[data_start - 8 : data_start], "little")
+        if is_complete and data_start + compressed_size > available:
+            raise self._damage_error(offset)
+        self._check_size(offset, max(size, compressed_size))
+        self._expanded += size
+        if self._expanded > _MAX_EXPANSION * self._size_on_disk + _MAX_BYTES:
+            message = f"expands to more than {_MAX_EXPANSION} times its size; it is not a robot log"
+            raise LogError(self._path, message)
+        self._file.seek(offset + data_start)
+        data = self._file.read(min(compressed_size, available - data_start))
+        try:
+            records = expand(compression, data, size)
+        except ValueError as error:
+            if not is_complete:
+                return b""
+            raise LogError(self._path, f"has a chunk at byte {offset} that {error}") from None
+        # a CRC of 0 means that there is none
+        if is_complete and (len(records) != size or crc not in (0, zlib.crc32(records))):
+            raise self._damage_error(offset)
+        return records
+
+    def _check_size(self, offset: int, size: int) -> None:
+        if size > _MAX_BYTES:
+            raise LogError(
+                self._path,
+                f"has a record of {size / 2**20:.0f} MiB at byte {offset}; the limit is {_MAX_BYTES >> 20} MiB. "
+                "Write it with smaller chunks",
+            )
+
+    def _damage_error(self, offset: int) -> LogError:
+        return LogError(self._path, f"is damaged near byte {offset}; try 'mcap recover' on it")
+
+
+def _end_of_data(file: BinaryIO) -> int:
+    """The file's size without zeros at its end, which a file system leaves in place of data that were not written."""
+    size = file.seek(0, 2)
+    start = size
+    used = 0
+    while start and not used:
+        stop = start
+        start = max(0, start - _PAGE)
+        file.seek(start)
+        used = len(file.read(stop - start).rstrip(b"\0"))
+    end = start + used
+    return end if size - end >= _MIN_ZEROS else size  # the last message may end in a few zeros, too
+
+
+def expand(compression: bytes, data: bytes, size: int) -> bytes:
+    """Up to ``size`` bytes of decompressed data; fewer if ``data`` is truncated.
+
+    Raises
+    ------
+    ValueError
+        If the data are damaged, or the compression is not supported.
+    """
+    if compression == b"":
+        return data[:size]
+    if compression == b"zstd":
+        import zstandard
+
+        try:
+            return zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(size)
+        except zstandard.ZstdError:
+            raise ValueError("is damaged (zstd)") from None
+    if compression == b"lz4":
+        import lz4.frame
+
+        try:
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size))
+        except RuntimeError:
+            raise ValueError("is damaged (lz4)") from None
+    raise ValueError(f"has the unsupported compression {compression.decode(errors='replace')!r}; use lz4, zstd or none")

@@ -1,0 +1,235 @@
+"""URDF and logs → a first configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from idtool.common.exceptions import IdtoolError
+from idtool.common.names import join_names, printable
+from idtool.common.notice import unique
+from idtool.dynamics.effects import JointTerm, effect_types
+from idtool.estimation.dataset.experiment import Progress
+from idtool.robot.config import parse_config
+from idtool.robot.model import Model, build_model
+from idtool.robot.urdf.reading import Robot
+from idtool.setup import model_sections, sections
+from idtool.setup.bounds import find_bounds, search_paths
+from idtool.setup.draft import Draft
+from idtool.setup.log_summary import summarize_logs
+from idtool.setup.records import InitialConfig, Section, TodoItem
+from idtool.setup.transmissions import gear_ratios, rotor_links
+from idtool.setup.trials import TrialResults, TrialRunner, run_trials, search_of, trial_of
+from idtool.setup.yaml_text import configuration_text, one_line
+
+_SECTIONS: Mapping[str, Callable[[Draft], Section | None]] = {
+    "joints": sections.joints,
+    "locked_joints": sections.locked_joints,
+    "gravity": sections.gravity,
+    "log": sections.log,
+    "velocity": sections.velocity,
+    "filter": sections.low_pass,
+    "friction": sections.friction,
+    "rotors": model_sections.rotors,
+    "effects": model_sections.effects,
+    "bounding_ellipsoids": model_sections.bounding_ellipsoids,
+    "controller": model_sections.controller,
+    "known": model_sections.known,
+}
+_SECTIONS_FOR_TRIALS = ("joints", "locked_joints", "log", "filter", "bounding_ellipsoids", "controller")
+_MERGED = ("locked_joints", "controller")  # their sections include the given values
+_BY_TRIAL = ("friction", "effects")  # no trials if they are given
+
+
+def make_initial_config(
+    robot: Robot, logs: Sequence[Path], given: Mapping[str, Any], source: Path | None, progress: Progress
+) -> InitialConfig:
+    """Make a first configuration.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    logs
+        The logs.
+    given, source
+        A configuration to start from, whose keys are kept unchanged, and its file.
+    progress
+        Callback for the stage and its share that is done.
+
+    Raises
+    ------
+    IdtoolError
+        If a log or the configuration cannot be used, or no joint can be identified.
+    """
+    draft = _make_draft(robot, logs, given, source, progress)
+    parts = [part for key in _SECTIONS if (part := _section(draft, key)) is not None]
+    parts += [_given_section(draft, key) for key in draft.given if key not in _SECTIONS]
+    data = {part.key: part.value for part in parts if part.value is not None}
+    parse_config(data, "idtool init")  # check that it can be read back
+    results = draft.trial_results
+    return InitialConfig(
+        data=data,
+        text=configuration_text(_header(draft), parts),
+        findings=tuple(_findings(draft)),
+        todo=tuple(_todo_items(draft)),
+        trials=results.trials if results else (),
+        rms=results.rms if results else None,
+        band_hz=draft.config.filter.cutoff_hz or draft.log_summary.cutoff_hz,
+        notices=unique([*draft.log_summary.notices, *(results.notices if results else ())]),
+    )
+
+
+def _make_draft(
+    robot: Robot, logs: Sequence[Path], given: Mapping[str, Any], source: Path | None, progress: Progress
+) -> Draft:
+    """Collect everything that the sections are written from."""
+    config = parse_config(given, str(source))
+    summary = summarize_logs(robot, logs, config, progress)
+    progress("reading geometry", 0.0)
+    locked = {name: lock.position for name, lock in summary.locked.items()} | config.locked_joints
+    model_settings = config.model_copy(update={"joints": summary.joints, "locked_joints": locked})
+    model = build_model(robot, model_settings, summary.joints)
+    draft = Draft(
+        robot=robot,
+        paths=tuple(logs),
+        log_summary=summary,
+        given={key: value for key, value in given.items() if value is not None},
+        source=source,
+        config=config,
+        bounds=find_bounds(robot, model),
+        ratios=gear_ratios(robot),
+        rotors=rotor_links(robot, summary.joints),
+    )
+    return _with_trials(draft, model, progress)
+
+
+def _with_trials(draft: Draft, model: Model, progress: Progress) -> Draft:
+    """The draft with the results of trials, or the reason why there are none."""
+    if draft.without_gains:
+        return replace(draft, no_trials_reason=f"the torque needs the gains of {join_names(draft.without_gains)}")
+    parts = [_section(draft, key) for key in _SECTIONS_FOR_TRIALS]
+    data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
+    runner = TrialRunner(draft.robot, data, draft.log_summary.logs, progress)
+    on_joints: list[tuple[str, str]] = []
+    searched: list[str] = []
+    for effect, kind in effect_types().items():
+        trial = kind.init_trial
+        is_given = ("friction" if kind.friction_key else "effects") in draft.given
+        if trial is None or is_given or (trial.needs_measured_torque and draft.log_summary.commanded):
+            continue
+        if issubclass(kind, JointTerm):
+            affected = [name for name in draft.joints if kind.may_act_on(model, model.names.index(name))]
+            on_joints += [(effect, name) for name in affected]
+        else:
+            searched.append(effect)
+    try:
+        return replace(draft, trial_results=run_trials(runner, on_joints, searched))
+    except IdtoolError as error:
+        return replace(draft, no_trials_reason=f"the fit fails: {error}")
+
+
+def _section(draft: Draft, key: str) -> Section | None:
+    """A section; a given value replaces it, except that the logs may add to the log and controller sections."""
+    part = _SECTIONS[key](draft)
+    if key not in draft.given or (part is not None and key in _MERGED):
+        return part
+    if part is None or key in _BY_TRIAL:
+        return _given_section(draft, key)
+    if part.value == draft.given[key]:
+        return replace(part, comments=(f"Given in {draft.origin}; idtool init finds the same value.", *part.comments))
+    if key == "log" and draft.log_summary.topic is not None:
+        topic = "topic: the one with most of the URDF's joints and signals (logs)."
+        return replace(_given_section(draft, key, topic), value={**draft.given[key], **part.value})
+    return _given_section(draft, key)
+
+
+def _given_section(draft: Draft, key: str, *comments: str) -> Section:
+    return Section(key, (f"Given in {draft.origin}.", *comments), draft.given[key])
+
+
+def _header(draft: Draft) -> list[str]:
+    logs = join_names([path.name for path in draft.paths])
+    return [
+        f"First configuration for {draft.robot.path.name}, by idtool init from {logs}. SI units.",
+        "Each key says what it is and, in brackets, where it came from. What is commented out is left to fill in.",
+    ]
+
+
+def _findings(draft: Draft) -> list[str]:
+    """Findings from the URDF and the logs, one line each."""
+    summary, results = draft.log_summary, draft.trial_results
+    count = len(summary.moving)
+    lines = [
+        f"{count} joints that move: {join_names(summary.moving)}"
+        if count > 1
+        else f"1 joint that moves: {summary.moving[0]}"
+    ]
+    if draft.locked:
+        lines.append(f"held still: {join_names(draft.locked)}")
+    if summary.topic is not None:
+        lines.append(f"topic {summary.topic}, of {join_names(summary.topics)}")
+    if "filter" not in draft.given:
+        lines.append(f"motion below {summary.motion_hz:.2g} Hz, hence filter.cutoff_hz {summary.cutoff_hz:g}")
+    if draft.bounds.ellipsoids:
+        lines.append(f"bounding ellipsoids of {join_names(draft.bounds.ellipsoids)}")
+    if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
+        lines.append(f"gear ratios of {join_names(geared)}")
+    return lines if results is None else [*lines, *_kept_effects(results)]
+
+
+def _kept_effects(results: TrialResults) -> Iterator[str]:
+    """The kept effects, one line each: friction first, effects on the whole robot last."""
+    friction: dict[str, list[str]] = {}
+    terms: dict[str, list[str]] = {}
+    whole: list[str] = []
+    for (effect, joint), value in results.values.items():
+        kind = effect_types()[effect]
+        if joint is None:
+            search = search_of(effect)
+            whole.append(f"{search.heading}: {search.shown(value)}")
+        elif kind.friction_key:
+            friction.setdefault(effect, []).append(joint)
+        else:
+            terms.setdefault(effect, []).append(f"{joint} {value:.3g}")
+    for effect, names in (friction | terms).items():
+        yield f"{trial_of(effect).heading}: {join_names(names)}"
+    yield from whole
+
+
+def _todo_items(draft: Draft) -> list[TodoItem]:
+    """Values that the user has to fill in."""
+    items = []
+    if draft.without_gains:
+        items.append(
+            TodoItem("controller", f"kp and kd of {join_names(draft.without_gains)}: no torque was logged", True)
+        )
+    elif draft.no_trials_reason:
+        items.append(TodoItem("friction, effects", f"nothing was tried, as {draft.no_trials_reason}"))
+    if without_torque := draft.log_summary.without_torque:
+        named = join_names([f"tau_{name} (not in {log})" for name, log in without_torque.items()])
+        items.append(TodoItem("log.columns", f"the torque of joints that move, or log their command: {named}"))
+    if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.ellipsoids:
+        items += _unbounded(draft)
+    if "rotors" not in draft.given:
+        items.append(TodoItem("rotors", "mass, inertia and gear ratio, where the joints are geared"))
+    if "total_mass" not in draft.given.get("known", {}):
+        items.append(TodoItem("known.total_mass", "what moves, on a scale: torque alone seldom tells it"))
+    return items
+
+
+def _unbounded(draft: Draft) -> list[TodoItem]:
+    bounds = draft.bounds
+    if not bounds.missing:
+        return []
+    what = f"of {join_names(bounds.missing)}"
+    if bounds.unread:
+        first = bounds.unread[0]
+        which = (
+            "their meshes" if len(bounds.unread) == len(bounds.missing) else f"meshes of {join_names(bounds.unread)}"
+        )
+        what += f"; {which} could not be read ({printable(first)}: {one_line(bounds.missing[first])}); they were "
+        what += search_paths(draft.robot)
+    return [TodoItem("bounding_ellipsoids", what)]
