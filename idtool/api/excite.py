@@ -14,8 +14,8 @@ from idtool.api.records import Progress, notice_lines, silent, table
 from idtool.common.exceptions import ConfigError
 from idtool.common.interrupt import delay_interrupt
 from idtool.common.names import suggestion
-from idtool.common.outputs import check_log, write_all
-from idtool.data.logs import write_log
+from idtool.common.outputs import write_all
+from idtool.data.logs import check_log_file, write_log
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
@@ -66,7 +66,7 @@ class ExcitationResult(ExcitationReport):
         from idtool.reporting.pages.excite import excite_page
 
         path = Path(file)
-        check_log(path, [])
+        check_log_file(path, [])
         report = self.model_copy(update={"file": str(path)})
         page = excite_page(report, made_by)
         with delay_interrupt():

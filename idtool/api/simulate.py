@@ -16,8 +16,8 @@ from idtool.api.records import Progress, Recordable, notice_lines, silent, table
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
-from idtool.common.outputs import LOG_SUFFIXES, OutputError, check_log
-from idtool.data.logs import write_log
+from idtool.common.outputs import OutputError
+from idtool.data.logs import check_log_file, log_suffixes, write_log
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.simulated_log import (
     SimulatedLog,
@@ -126,8 +126,8 @@ class SimulationResult(Recordable):
         IdtoolError
             If the log cannot be written, or would take the place of the one that was read.
         """
-        file = Path(place) if Path(place).suffix.lower() in LOG_SUFFIXES else Path(place, FILE)
-        check_log(file, [self._source])
+        file = Path(place) if Path(place).suffix.lower() in log_suffixes() else Path(place, FILE)
+        check_log_file(file, [self._source])
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

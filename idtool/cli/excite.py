@@ -69,13 +69,13 @@ def excite_command(
     """Design an exciting trajectory within the limits, and print the expected standard errors."""
     from idtool.api.excite import excite
     from idtool.api.model import Model
-    from idtool.common.outputs import check_log
+    from idtool.data.logs import check_log_file
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / "excitation.mcap"
-    check_log(file, [urdf, *(log or []), *([config] if config else [])])
+    check_log_file(file, [urdf, *(log or []), *([config] if config else [])])
     with terminal.progress() as progress:
         progress("reading", 0.0)
         result = excite(

@@ -79,12 +79,12 @@ def simulate_command(
     """Simulate a model under a log's torque or under its controller, and write the motion as a log."""
     from idtool.api.model import Model
     from idtool.api.simulate import FILE, simulate
-    from idtool.common.outputs import check_log
+    from idtool.data.logs import check_log_file
     from idtool.reporting.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
     file = out or folder_for(urdf, None) / FILE
-    check_log(file, [path for path in (urdf, log, config) if path])
+    check_log_file(file, [path for path in (urdf, log, config) if path])
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, [log] if log else [], config)
         result = simulate(model, logs[-1], window=window, closed_loop=closed_loop, track=track, progress=progress)

@@ -14,8 +14,6 @@ import yaml
 from idtool.common.exceptions import IdtoolError
 from idtool.common.interrupt import delay_interrupt
 
-LOG_SUFFIXES = (".mcap", ".csv")
-
 
 class OutputError(IdtoolError):
     """A file or folder that cannot be written to."""
@@ -85,16 +83,3 @@ def check_file(file: Path, inputs: Iterable[Path]) -> None:
     if os.path.isdir(file):
         raise OutputError(file, "is a folder; give a file as --out")
     check_folder(file.parent)
-
-
-def check_log(file: Path, inputs: Iterable[Path]) -> None:
-    """Check, before the work is done, that a log can be written and is not one of the inputs.
-
-    Raises
-    ------
-    OutputError
-        If it can't, or is, or if logs are not written with its suffix.
-    """
-    if file.suffix.lower() not in LOG_SUFFIXES:
-        raise OutputError(file, f"has an ending that no log is written under; use {' or '.join(LOG_SUFFIXES)}")
-    check_file(file, inputs)

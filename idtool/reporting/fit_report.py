@@ -1,4 +1,4 @@
-"""Results → plain data for JSON, configuration and pages. Keys are the contract's (sections 3 and 5)."""
+"""Results → plain data for JSON, configuration and pages."""
 
 from __future__ import annotations
 

@@ -141,7 +141,10 @@ class _Builder:
         else:
             chosen = [name for name in actuated if name in self.logged]
         if not chosen:
-            own, logged = ", ".join(list(actuated)[:8]) or "none", ", ".join(self.logged[:8])
+            if not actuated:
+                raise ModelError(self.robot.path, "has no actuated joint; nothing can be identified")
+            own = ", ".join(list(actuated)[:8])
+            logged = ", ".join(self.logged[:8])
             raise ModelError(
                 self.robot.path, f"none of its actuated joints is in the logs; it has {own}, the logs have {logged}"
             )

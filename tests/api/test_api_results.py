@@ -139,7 +139,7 @@ def test_without_held_out_data_the_fits_own_error_is_shown(out: Path) -> None:
     result = idtool.fit(LEG, out / "log.csv", holdout=0.0, quick=True)
     assert result.rms.validation is result.rms.prior_validation is None
     assert "on what was fitted" in repr(result)
-    assert "warning: nothing was held out" in repr(result)
+    assert "warning: no data were held out" in repr(result)
     assert len(result.plot().data) == 4 * len(JOINTS)
 
 

@@ -34,7 +34,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "max-rms below 0": ([*VALIDATION, "--max-rms", "-1"], "--max-rms: -1"),
     "max-rms that is empty": ([*VALIDATION, "--max-rms", ""], "--max-rms: "),
     "a log in place of the URDF": (["fit", "log.csv", "log.csv"], "log.csv: is a log; the URDF comes first"),
-    "the URDF in place of a log": (["fit", LEG, LEG, "--out", "out"], "leg.urdf: is no log"),
+    "the URDF in place of a log": (["fit", LEG, LEG, "--out", "out"], "leg.urdf: is not a log"),
     "a config that is not there": ([*FIT, "--config", "none.yaml"], "none.yaml: cannot be read"),
     "a prior that is not there": ([*VALIDATION, "--prior", "none.urdf"], "none.urdf: cannot be read"),
     "a prior of another robot": ([*VALIDATION, "--prior", SAMPLES / "belt_arm.urdf"], "abad"),

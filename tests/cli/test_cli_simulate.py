@@ -239,7 +239,7 @@ REFUSED = {
     "both": (["--track", "--closed-loop"], "--track"),
     "a window of less than nothing": (["--window", "-1"], "--window"),
     "a window that is no number": (["--window", "nan"], "--window"),
-    "an ending that is no log's": (["--out", "out/log.txt"], "use .mcap or .csv"),
+    "an ending that is no log's": (["--out", "out/log.txt"], "use .csv or .mcap"),
     "onto what is read": (["--out", "log.csv"], "is a file that is read"),
     "a folder that is a file": (["--out", "log.csv/out.csv"], "log.csv: is a file, where a folder is needed"),
     "a folder in its place": (["--out", "folder.csv"], "folder.csv"),

@@ -197,7 +197,7 @@ def test_a_joint_that_is_left_out_although_it_moves_is_said(tmp_path: Path, tabl
     assert moving.startswith(
         f"assumed to stand still, but they move in the log: abad (moves by {travel:.3g} rad, taken at 0.1); the effect "
     )
-    assert moving.endswith("falsifies the parameters; add them to joints, or log them at rest")
+    assert moving.endswith("biases the parameters; add them to joints, or log them at rest")
     assert still == []
 
 

@@ -121,7 +121,7 @@ def test_friction_that_is_rounded_off_in_time_is_no_disagreement(tmp_path: Path)
     found = diagnosed(tmp_path, 0.0)
     assert (found.verdict, found.steps) == ("no_disagreement", ())
     (note,) = sentences(found.notices)
-    assert note.startswith("within 40 ms of reversals friction on shoulder is not what")
+    assert note.startswith("within 40 ms of reversals, friction on shoulder does not follow")
 
 
 def test_what_it_would_hide_is_found(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_why_a_step_was_taken_out_is_said_in_known_words() -> None:
     text = "parallel_spring on j1 was removed again: "
     assert removal_sentence(spring, drag) == f"{text}with quadratic_drag on j1 it no longer explains enough"
     found = removal_sentence(spring, rounded)
-    assert found.startswith(f"{text}where friction changes its direction")
+    assert found.startswith(f"{text}where friction changes its sign")
     assert "rounded_friction" not in found
 
 

@@ -212,7 +212,7 @@ def test_an_interrupted_search_gives_the_best_so_far(tmp_path: Path, monkeypatch
         (["--slow", "1"], "--slow: 1 is no share"),
         (["--duration", "2"], "--duration: 2 is not from 3 to 3600"),
         (["--rate", "50"], "filter.cutoff_hz: 40 Hz is too high for --rate 50"),
-        (["--out", "m.bag"], "m.bag: has an ending that no log is written under"),
+        (["--out", "m.bag"], "m.bag: unsupported log format '.bag'"),
         (["--pattern", "shell", "--tip", "hand"], "--tip: hand is no link"),
     ],
 )

@@ -1,7 +1,13 @@
 """Logs of joint signals. A new format is one new file in this folder.
 
 A format's file defines `SUFFIXES`, its file name extensions; `matches`, which recognizes the first bytes of a file;
-`read`; and `write`.
+`read`; and `write`. What a reader has to do, for which `csv` is the example:
+
+- return what `make_log` or, if samples may lack signals, `make_log_of_complete_samples` makes of t and signals: float64
+  arrays that may be written to, t through `convert_to_seconds`, joint names printable and each once;
+- add a notice for everything that it leaves out, such as the options ``topic`` or ``columns`` where it has no use for
+  them;
+- bound its memory by the size of the file, whatever the file says of itself.
 """
 
 from __future__ import annotations
@@ -10,7 +16,7 @@ import importlib
 import os
 import pkgutil
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,11 +24,12 @@ from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import printable, suggestion
+from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, Log, make_log
 
-__all__ = ["SIGNALS", "Log", "is_bag", "make_log", "read_log", "write_log"]
+__all__ = ["SIGNALS", "Log", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
 
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
@@ -102,7 +109,7 @@ def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
         raise LogError(path, ros1_message(path))
     if head.startswith(_GZIP):
         raise LogError(path, f"is compressed with gzip; run 'gunzip -k {shlex.quote(str(path))}' first")
-    raise LogError(path, f"is not a log in a supported format ({' or '.join(_suffixes())}; CSV must be UTF-8)")
+    raise LogError(path, f"is not a log in a supported format ({' or '.join(log_suffixes())}; CSV must be UTF-8)")
 
 
 def write_log(path: str | os.PathLike[str], log: Log) -> None:
@@ -118,7 +125,7 @@ def write_log(path: str | os.PathLike[str], log: Log) -> None:
     path = Path(path)
     log_format = next((member for member in _formats() if path.suffix.lower() in member.SUFFIXES), None)
     if log_format is None:
-        raise LogError(path, f"unsupported log format '{printable(path.suffix)}'; use {' or '.join(_suffixes())}")
+        raise LogError(path, f"unsupported log format '{printable(path.suffix)}'; use {' or '.join(log_suffixes())}")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
@@ -133,7 +140,21 @@ def write_log(path: str | os.PathLike[str], log: Log) -> None:
         raise LogError(path, f"cannot be written: {error}") from None
 
 
-def _suffixes() -> list[str]:
+def check_log_file(file: Path, inputs: Iterable[Path]) -> None:
+    """Check, before the work is done, that a log can be written and is not one of the inputs.
+
+    Raises
+    ------
+    OutputError
+        If it can't, or is, or if logs are not written with its suffix.
+    """
+    if file.suffix.lower() not in log_suffixes():
+        raise OutputError(file, f"unsupported log format '{file.suffix}'; use {' or '.join(log_suffixes())}")
+    check_file(file, inputs)
+
+
+def log_suffixes() -> list[str]:
+    """File name extensions of all formats."""
     return [suffix for log_format in _formats() for suffix in log_format.SUFFIXES]
 
 

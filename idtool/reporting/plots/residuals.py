@@ -125,5 +125,5 @@ def _figure(
 ) -> Figure:
     panel = Panel(y_title, curves, log=log, axis={} if log else {"rangemode": "tozero"})
     quantity, _, _ = x_title.partition(" [")
-    description = f"ResidualProfile of {joint} against {x_title}, {names[0]} and {names[1]}"
+    description = f"Residual of {joint} against {x_title}, {names[0]} and {names[1]}"
     return figure(f"against {quantity}", x_title, [panel], description, SHORT)

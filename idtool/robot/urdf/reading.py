@@ -25,7 +25,7 @@ _MAX_BYTES = 64 << 20
 _MAX_VALUE = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
 _CHILDREN = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
-_LOG_SUFFIXES = (".csv", ".mcap")
+_SUFFIXES = (".urdf", ".xml", "")
 _XACRO = "xacro"  # in the namespaces that xacro has had
 _MOMENTS = ("ixx", "iyy", "izz")  # for one that is missing the parser takes 1 kg·m²
 
@@ -135,7 +135,7 @@ def read_robot(path: Path) -> Robot:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
-    if path.suffix.lower() in _LOG_SUFFIXES or data.startswith(b"\x89MCAP"):
+    if data.startswith(b"\x89MCAP") or not (path.suffix.lower() in _SUFFIXES or data.lstrip().startswith(b"<")):
         raise ModelError(path, "is a log; the URDF comes first, the logs after it")
     return parse_robot(path, data)
 
