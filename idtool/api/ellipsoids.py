@@ -12,7 +12,7 @@ from idtool.common.outputs import as_yaml, check_file, write_all
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.reporting.check_report import check_report
 from idtool.reporting.figures import figure
-from idtool.reporting.results.base import Ellipsoid, notice_fields
+from idtool.reporting.results.base import LinkEllipsoid, notice_fields
 from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
 from idtool.robot.bounding import bounding_ellipsoids
 
@@ -78,7 +78,7 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
     robot = as_model(urdf).robot if isinstance(urdf, Model) else Model.bare(urdf).robot
     found, reasons = bounding_ellipsoids(robot, margin)
     result = EllipsoidsResult(
-        bounding_ellipsoids={link: [Ellipsoid(**ellipsoid.to_dict())] for link, ellipsoid in found.items()},
+        bounding_ellipsoids={link: [LinkEllipsoid(**ellipsoid.to_dict())] for link, ellipsoid in found.items()},
         **notice_fields([_without_ellipsoid(link, why) for link, why in reasons.items()]),
     )
     result._header = (

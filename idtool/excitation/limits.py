@@ -17,7 +17,7 @@ from idtool.common.notice import Notice
 from idtool.robot.config import Config
 from idtool.robot.config.limits import JointLimits
 from idtool.robot.model import Model
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 
 DEFAULT_RANGE = math.pi  # rad to either side of zero, of a joint without position limits
 DEFAULT_VELOCITY = {False: 3.0, True: 0.3}  # rad/s, or m/s of a prismatic joint (True), without a velocity limit
@@ -139,7 +139,7 @@ def joint_limits(model: Model, config: Config) -> Limits:
 
 
 def _limits_of_joint(
-    joint: Joint, own: JointLimits, assumed: dict[str, list[str]]
+    joint: UrdfJoint, own: JointLimits, assumed: dict[str, list[str]]
 ) -> tuple[float, float, float, float, float]:
     """Lower, upper, velocity, acceleration, effort; adds to the names of joints by assumption."""
     prismatic = joint.kind == "prismatic"

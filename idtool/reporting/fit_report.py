@@ -17,7 +17,7 @@ from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.reporting.results.base import Samples, notice_fields, provenance_fields
+from idtool.reporting.results.base import SampleCounts, notice_fields, provenance_fields
 from idtool.reporting.results.fit import (
     AutomaticWeight,
     BodyReport,
@@ -71,7 +71,7 @@ def fit_report(fit: Fit) -> FitReport:
         **provenance_fields(experiment.sources),
         joints=joints,
         units=experiment.model.units,
-        samples=Samples(train=experiment.samples(False), validation=experiment.samples(True)),
+        samples=SampleCounts(train=experiment.samples(False), validation=experiment.samples(True)),
         band_hz=experiment.band_hz,
         method=fit.method,
         rms=_rms(fit, joints, raw=False),

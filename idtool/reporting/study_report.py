@@ -10,13 +10,13 @@ from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.study import Study, StudyEntry
-from idtool.reporting.results.base import Samples, notice_fields, provenance_fields
+from idtool.reporting.results.base import SampleCounts, notice_fields, provenance_fields
 from idtool.reporting.results.study import (
     Advantage,
     Convergence,
     EstimatorReport,
-    Learning,
     LearningCurve,
+    LearningCurves,
     SetReport,
     StudyErrors,
     StudyReport,
@@ -33,10 +33,10 @@ def study_report(study: Study) -> StudyReport:
         joints=experiment.equation.joints,
         units=experiment.model.units,
         band_hz=experiment.band_hz,
-        samples=Samples(train=experiment.samples(False), validation=experiment.samples(True)),
+        samples=SampleCounts(train=experiment.samples(False), validation=experiment.samples(True)),
         sets={name: _set_report(study, f"set {name}", outcome) for name, outcome in study.sets.items()},
         estimators={name: _estimator_report(study, name, outcome) for name, outcome in study.estimators.items()},
-        learning=Learning(
+        learning=LearningCurves(
             counts=study.counts,
             draws=study.draws,
             unit_overall=" or ".join(dict.fromkeys(experiment.model.units.values())),

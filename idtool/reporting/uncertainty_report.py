@@ -9,15 +9,14 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.effect import Coefficient
 from idtool.estimation.fit import Fit
-from idtool.estimation.uncertainty.base_parameters import BaseParameters as BaseParameterization
+from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.bias import BiasCheck
-from idtool.estimation.uncertainty.identifiability import Identifiability, combination
-from idtool.estimation.uncertainty.identifiability import ParameterSource as SourceShares
+from idtool.estimation.uncertainty.identifiability import Identifiability, InformationShares, combination
 from idtool.estimation.uncertainty.repeatability import Repeatability
-from idtool.reporting.results.base import Term
+from idtool.reporting.results.base import CombinationTerm
 from idtool.reporting.results.fit import (
     BaseParameter,
-    BaseParameters,
+    BaseParametersResult,
     BiasParameter,
     BiasReport,
     ControllerDelay,
@@ -40,7 +39,7 @@ def quantity(coefficient: Coefficient) -> str:
     return f"{coefficient.owner} {_WORDS.get(coefficient.name, coefficient.name)}"
 
 
-def combination_name(base: BaseParameterization, i: int, coefficients: Sequence[Coefficient]) -> str:
+def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> str:
     """A base parameter in words: ``thigh I_xx − thigh I_zz + 0.117 shank mass``."""
     terms = combination(base, i, coefficients)
     name = ""
@@ -51,10 +50,10 @@ def combination_name(base: BaseParameterization, i: int, coefficients: Sequence[
     return name + (" + …" if len(terms) > _NAMED else "")
 
 
-def terms_report(base: BaseParameterization, i: int, coefficients: Sequence[Coefficient]) -> list[Term]:
+def terms_report(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> list[CombinationTerm]:
     """What a base parameter is the sum of."""
     terms = combination(base, i, coefficients)
-    return [Term(of=coefficients[k].owner, what=coefficients[k].name, share=share) for k, share in terms]
+    return [CombinationTerm(of=coefficients[k].owner, what=coefficients[k].name, share=share) for k, share in terms]
 
 
 def uncertainty_report(fit: Fit) -> UncertaintyReport:
@@ -106,7 +105,7 @@ def intervals(fit: Fit) -> list[list[float] | None]:
     return [pair if sees and np.isfinite(pair).all() else None for pair, sees in pairs]
 
 
-def base_report(fit: Fit, asked: Identifiability) -> BaseParameters:
+def base_report(fit: Fit, asked: Identifiability) -> BaseParametersResult:
     """The entry ``base_parameters``."""
     coefficients = fit.experiment.equation.coefficients
     limits, pulls = fit.uncertainty_analysis.interval(asked.base.B), fit.uncertainty_analysis.pull(asked.base.B)
@@ -124,7 +123,7 @@ def base_report(fit: Fit, asked: Identifiability) -> BaseParameters:
                 pull=float(pulls[i]) if sees else None,
             )
         )
-    return BaseParameters(
+    return BaseParametersResult(
         of=len(coefficients),
         structural=len(asked.base),
         determined=int(np.count_nonzero(asked.determined)),
@@ -166,7 +165,7 @@ def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
     return f"{quantity(coefficients[k])}: {_source_text(source, asked, coefficients)}{moves}"
 
 
-def _source_text(source: SourceShares, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
+def _source_text(source: InformationShares, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
     if source.information_source == "data":
         return "determined by the data"
     if source.information_source == "constraints":

@@ -25,7 +25,7 @@ from idtool.robot.body import Frame
 from idtool.robot.collision_geometry import ConvexPart, DistanceQueries, read_convex_parts
 from idtool.robot.kinematics import body_placements
 from idtool.robot.model import Model
-from idtool.robot.urdf.reading import Joint, Robot
+from idtool.robot.urdf.reading import Robot, UrdfJoint
 
 LinkPair = tuple[str, str]
 
@@ -241,7 +241,7 @@ def _link_frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, 
     return {link: frame for link, frame in frames.items() if link not in rotors}
 
 
-def _locked_position(joint: Joint, robot: Robot, locked_joints: Mapping[str, float]) -> float:
+def _locked_position(joint: UrdfJoint, robot: Robot, locked_joints: Mapping[str, float]) -> float:
     """Position of a joint that does not move [rad or m]."""
     if joint.kind == "fixed":
         return 0.0

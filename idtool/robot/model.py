@@ -26,7 +26,7 @@ from idtool.robot.config import BoundingEllipsoid, Config, RotorConfig
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, symmetric_matrix
 from idtool.robot.shapes import Shape
-from idtool.robot.urdf.reading import Joint, Robot
+from idtool.robot.urdf.reading import Robot, UrdfJoint
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Model:
     """
 
     robot: Robot
-    joints: tuple[Joint, ...]
+    joints: tuple[UrdfJoint, ...]
     bodies: tuple[Body, ...]
     gravity: Array
     notices: tuple[Notice, ...] = ()
@@ -127,7 +127,7 @@ class _Builder:
         gravity = np.asarray(self.config.gravity)
         return Model(self.robot, self.joints, bodies, gravity, tuple(self.notices))
 
-    def _moving_joints(self) -> tuple[Joint, ...]:
+    def _moving_joints(self) -> tuple[UrdfJoint, ...]:
         actuated = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None}
         if self.config.joints is not None:
             for name in self.config.joints:
@@ -186,7 +186,7 @@ class _Builder:
             if name in self.index:
                 raise ConfigError(f"locked_joints: {name}", "is also a moving joint; take it out of one of the two")
 
-    def _motion(self, joint: Joint) -> tuple[Array, float]:
+    def _motion(self, joint: UrdfJoint) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a joint's position; no ratios where it is locked."""
         ratios = np.zeros(len(self.joints))
         scale = 1.0
@@ -206,7 +206,7 @@ class _Builder:
             return ratios, offset
         return ratios, offset + scale * self.config.locked_joints.get(joint.name, 0.0)
 
-    def _attach(self, joint: Joint) -> None:
+    def _attach(self, joint: UrdfJoint) -> None:
         mount = self.frames[joint.parent].compose(joint.R, joint.p)
         prismatic = joint.kind == "prismatic"
         if joint.kind != "fixed":
@@ -318,7 +318,7 @@ class _Builder:
             raise ConfigError(f"rotors.{name}.inertial", hint)
         return pi
 
-    def _driven_joint(self, rotor: RotorConfig) -> Joint:
+    def _driven_joint(self, rotor: RotorConfig) -> UrdfJoint:
         return self.robot.joints[next(iter(rotor.ratios))]
 
     def _driven_axis(self, rotor: RotorConfig, mount: Frame) -> Array:

@@ -1,6 +1,6 @@
 """A first configuration from a URDF and logs, with the source of each value in a comment."""
 
 from idtool.setup.initial_config import make_initial_config
-from idtool.setup.records import InitialConfig, Section, TodoItem, Trial
+from idtool.setup.records import ConfigSection, InitialConfig, TodoItem, Trial
 
-__all__ = ["InitialConfig", "Section", "TodoItem", "Trial", "make_initial_config"]
+__all__ = ["ConfigSection", "InitialConfig", "TodoItem", "Trial", "make_initial_config"]

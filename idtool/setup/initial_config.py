@@ -19,12 +19,12 @@ from idtool.setup import model_sections, sections
 from idtool.setup.bounds import find_bounds, search_paths
 from idtool.setup.draft import Draft
 from idtool.setup.log_summary import summarize_logs
-from idtool.setup.records import InitialConfig, Section, TodoItem
+from idtool.setup.records import ConfigSection, InitialConfig, TodoItem
 from idtool.setup.transmissions import gear_ratios, rotor_links
 from idtool.setup.trials import TrialResults, TrialRunner, run_trials, search_of, trial_of
 from idtool.setup.yaml_text import configuration_text, one_line
 
-_SECTIONS: Mapping[str, Callable[[Draft], Section | None]] = {
+_SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
     "joints": sections.joints,
     "locked_joints": sections.locked_joints,
     "gravity": sections.gravity,
@@ -131,7 +131,7 @@ def _with_trials(draft: Draft, model: Model, progress: Progress) -> Draft:
         return replace(draft, no_trials_reason=f"the fit fails: {error}")
 
 
-def _section(draft: Draft, key: str) -> Section | None:
+def _section(draft: Draft, key: str) -> ConfigSection | None:
     """A section; a given value replaces it, except that the logs may add to the log and controller sections."""
     part = _SECTIONS[key](draft)
     if key not in draft.given or (part is not None and key in _MERGED):
@@ -146,8 +146,8 @@ def _section(draft: Draft, key: str) -> Section | None:
     return _given_section(draft, key)
 
 
-def _given_section(draft: Draft, key: str, *comments: str) -> Section:
-    return Section(key, (f"Given in {draft.origin}.", *comments), draft.given[key])
+def _given_section(draft: Draft, key: str, *comments: str) -> ConfigSection:
+    return ConfigSection(key, (f"Given in {draft.origin}.", *comments), draft.given[key])
 
 
 def _header(draft: Draft) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.data.inspection import Inspection, inspect_log
-from idtool.data.inspection.records import Joint
+from idtool.data.inspection.records import InspectedJoint
 from idtool.data.logs import Log, read_log
 from idtool.data.logs.state_topics import state_topics
 from idtool.estimation.dataset.experiment import Progress
@@ -103,7 +103,7 @@ def _inspect(log: Log, robot: Robot, passive: Collection[str]) -> LoadedLog:
     return LoadedLog(trial_log, inspection, median_positions, constant_torque)
 
 
-def _has_constant_torque(joint: Joint) -> bool:
+def _has_constant_torque(joint: InspectedJoint) -> bool:
     return joint.moves and "tau" in joint.signals and joint.signals["tau"].constant
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.robot.urdf.reading import Joint, Robot
+from idtool.robot.urdf.reading import Robot, UrdfJoint
 from idtool.setup.loaded_logs import LoadedLog
 
 _FAR = 0.5  # of a joint's range: too far beyond its limits for a zero offset
@@ -83,7 +83,7 @@ def _beyond_limits(robot: Robot, logs: Sequence[LoadedLog]) -> Iterator[Notice]:
             yield Notice("beyond_limits", "warning", name, message, advice)
 
 
-def _is_far(joint: Joint, log: LoadedLog) -> bool:
+def _is_far(joint: UrdfJoint, log: LoadedLog) -> bool:
     q = log.inspection.joints[joint.name].signals.get("q")
     room = _FAR * (joint.upper - joint.lower)
     if q is None or not 0 < room < math.inf:

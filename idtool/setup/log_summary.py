@@ -17,7 +17,7 @@ from idtool.data.signals import default_cutoff
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
-from idtool.robot.urdf.reading import Joint, Robot
+from idtool.robot.urdf.reading import Robot, UrdfJoint
 from idtool.setup.loaded_logs import LoadedLog, find_topic, load_logs
 from idtool.setup.log_notices import log_notices
 
@@ -199,7 +199,7 @@ def _no_joint_message(
     return f"no joint of the robot can be identified: {'; '.join(parts)}"
 
 
-def _rest_position(joint: Joint, logs: Sequence[LoadedLog]) -> float:
+def _rest_position(joint: UrdfJoint, logs: Sequence[LoadedLog]) -> float:
     """Position of a locked joint: the logged log, or zero or the limit nearest to it [rad or m]."""
     logged = [log.median_positions[joint.name] for log in logs if joint.name in log.median_positions]
     if logged:

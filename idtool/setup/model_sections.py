@@ -8,13 +8,13 @@ from idtool.common.names import join_names
 from idtool.dynamics.effects import effect_types
 from idtool.setup.bounds import search_paths
 from idtool.setup.draft import Draft
-from idtool.setup.records import Section
+from idtool.setup.records import ConfigSection
 from idtool.setup.sections import errors, sized
 from idtool.setup.transmissions import rotor_template, solid_ellipsoid
 from idtool.setup.trials import TrialResults, search_of, searched_entry, term_type, trial_of
 
 
-def rotors(draft: Draft) -> Section:
+def rotors(draft: Draft) -> ConfigSection:
     """Templates, with what the URDF says."""
     known = {name: ratio for name, ratio in draft.ratios.items() if name in draft.joints}
     told = [f"{name}: {ratio:g}" for name, ratio in known.items() if abs(ratio) != 1]
@@ -36,7 +36,7 @@ def rotors(draft: Draft) -> Section:
         link, ratio = draft.rotors.get(name), known.get(name, 1.0)
         key = link or _free_name(draft, name)
         template[key] = rotor_template(draft.robot, draft.robot.joints[name], None if abs(ratio) == 1 else ratio, link)
-    return Section("rotors", (), None, tuple(comments), template)
+    return ConfigSection("rotors", (), None, tuple(comments), template)
 
 
 def _free_name(draft: Draft, joint: str) -> str:
@@ -46,15 +46,15 @@ def _free_name(draft: Draft, joint: str) -> str:
     return name
 
 
-def effects(draft: Draft) -> Section:
+def effects(draft: Draft) -> ConfigSection:
     """What trials found."""
     what = "What the model carries beside rigid bodies and friction"
     found = draft.trial_results
     if found is None:
-        return Section("effects", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), [])
+        return ConfigSection("effects", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), [])
     kept = [trial for trial in found.trials if trial.kept and not effect_types()[trial.effect].friction_key]
     if not kept:
-        return Section("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose looks for others.",), [])
+        return ConfigSection("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose looks for others.",), [])
     comments = [f"{what} (found by trial: held-out RMS torque error without -> with it)."]
     entries: list[dict[str, Any]] = []
     for trial in kept:
@@ -71,7 +71,7 @@ def effects(draft: Draft) -> Section:
             size = sized(draft, effect, joint, value)
         comments.append(f"{owner}: {trial_of(effect).comment.format(value=size)}: {errors(trial)}")
         entries.append(entry.model_dump(exclude_none=True))
-    return Section("effects", tuple(comments), entries)
+    return ConfigSection("effects", tuple(comments), entries)
 
 
 def _nothing_kept(found: TrialResults) -> str:
@@ -92,7 +92,7 @@ def _short(x: float) -> float:
     return float(f"{x:.4g}")
 
 
-def bounding_ellipsoids(draft: Draft) -> Section:
+def bounding_ellipsoids(draft: Draft) -> ConfigSection:
     """Those that were found, and templates of the others."""
     bounds = draft.bounds
     comments = [
@@ -101,7 +101,7 @@ def bounding_ellipsoids(draft: Draft) -> Section:
     if not bounds.ellipsoids:
         comments = ["An ellipsoid per link, in its frame, that holds all its mass; m, rad: none was found (URDF)."]
     if not bounds.missing:
-        return Section("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids))
+        return ConfigSection("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids))
     remarks = [f"{link}: {why}" for link, why in bounds.missing.items()]
     if bounds.unread:
         remarks.append(f"Meshes were {search_paths(draft.robot)}.")
@@ -115,10 +115,12 @@ def bounding_ellipsoids(draft: Draft) -> Section:
         pi = draft.robot.links[link]
         solid = None if pi is None else solid_ellipsoid(pi)
         template[link] = [solid or {"center": [0.0, 0.0, 0.0], "semi_axes": [None] * 3, "rpy": [0.0, 0.0, 0.0]}]
-    return Section("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids) or None, tuple(remarks), template)
+    return ConfigSection(
+        "bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids) or None, tuple(remarks), template
+    )
 
 
-def controller(draft: Draft) -> Section | None:
+def controller(draft: Draft) -> ConfigSection | None:
     """What is given of it, or a template; None where the logs have torque."""
     names = draft.log_summary.commanded
     if not names:
@@ -130,14 +132,14 @@ def controller(draft: Draft) -> Section | None:
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
         remark = "Nothing can be fitted without: fill in kp and kd where null."
-        return Section("controller", (f"{what}.", *late), None, (remark,), template)
+        return ConfigSection("controller", (f"{what}.", *late), None, (remark,), template)
     said = f"{what} (given in {draft.origin})."
     if "delay" in given:
-        return Section("controller", (said,), given)
-    return Section("controller", (said, *late), {**given, **delay})
+        return ConfigSection("controller", (said,), given)
+    return ConfigSection("controller", (said, *late), {**given, **delay})
 
 
-def known(draft: Draft) -> Section:
+def known(draft: Draft) -> ConfigSection:
     """A template, with the URDF's masses to compare."""
     robot = draft.robot
     links = [robot.joints[name].child for name in draft.joints]
@@ -146,4 +148,4 @@ def known(draft: Draft) -> Section:
     prior = f"The URDF has {join_names(masses)}." if masses else "The URDF has none."
     whole = "total_mass: of all that moves, rotors included; easily measured, and seldom told by torque."
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
-    return Section("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})
+    return ConfigSection("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})

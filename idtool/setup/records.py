@@ -10,7 +10,7 @@ from idtool.common.notice import Notice
 
 
 @dataclass(frozen=True)
-class Section:
+class ConfigSection:
     """One key of the configuration.
 
     Attributes

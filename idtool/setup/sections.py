@@ -9,40 +9,40 @@ from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config, Friction
 from idtool.setup.draft import Draft
 from idtool.setup.loaded_logs import MAX_SAMPLES
-from idtool.setup.records import Section, Trial
+from idtool.setup.records import ConfigSection, Trial
 from idtool.setup.trials import HOLDOUT, term_type, trial_of
 
 HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MAX_SAMPLES} samples, where there are more)"
 
 
-def joints(draft: Draft) -> Section:
+def joints(draft: Draft) -> ConfigSection:
     """Those that are identified."""
     what = "Joints that are identified: actuated, in every log, moving, with a torque or a command (URDF, logs)."
-    return Section("joints", (what,), list(draft.log_summary.identifiable))
+    return ConfigSection("joints", (what,), list(draft.log_summary.identifiable))
 
 
-def locked_joints(draft: Draft) -> Section:
+def locked_joints(draft: Draft) -> ConfigSection:
     """Those that are held still, with what is given for some of them."""
     given = [name for name in draft.locked if name in draft.config.locked_joints]
     reasons = {name: lock.reason for name, lock in draft.log_summary.locked.items() if name not in given}
     what = "Joints that are held still, rad or m"
     if not draft.locked:
-        return Section("locked_joints", (f"{what} (default: none).",), {})
+        return ConfigSection("locked_joints", (f"{what} (default: none).",), {})
     if reasons:
         what += ": at the logs' median (logs), else at 0 or the limit next to it (URDF)"
     why = [f"{why}: {join_names([n for n in reasons if reasons[n] == why])}" for why in sorted(set(reasons.values()))]
     if given:
         why.append(f"given in {draft.origin}: {join_names(given)}")
-    return Section("locked_joints", (f"{what}.", *why), draft.locked)
+    return ConfigSection("locked_joints", (f"{what}.", *why), draft.locked)
 
 
-def gravity(draft: Draft) -> Section:
+def gravity(draft: Draft) -> ConfigSection:
     """The default."""
     what = f"Gravity in the frame of the URDF's root link {draft.robot.root}, m/s² (default: its z points up)."
-    return Section("gravity", (what,), list(Config().gravity))
+    return ConfigSection("gravity", (what,), list(Config().gravity))
 
 
-def log(draft: Draft) -> Section:
+def log(draft: Draft) -> ConfigSection:
     """The topic, where there are several."""
     seen = draft.log_summary
     rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
@@ -60,24 +60,24 @@ def log(draft: Draft) -> Section:
         "names."
     )
     template = {"scale": {"tau": {first: None}}, "columns": {f"tau_{first}": None}}
-    return Section("log", tuple(comments), value, (remark,), template)
+    return ConfigSection("log", tuple(comments), value, (remark,), template)
 
 
-def velocity(draft: Draft) -> Section:
+def velocity(draft: Draft) -> ConfigSection:
     """The default, and what it comes to."""
     what = "Joint velocity: measured, differentiated from q, or auto, the quieter one that can be trusted"
     found = draft.trial_results
     if found is None:
-        return Section("velocity", (f"{what} (default).",), "auto")
+        return ConfigSection("velocity", (f"{what} (default).",), "auto")
     if not found.differentiated:
         chose = "the measured one of all joints"
     else:
         chose = f"q, differentiated, of {join_names(found.differentiated)}"
         chose += "" if len(found.differentiated) == len(draft.joints) else ", the measured one of the others"
-    return Section("velocity", (f"{what} (default): on these logs auto takes {chose} (logs).",), "auto")
+    return ConfigSection("velocity", (f"{what} (default): on these logs auto takes {chose} (logs).",), "auto")
 
 
-def low_pass(draft: Draft) -> Section:
+def low_pass(draft: Draft) -> ConfigSection:
     """The filter, by how fast the joints move."""
     seen = draft.log_summary
     what = (
@@ -87,15 +87,15 @@ def low_pass(draft: Draft) -> Section:
     )
     if seen.commanded:
         what += " Torque computed from commands holds the encoders' noise, which passes for inertia at a higher one."
-    return Section("filter", (what,), {"kind": "butterworth", "cutoff_hz": seen.cutoff_hz, "order": 4})
+    return ConfigSection("filter", (what,), {"kind": "butterworth", "cutoff_hz": seen.cutoff_hz, "order": 4})
 
 
-def friction(draft: Draft) -> Section:
+def friction(draft: Draft) -> ConfigSection:
     """Its terms, an offset where trials found one."""
     what = "Friction terms: viscous, Coulomb (default), and offset, a constant"
     found = draft.trial_results
     if found is None:
-        return Section(
+        return ConfigSection(
             "friction", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), Friction().model_dump()
         )
     comments = [f"{what}, where the held-out torque, {HELD_OUT}, needs it (found by trial)."]
@@ -107,7 +107,7 @@ def friction(draft: Draft) -> Section:
             value[trial.joint][effect_types()[trial.effect].friction_key] = True
     first = value[draft.joints[0]]
     alike = all(terms == first for terms in value.values())
-    return Section("friction", tuple(comments), first if alike else value)
+    return ConfigSection("friction", tuple(comments), first if alike else value)
 
 
 def errors(trial: Trial) -> str:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.robot.inertia import mass_com_inertia
-from idtool.robot.urdf.reading import Joint, Robot, parse_xml
+from idtool.robot.urdf.reading import Robot, UrdfJoint, parse_xml
 
 _RATIOS = ("mechanicalReduction", "mechanical_reduction")  # of ROS 1, and of ros2_control
 
@@ -71,7 +71,7 @@ def _rpy(R: Array) -> Array:
         return Rotation.from_matrix(R).as_euler("xyz")
 
 
-def rotor_template(robot: Robot, joint: Joint, ratio: float | None, link: str | None) -> dict[str, Any]:
+def rotor_template(robot: Robot, joint: UrdfJoint, ratio: float | None, link: str | None) -> dict[str, Any]:
     """An entry under ``rotors`` for a joint, null where only a person knows.
 
     Parameters

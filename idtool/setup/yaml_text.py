@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from idtool.common.outputs import as_yaml
-from idtool.setup.records import Section
+from idtool.setup.records import ConfigSection
 
 _WIDTH = 116  # characters of a line, less those of a comment's sign
 
@@ -19,7 +19,7 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def configuration_text(header: Sequence[str], sections: Sequence[Section]) -> str:
+def configuration_text(header: Sequence[str], sections: Sequence[ConfigSection]) -> str:
     """The text of the configuration.
 
     Parameters
@@ -40,7 +40,7 @@ def _comment(sentences: Sequence[str]) -> str:
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _block(section: Section) -> str:
+def _block(section: ConfigSection) -> str:
     text = _comment(section.comments)
     if section.value is not None:
         text += _yaml({section.key: section.value})

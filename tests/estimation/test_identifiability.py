@@ -18,7 +18,12 @@ from idtool.dynamics.effects.effect import Coefficient
 from idtool.estimation.dataset.equality_constraints import with_equal_bounds
 from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
-from idtool.estimation.uncertainty.identifiability import Identifiability, ParameterSource, combination, identifiability
+from idtool.estimation.uncertainty.identifiability import (
+    Identifiability,
+    InformationShares,
+    combination,
+    identifiability,
+)
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.reporting.uncertainty_report import basis_text, combination_name
 from idtool.robot.config import Regularization
@@ -70,7 +75,7 @@ class Asked:
     found: Uncertainty
     answer: Identifiability
 
-    def of(self, owner: str, name: str) -> ParameterSource:
+    def of(self, owner: str, name: str) -> InformationShares:
         return self.answer.sources[self.place(owner, name)]
 
     def place(self, owner: str, name: str) -> int:
@@ -185,8 +190,8 @@ def test_the_words(robot_of: Robots) -> None:
     assert set(partners.split(" and ")) == {"l1 m·c_x", "l1 I_zz"}
     assert asked.of("l1", "I_zz").prior > 0.9
     assert asked.text("l1", "I_zz").startswith("l1 I_zz: prior only; moves with ")
-    less = ParameterSource("prior", 0.1, 0.2, 0.7, (None, 3.0), (), ())
-    open_ended = ParameterSource("constraints", 0.1, 0.6, 0.3, (None, 3.0), ((10, 0.5), (0, -0.4), (1, 0.3)), ())
+    less = InformationShares("prior", 0.1, 0.2, 0.7, (None, 3.0), (), ())
+    open_ended = InformationShares("constraints", 0.1, 0.6, 0.3, (None, 3.0), ((10, 0.5), (0, -0.4), (1, 0.3)), ())
     asked = replace(asked, answer=replace(asked.answer, sources=(less, open_ended, *asked.answer.sources[2:])))
     assert asked.text("l1", "m") == "l1 mass: mostly prior (70%)"
     assert asked.text("l1", "mc_x") == "l1 m·c_x: held by the constraints (60%); moves with l2 mass and l1 mass"

@@ -11,9 +11,8 @@ from pages import BODY, SCRIPT, SLIDE, DrawnFigure, Page, complete, evaluation_o
 from records import partial
 
 from idtool.reporting.pages import study_page
-from idtool.reporting.pages.study import Learning, learning
-from idtool.reporting.results.study import Learning as LearningRecord
-from idtool.reporting.results.study import StudyReport
+from idtool.reporting.pages.study import LearningSummary, learning
+from idtool.reporting.results.study import LearningCurves, StudyReport
 
 JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
@@ -64,12 +63,12 @@ def of_draws(draws: dict[str, np.ndarray]) -> dict[str, Any]:
     return {"counts": counts, "draws": len(y), "curves": curves, "advantage": advantage, "violation": violation}
 
 
-def said_of(data: dict[str, Any]) -> Learning:
+def said_of(data: dict[str, Any]) -> LearningSummary:
     """What is said of ``learning`` of study.json."""
-    return learning(partial(LearningRecord, data))
+    return learning(partial(LearningCurves, data))
 
 
-def found(errors: dict[str, list[float]]) -> Learning:
+def found(errors: dict[str, list[float]]) -> LearningSummary:
     """What is said where two draws of each count have these errors."""
     return said_of(of_draws({name: np.array([y, y]) for name, y in errors.items()}))
 

@@ -21,8 +21,8 @@ from idtool.data.inspection.records import (
     FAULT_KINDS,
     FaultKind,
     Gap,
+    InspectedJoint,
     Inspection,
-    Joint,
     Sampling,
     Signal,
     Stamps,
@@ -37,8 +37,8 @@ __all__ = [
     "FAULT_KINDS",
     "FaultKind",
     "Gap",
+    "InspectedJoint",
     "Inspection",
-    "Joint",
     "Sampling",
     "Signal",
     "Stamps",
@@ -81,7 +81,7 @@ def _inspect(log: Log) -> Inspection:
     spans = {name: span(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
     jumps = position_jumps(log, stretches)
-    joints: dict[str, Joint] = {}
+    joints: dict[str, InspectedJoint] = {}
     moving = np.zeros(len(fresh), dtype=bool)
     for i, name in enumerate(log.joints):
         joints[name], moves = inspect_joint(log, i, spans, jumps[i], stretches, fresh)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from idtool.common.notice import Notice
-from idtool.data.inspection.records import Frozen, Joint, Signal
+from idtool.data.inspection.records import Frozen, InspectedJoint, Signal
 from idtool.data.inspection.sentences import counted
 
 STUCK = 0.005  # share of samples while moving: fewer may gather at a turning point
@@ -18,7 +18,7 @@ COARSE = 0.02  # rounding noise over the signal's rms
 BAND = 5.0  # times the velocity's band: about what a fit's filter lets through
 
 
-def missing_channels(name: str, joint: Joint) -> Iterator[Notice]:
+def missing_channels(name: str, joint: InspectedJoint) -> Iterator[Notice]:
     """Channels that the joint lacks."""
     if "q" not in joint.signals:
         meaning = "the joint can't be used; name its column in `log.columns`, or leave it out of `joints`"
@@ -34,7 +34,7 @@ def missing_channels(name: str, joint: Joint) -> Iterator[Notice]:
             yield Notice("missing_torque", "problem", name, "tau is missing", meaning)
 
 
-def channel_findings(name: str, joint: Joint, frozen: Mapping[str, Frozen], dt: float) -> Iterator[Notice]:
+def channel_findings(name: str, joint: InspectedJoint, frozen: Mapping[str, Frozen], dt: float) -> Iterator[Notice]:
     """All findings on single channels of a joint.
 
     Parameters
@@ -68,7 +68,7 @@ def _constant(name: str, signal: str, figures: Signal) -> Iterator[Notice]:
         yield Notice("stale", "problem", name, value, f"the channel was not filled; {instead}")
 
 
-def _stale_or_clipped(name: str, signal: str, joint: Joint) -> Iterator[Notice]:
+def _stale_or_clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A channel that is read too seldom sits at its extremes too, so that is asked first."""
     figures = joint.signals[signal]
     repeats = figures.stale or 0.0
@@ -83,7 +83,7 @@ def _stale_or_clipped(name: str, signal: str, joint: Joint) -> Iterator[Notice]:
         yield Notice("few_samples_stale", "note", name, share, meaning)
 
 
-def _clipped(name: str, signal: str, joint: Joint) -> Iterator[Notice]:
+def _clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A channel at its extremes. Whether the drive or the sensor cut the torque off is for the model to tell."""
     figures = joint.signals[signal]
     extremes = f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {figures.stuck:.1%} of the samples"
@@ -106,7 +106,7 @@ def _frozen(name: str, signal: str, frozen: Frozen) -> Notice:
     return Notice("stale", "warning", name, extent, "the channel froze: leave those stretches out of the log")
 
 
-def _coarse(name: str, signal: str, joint: Joint, dt: float) -> Iterator[Notice]:
+def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterator[Notice]:
     noise = _rounding_noise(signal, joint, dt)
     if noise > COARSE:
         disturbed = "velocity" if signal == "q" else signal
@@ -119,7 +119,7 @@ def _coarse(name: str, signal: str, joint: Joint, dt: float) -> Iterator[Notice]
         yield Notice("coarse_channel", "warning", name, rounding, f"too coarse: {instead} lower `filter.cutoff_hz`")
 
 
-def _rounding_noise(signal: str, joint: Joint, dt: float) -> float:
+def _rounding_noise(signal: str, joint: InspectedJoint, dt: float) -> float:
     """Noise that rounding makes, over the rms of the quantity that it disturbs; 0 where it is nothing to a fit.
 
     Rounding is white noise of step²/12. In v and tau it counts as it is; in q, as the velocity that differentiating

@@ -14,7 +14,7 @@ from idtool.data.inspection import time_findings
 from idtool.data.inspection.channel_findings import STALE, STUCK, channel_findings, missing_channels
 from idtool.data.inspection.frozen import frozen_channels
 from idtool.data.inspection.motion_findings import motion_findings, torque_source
-from idtool.data.inspection.records import Frozen, Joint, Stamps
+from idtool.data.inspection.records import Frozen, InspectedJoint, Stamps
 from idtool.data.inspection.velocity_findings import (
     exchanged_velocities,
     exchanged_velocity,
@@ -23,7 +23,7 @@ from idtool.data.inspection.velocity_findings import (
 from idtool.data.logs.log import Log
 
 
-def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str, Joint]) -> tuple[Notice, ...]:
+def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]) -> tuple[Notice, ...]:
     """All findings, problems first, those with the same advice side by side.
 
     Where the stamps seem to be in another unit than seconds, which is a notice of the log, v can't be compared with
@@ -62,7 +62,7 @@ def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str,
     return _sorted(findings)
 
 
-def _is_spoilt(joint: Joint, frozen: Mapping[str, Frozen]) -> bool:
+def _is_spoilt(joint: InspectedJoint, frozen: Mapping[str, Frozen]) -> bool:
     """True if q or v repeats values: the lag and gain of v then come from that defect."""
     for signal in ("q", "v"):
         figures = joint.signals[signal]

@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.data.inspection.channel_findings import STALE
-from idtool.data.inspection.records import Frozen, Joint, Signal
+from idtool.data.inspection.records import Frozen, InspectedJoint, Signal
 from idtool.data.logs.log import Log
 
 LEAST = 0.1  # s in all: less is too short for a filter to carry any further
@@ -29,7 +29,7 @@ _BLOCK = 1 << 16  # samples looked at together
 _EVERY = 5  # samples from one reading of q to the next for the distance, so that noise adds little to it
 
 
-def frozen_channels(log: Log, joints: Mapping[str, Joint]) -> dict[str, dict[str, Frozen]]:
+def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, dict[str, Frozen]]:
     """Frozen stretches by joint and signal; of every sample of the log.
 
     Parameters
@@ -51,7 +51,9 @@ def frozen_channels(log: Log, joints: Mapping[str, Joint]) -> dict[str, dict[str
     return frozen
 
 
-def _stretches(log: Log, joints: Mapping[str, Joint], signal: str, shortest: int) -> dict[str, list[tuple[int, int]]]:
+def _stretches(
+    log: Log, joints: Mapping[str, InspectedJoint], signal: str, shortest: int
+) -> dict[str, list[tuple[int, int]]]:
     """First sample of each frozen stretch of a signal, and the one after its last, by joint."""
     watched = [i for i, name in enumerate(log.joints) if _may_freeze(joints[name], signal)]
     stretches: dict[str, list[tuple[int, int]]] = {}
@@ -69,7 +71,7 @@ def _stretches(log: Log, joints: Mapping[str, Joint], signal: str, shortest: int
     return stretches
 
 
-def _may_freeze(joint: Joint, signal: str) -> bool:
+def _may_freeze(joint: InspectedJoint, signal: str) -> bool:
     """True if a joint has a channel that changes and is not stale throughout."""
     figures = joint.signals.get(signal)
     return joint.moves and figures is not None and not figures.constant and (figures.stale or 0.0) <= STALE
@@ -83,7 +85,9 @@ def _blocks(segments: Sequence[slice], shortest: int) -> Iterator[slice]:
                 yield block
 
 
-def _frozen_runs(log: Log, block: slice, signal: str, i: int, joint: Joint, shortest: int) -> Iterator[tuple[int, int]]:
+def _frozen_runs(
+    log: Log, block: slice, signal: str, i: int, joint: InspectedJoint, shortest: int
+) -> Iterator[tuple[int, int]]:
     """First sample of each frozen stretch in a block, and the one after its last.
 
     In a noisy channel that hardly repeats a value elsewhere, many equal ones in a row are no chance. In any other, one
@@ -128,7 +132,7 @@ def _leap(changes: Array, figures: Signal) -> float:
     return max(LEAP * float(np.median(changing)), 4 * (figures.step or 0.0)) if len(changing) else np.inf
 
 
-def _distance(log: Log, block: slice, i: int, joint: Joint, by: str) -> Array:
+def _distance(log: Log, block: slice, i: int, joint: InspectedJoint, by: str) -> Array:
     """Distance covered, by v or by q, over that of a sample at the joint's rms speed, shape (N,); 0 without v."""
     usual = joint.speed_rms * log.dt
     if by == "v":

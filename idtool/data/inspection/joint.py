@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.jumps import Jumps
 from idtool.data.inspection.measures import Span, noise_level, power_band, quantisation, stale_share, stuck_share
-from idtool.data.inspection.records import Joint, Signal, Velocity
+from idtool.data.inspection.records import InspectedJoint, Signal, Velocity
 from idtool.data.inspection.torque import torque_source
 from idtool.data.inspection.velocity import Agreement, velocity_agreement
 from idtool.data.logs.log import SIGNALS, Log
@@ -30,7 +30,7 @@ _GOES_ON = 0.1  # speed at the extremes of q, over the rms speed: a joint that r
 
 def inspect_joint(
     log: Log, i: int, spans: Mapping[str, Span], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
-) -> tuple[Joint, Mask]:
+) -> tuple[InspectedJoint, Mask]:
     """Inspect joint ``i``.
 
     Parameters
@@ -75,7 +75,7 @@ def inspect_joint(
         if name == "q" and stuck and "v" in changing and not _goes_on(runs, low, high, speed_rms):
             stuck = 0.0
         signals[name] = Signal(low, high, rms, int(bad), steps[name], noise[name], stale, stuck)
-    joint = Joint(
+    joint = InspectedJoint(
         signals=signals,
         moves=moves,
         standstill=1 - float(moving.mean()),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from idtool.common.notice import Notice
-from idtool.data.inspection.records import Frozen, Joint
+from idtool.data.inspection.records import Frozen, InspectedJoint
 from idtool.data.inspection.sentences import counted
 
 STANDSTILL = 0.5  # share of the time
@@ -15,7 +15,7 @@ TURNS = 8 * np.pi  # rad: four turns are degrees, or a wheel
 FAST = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
 
 
-def motion_findings(name: str, joint: Joint, frozen: Frozen | None, dt: float) -> Iterator[Notice]:
+def motion_findings(name: str, joint: InspectedJoint, frozen: Frozen | None, dt: float) -> Iterator[Notice]:
     """All findings on the motion of a joint.
 
     Parameters
@@ -49,7 +49,7 @@ def motion_findings(name: str, joint: Joint, frozen: Frozen | None, dt: float) -
         yield Notice("many_turns", "note", name, travel, meaning)
 
 
-def _jumps(name: str, joint: Joint, frozen: Frozen | None) -> Iterator[Notice]:
+def _jumps(name: str, joint: InspectedJoint, frozen: Frozen | None) -> Iterator[Notice]:
     """Jumps of the position, but for those with which one that was frozen catches up."""
     jumps = joint.jumps - (frozen.stretches if frozen and not joint.wraps else 0)
     if jumps > 0:
@@ -61,7 +61,7 @@ def _jumps(name: str, joint: Joint, frozen: Frozen | None) -> Iterator[Notice]:
             yield Notice("position_jumps", "problem", name, f"{counted(jumps, 'jump')} of q", meaning)
 
 
-def torque_source(name: str, joint: Joint) -> Iterator[Notice]:
+def torque_source(name: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A torque that looks commanded."""
     if joint.torque and joint.torque.kind == "commanded":
         meaning = "what the drive made of the command is not in it: expect a `time_delay` and a `torque_gain`"

@@ -184,7 +184,7 @@ class TorqueSource:
 
 
 @dataclass(frozen=True)
-class Joint:
+class InspectedJoint:
     """One joint of a log.
 
     Attributes
@@ -258,7 +258,7 @@ class Inspection:
     mean_rate_hz: float
     segments: int
     stamps: Stamps
-    joints: Mapping[str, Joint]
+    joints: Mapping[str, InspectedJoint]
     findings: tuple[Notice, ...]
     reading: tuple[Notice, ...]
 

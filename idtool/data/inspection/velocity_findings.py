@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from idtool.common.notice import Notice, Severity
-from idtool.data.inspection.records import Joint, Velocity
+from idtool.data.inspection.records import InspectedJoint, Velocity
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import Log
 
@@ -24,7 +24,7 @@ WRONG_UNIT = 0.25  # of log |gain|: more than a calibration is out
 _MAX_SAMPLES = 1 << 15  # samples
 
 
-def exchanged_velocities(log: Log, joints: Mapping[str, Joint]) -> dict[str, str]:
+def exchanged_velocities(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, str]:
     """Joints whose velocity is another's, each with the joint under whose name its own stands.
 
     Only joints whose velocity has nothing to do with their position are compared, over a stretch of bounded length.

@@ -18,7 +18,7 @@ from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import SIGNALS, Log, truncation_notice
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
-from idtool.data.logs.table import Table
+from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
 
 SUFFIXES = (".csv",)
@@ -46,7 +46,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
         If the header has no signals, or a line does not fit the header.
     """
     with path.open("rb") as file:
-        table = Table(path, file)
+        table = CsvTable(path, file)
         column_map = find_columns(path, table.header, topic, columns)
         used = [column_map.time]
         positions: dict[str, list[int]] = {}  # in the rows, where -1 is an extra column of NaN

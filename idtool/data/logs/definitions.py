@@ -13,7 +13,7 @@ from mcap.records import Channel, Schema
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import printable
-from idtool.data.logs.mcap_records import RECORD, SCHEMA, Batch
+from idtool.data.logs.mcap_records import RECORD, SCHEMA, RecordBatch
 
 _MAX_BYTES = 1 << 26  # of a file's schemas and channels, which stay in memory while it is read
 _MAX_LISTED = 6  # topics
@@ -34,7 +34,7 @@ class Definitions:
         self._channels: set[int] = set()
         self._size = 0
 
-    def read(self, batch: Batch) -> list[tuple[Channel, Schema | None]]:
+    def read(self, batch: RecordBatch) -> list[tuple[Channel, Schema | None]]:
         """The new channels of a batch, each with the schema of its messages.
 
         Raises

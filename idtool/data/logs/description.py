@@ -14,7 +14,7 @@ from idtool.common.names import printable
 from idtool.data.logs.bag import is_bag, log_files
 from idtool.data.logs.definitions import Definitions, list_topics, message_type
 from idtool.data.logs.mcap_file import open_mcap
-from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, Batch, McapRecords
+from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, McapRecords, RecordBatch
 from idtool.data.logs.payloads import text_decoder_for
 from idtool.data.logs.payloads.base import TextDecoder
 
@@ -124,7 +124,7 @@ def _texts(path: Path, file: Path, records: McapRecords, topics: _TopicTypes) ->
                 yield topic, text + b"\n"
 
 
-def _messages(batch: Batch, channels: Sequence[int]) -> Iterator[tuple[int, bytes]]:
+def _messages(batch: RecordBatch, channels: Sequence[int]) -> Iterator[tuple[int, bytes]]:
     """The messages of some channels, each with the channel's id."""
     if not channels or not len(batch.messages):
         return

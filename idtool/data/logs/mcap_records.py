@@ -49,7 +49,7 @@ MESSAGE_FIELDS = HEAD.itemsize - RECORD.size
 
 
 @dataclass(frozen=True)
-class Batch:
+class RecordBatch:
     """Records of one buffer.
 
     Attributes
@@ -102,7 +102,7 @@ class McapRecords:
         file.seek(max(0, self._end - len(MAGIC)))
         self.truncated = file.read(len(MAGIC)) != MAGIC or self._end < 2 * len(MAGIC)
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[RecordBatch]:
         for start, buffer, is_complete in self._buffers():
             definitions: list[int] = []
             messages: list[int] = []
@@ -117,7 +117,7 @@ class McapRecords:
                         raise self._damage_error(start)
                     messages.append(offset)
                     if len(messages) == _BATCH:
-                        yield Batch(buffer, definitions, np.array(messages))
+                        yield RecordBatch(buffer, definitions, np.array(messages))
                         definitions, messages = [], []
                 elif opcode in (SCHEMA, CHANNEL):
                     definitions.append(offset)
@@ -125,7 +125,7 @@ class McapRecords:
             if is_complete and offset != len(buffer):
                 raise self._damage_error(start)
             if definitions or messages:
-                yield Batch(buffer, definitions, np.array(messages, dtype=np.intp))
+                yield RecordBatch(buffer, definitions, np.array(messages, dtype=np.intp))
 
     def _buffers(self) -> Iterator[tuple[int, bytes, bool]]:
         """Runs of records: their offset in the file, their bytes, and whether the last record is complete."""

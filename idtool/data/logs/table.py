@@ -23,7 +23,7 @@ _MAX_LINE = 1 << 20  # bytes
 _RECENT_BYTES = 1 << 16  # at the end of a block that the last line is compared with
 
 
-class Table:
+class CsvTable:
     """A table in an open file.
 
     Parameters

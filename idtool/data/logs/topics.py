@@ -13,7 +13,7 @@ from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions, list_topics, message_type
-from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, Batch
+from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
 from idtool.data.logs.payloads import decoder_for
 from idtool.data.logs.payloads.base import Decoder, PayloadError
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
@@ -69,7 +69,7 @@ class TopicReader:
         for topic in self._topics.values():
             topic.samples.begin_part()
 
-    def read(self, batch: Batch) -> None:
+    def read(self, batch: RecordBatch) -> None:
         """Decode the messages of a batch that may be needed.
 
         Raises
@@ -190,7 +190,7 @@ class TopicReader:
         self._channels[channel.id] = (channel.topic, decoder)
 
     def _decode(
-        self, name: str, decoder: Decoder, batch: Batch, heads: NDArray[np.void], index: Indices
+        self, name: str, decoder: Decoder, batch: RecordBatch, heads: NDArray[np.void], index: Indices
     ) -> list[Samples]:
         """The samples of the messages of a batch at ``index``; those without a stamp get their log time."""
         heads = heads[index]

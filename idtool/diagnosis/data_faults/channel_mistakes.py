@@ -17,7 +17,7 @@ from idtool.common.notice import Notice
 from idtool.data.inspection import FaultKind
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import Change
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 
 _MAX_JOINTS = 4  # of a group, up to which all subsets are tried
 _MIN_EXCESS = 1.5  # log10 of a torque over the URDF's, from which it may be a thousandfold
@@ -73,7 +73,7 @@ class Mistake:
 
 
 def possible_mistakes(
-    group: Sequence[int], joints: Sequence[Joint], inverted: set[int], out_of_range: set[int], excess: Array
+    group: Sequence[int], joints: Sequence[UrdfJoint], inverted: set[int], out_of_range: set[int], excess: Array
 ) -> list[Mistake]:
     """Mistakes in the channels of joints that share bodies, the more likely ones first.
 
@@ -148,7 +148,7 @@ def _inverted_joint(j: int, nv: int) -> Mistake:
     return Mistake("wrong_sign", (detail,), (j,), _diagonal((j,), -1.0, nv), _scaled((j,), -1.0))
 
 
-def _position_unit(subset: tuple[int, ...], joints: Sequence[Joint]) -> Mistake:
+def _position_unit(subset: tuple[int, ...], joints: Sequence[UrdfJoint]) -> Mistake:
     details, factors = [], []
     for j in subset:
         unit, factor = ("mm", 1e-3) if joints[j].kind == "prismatic" else ("degrees", np.pi / 180)

@@ -23,7 +23,7 @@ from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import MIN_UNEXPLAINED, Change, ChannelFit
 from idtool.diagnosis.data_faults.channel_mistakes import Mistake, possible_mistakes, torque_order
 from idtool.estimation.dataset.experiment import Progress
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 
 _SUSPICIOUS = 0.005  # u above which mistakes are looked for
 _MIN_GAIN = 1.5  # reduction of the sum over the joints of log u; without a mistake none of 200 logs had more than 0.5
@@ -63,7 +63,7 @@ class ChannelSearch:
     """
 
     fit: ChannelFit
-    joints: tuple[Joint, ...]
+    joints: tuple[UrdfJoint, ...]
     limits: Array
     gains: Mapping[str, float]
     computed: Set[str]

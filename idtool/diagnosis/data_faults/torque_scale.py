@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.data.inspection import Joint
+from idtool.data.inspection import InspectedJoint
 from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
 from idtool.estimation.dataset.reduction import Factor
 
@@ -102,7 +102,7 @@ def _scale_factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str,
     return weight, inertia
 
 
-def clipped_torque(fit: ChannelFit, j: int, joint: Joint) -> Iterator[Notice]:
+def clipped_torque(fit: ChannelFit, j: int, joint: InspectedJoint) -> Iterator[Notice]:
     """Fault if the torque of joint j continues beyond the extremes at which its channel stays.
 
     A drive's limit keeps the torque itself there, which is no fault. So the torque equation gets one more column, which

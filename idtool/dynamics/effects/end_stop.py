@@ -15,7 +15,7 @@ from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.simulator_element import OneSidedSpring, SimulatorElement
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import Model
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 
 _SHARES = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.32)  # of the travel that lie beyond the positions tried
 
@@ -77,7 +77,7 @@ class EndStop(JointTerm):
         return (OneSidedSpring(int(self.joint), float(theta[0]), position, side),)
 
 
-def _side(joint: Joint, position: float) -> float:
+def _side(joint: UrdfJoint, position: float) -> float:
     """1 for a stop that acts above the position, −1 for one below."""
     limited = np.isfinite(joint.lower) and np.isfinite(joint.upper) and joint.lower < joint.upper
     middle = (joint.lower + joint.upper) / 2 if limited else 0.0

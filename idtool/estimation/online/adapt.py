@@ -119,7 +119,7 @@ def adapt(
     started = time.perf_counter()
     kind = experiment.config.regularization.kind
     fit = RecursiveFit(experiment.equation, experiment.model, sets, kind, experiment.equalities)
-    rows = _Rows(experiment, fit.theta)
+    rows = _ReportedRows(experiment, fit.theta)
     for run in experiment.runs:
         low_pass = run.signals.low_pass
         step = run.signals.log.dt * low_pass.stride
@@ -169,7 +169,7 @@ def _samples(
             yield t[part], W, np.stack([block[-1, part] for block in blocks], axis=1), defined[part]
 
 
-class _Rows:
+class _ReportedRows:
     """The estimates that are reported, of bounded number."""
 
     def __init__(self, experiment: Experiment, theta: Array) -> None:

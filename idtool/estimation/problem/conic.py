@@ -54,7 +54,7 @@ class Solution:
 
 
 @dataclass
-class _Rows:
+class _ConeRows:
     """Blocks of rows A v + s = b with their cones."""
 
     width: int
@@ -154,7 +154,7 @@ def extreme_conic(
     return np.asarray(start + np.asarray(answer.x)[: problem.variables])
 
 
-def _add_level(rows: _Rows, q: Array, problem: Problem, start: Array, room: float) -> None:
+def _add_level(rows: _ConeRows, q: Array, problem: Problem, start: Array, room: float) -> None:
     """The cone of a cost no higher than a level, ``room`` above its constant."""
     m, p = problem.variables, len(problem.b)
     r = np.zeros((p, rows.width))
@@ -170,11 +170,11 @@ def _add_level(rows: _Rows, q: Array, problem: Problem, start: Array, room: floa
     rows.add(slice(None), cone, np.array([1 + room, 1 - room, *np.zeros(p)]), clarabel.SecondOrderConeT(p + 2))
 
 
-def _conic_form(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]]:
+def _conic_form(problem: Problem, start: Array) -> tuple[_ConeRows, Array, list[int]]:
     """Constraints, linear cost of the log-dets, and the places of the inequalities and, last, of the lower bounds."""
     m, p = problem.variables, len(problem.b)
     places_of_terms = np.cumsum([m + p, *(_extra_variables(term) for term in problem.log_dets)])
-    rows = _Rows(int(places_of_terms[-1]))
+    rows = _ConeRows(int(places_of_terms[-1]))
     q = np.zeros(rows.width)
     AS = problem.A @ problem.S
     step, whole = slice(0, m), slice(0, m + p)
@@ -192,7 +192,7 @@ def _conic_form(problem: Problem, start: Array) -> tuple[_Rows, Array, list[int]
     return rows, q, places
 
 
-def _add_inequality(rows: _Rows, inequality: ConicInequality, start: Array) -> int:
+def _add_inequality(rows: _ConeRows, inequality: ConicInequality, start: Array) -> int:
     """The cone of one inequality; returns its place among the blocks."""
     value = inequality.value(start)
     n = len(value)
@@ -210,7 +210,7 @@ def _extra_variables(term: LogDet) -> int:
     return n * (n + 1) // 2 + n
 
 
-def _add_log_det(rows: _Rows, q: Array, term: LogDet, problem: Problem, start: Array, first: int) -> None:
+def _add_log_det(rows: _ConeRows, q: Array, term: LogDet, problem: Problem, start: Array, first: int) -> None:
     """The variables and cones of one log-det, and its share of the cost."""
     n = term.G.shape[-1]
     lower = np.tril_indices(n)
@@ -248,7 +248,7 @@ def smat(vector: Array, n: int) -> Array:
     return matrix
 
 
-def _run(P: Any, q: Array, rows: _Rows, settings: Mapping[str, Any]) -> Any:
+def _run(P: Any, q: Array, rows: _ConeRows, settings: Mapping[str, Any]) -> Any:
     """The solver's answer; a `SolverError` if it breaks down."""
     options = clarabel.DefaultSettings()
     options.verbose = False

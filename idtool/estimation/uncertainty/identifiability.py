@@ -37,7 +37,7 @@ _LEAST_INFORMATION = 1e-9  # square root, on a coefficient without prior that th
 
 
 @dataclass(frozen=True)
-class ParameterSource:
+class InformationShares:
     """Shares of data, constraints and prior in the information on one parameter.
 
     Attributes
@@ -83,7 +83,7 @@ class Identifiability:
     value: Array
     standard_error: Array
     coverage_factor: Array
-    sources: tuple[ParameterSource, ...]
+    sources: tuple[InformationShares, ...]
 
     @property
     def determined(self) -> Mask:
@@ -135,7 +135,7 @@ def identifiability(
         constraints = left_by_data - prior
         low, high = limits[i].tolist()
         sources.append(
-            ParameterSource(
+            InformationShares(
                 information_source=_information_source(bool(is_determined[i]), data, constraints, prior),
                 data=data,
                 constraints=constraints,
@@ -205,8 +205,8 @@ def _combinations(base: BaseParameters, k: int, units: Array) -> tuple[int, ...]
 
 
 def _with_copies(
-    sources: Sequence[ParameterSource], equalities: EqualityConstraints, count: int
-) -> tuple[ParameterSource, ...]:
+    sources: Sequence[InformationShares], equalities: EqualityConstraints, count: int
+) -> tuple[InformationShares, ...]:
     """One source per inertia parameter: a copy's is its original's, with signs changed where it is mirrored."""
     all_sources = []
     for row in equalities.K[:count]:

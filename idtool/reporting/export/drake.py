@@ -17,11 +17,11 @@ from idtool.common.arrays import Array
 from idtool.dynamics.effects.simulator_element import Damping
 from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.existence import can_exist, refused
-from idtool.reporting.export.identified import NOTHING, Identified, Term
+from idtool.reporting.export.identified import NOTHING, EffectTorque, Identified
 from idtool.reporting.export.rotors import Rotor, rotors_of
 from idtool.reporting.export.transmissions import transmissions
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 from idtool.robot.urdf.text import Edit, Element, apply_edits, root_element, set_attribute
 from idtool.robot.urdf.writing import JointDynamics, replace_parameters
 
@@ -116,12 +116,12 @@ def _dynamics(identified: Identified) -> dict[str, JointDynamics]:
     return {j.name: JointDynamics(damping=damping[j.name]) for j in joints}
 
 
-def _is_damping(term: Term) -> bool:
+def _is_damping(term: EffectTorque) -> bool:
     """True for torque that a URDF carries."""
     return bool(term.elements) and all(isinstance(element, Damping) for element in term.elements)
 
 
-def _fixing(text: bytes, element: Element, joint: Joint, value: float) -> list[Edit]:
+def _fixing(text: bytes, element: Element, joint: UrdfJoint, value: float) -> list[Edit]:
     """The edits that make a joint a fixed one, at its value."""
     edits = [set_attribute(text, element, "type", "fixed")]
     edits += [Edit(child.start, child.stop, b"") for child in element.with_tag("mimic")]
@@ -150,7 +150,7 @@ def _gears(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, tuple
     return gears
 
 
-def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[Joint]) -> tuple[list[Part], list[Part]]:
+def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoint]) -> tuple[list[Part], list[Part]]:
     """What is carried and what is not."""
     robot, model = identified.robot, identified.model
     links = {body.name: pi for body, pi in zip(model.bodies, identified.pi, strict=True) if body.kind == "link"}

@@ -20,14 +20,14 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.reporting.export.base import Part
 from idtool.robot.config import Config, read_config
 from idtool.robot.model import Model, build_model
-from idtool.robot.urdf.reading import Joint, Robot, read_robot
+from idtool.robot.urdf.reading import Robot, UrdfJoint, read_robot
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
 NOTHING = "the simulator has nothing like it"
 
 
 @dataclass(frozen=True)
-class Term:
+class EffectTorque:
     """Torque of an effect that is a function of the state.
 
     Attributes
@@ -81,7 +81,7 @@ class Identified:
     config: Config
     model: Model
     mechanism: Mechanism
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTorque, ...]
     inertias: tuple[Part, ...]
     offsets: tuple[Part, ...]
     others: tuple[Part, ...]
@@ -96,7 +96,7 @@ class Identified:
         """In the root link's frame, shape (3,) [m/s²]."""
         return self.mechanism.gravity
 
-    def value(self, joint: Joint) -> float:
+    def value(self, joint: UrdfJoint) -> float:
         """Position of a joint that does not move [rad or m]: its own or what it follows."""
         scale, value = 1.0, 0.0
         while joint.mimic is not None:
@@ -153,7 +153,7 @@ class _Sorts:
     """Effects by the form that they have when the model is run forwards."""
 
     model: Model
-    terms: list[Term] = field(default_factory=list)
+    terms: list[EffectTorque] = field(default_factory=list)
     inertias: list[Part] = field(default_factory=list)
     offsets: list[Part] = field(default_factory=list)
     others: list[Part] = field(default_factory=list)
@@ -167,7 +167,7 @@ class _Sorts:
         amounts = [(value, c.unit) for (value, _), c in zip(parameters.values(), effect.coefficients, strict=False)]
         amount = amounts[0] if amounts else ()
         if any(value for _, value in (*alone.smooth_terms, *alone.dry_friction_terms)):
-            self.terms.append(Term(*whose, effect.simulator_elements(theta), amount))
+            self.terms.append(EffectTorque(*whose, effect.simulator_elements(theta), amount))
         inertias = {
             "in the inertials": alone.pi.any() or effect.modify_model(self.model) is not self.model,
             "armature": alone.armature.any(),

@@ -16,7 +16,7 @@ from idtool.dynamics.effects.simulator_element import (
     TorqueTransfer,
 )
 from idtool.reporting.export.base import Part
-from idtool.reporting.export.identified import Term
+from idtool.reporting.export.identified import EffectTorque
 
 
 @dataclass
@@ -62,7 +62,7 @@ class JointForces:
         return found | ({"damping": f"{float(self.damping)!r} {float(self.drag)!r}"} if self.drag else {})
 
 
-class Forces(dict[str, JointForces]):
+class ForcesByJoint(dict[str, JointForces]):
     """What acts on the joints, by name.
 
     Parameters
@@ -74,7 +74,7 @@ class Forces(dict[str, JointForces]):
     def __init__(self, joints: Sequence[str]) -> None:
         super().__init__({name: JointForces() for name in joints})
 
-    def carry(self, term: Term) -> Part | None:
+    def carry(self, term: EffectTorque) -> Part | None:
         """Add a term; None where MuJoCo has nothing like it."""
         if not term.elements or not all(map(_is_known, term.elements)):
             return None

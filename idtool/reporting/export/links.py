@@ -16,7 +16,7 @@ from idtool.reporting.export.base import Part
 from idtool.reporting.export.motors import add_motor
 from idtool.reporting.export.primitives import primitives
 from idtool.reporting.export.scene import Scene, quaternion, text
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 
 _WORLD = "world"  # MuJoCo's name for what stands still
 _FAR = 1e10  # rad or m: MuJoCo has no limit on one side only
@@ -43,7 +43,7 @@ def add_links(scene: Scene, world: etree._Element) -> None:
         _draw(scene, link, geoms)
 
 
-def _add_body(scene: Scene, joint: Joint) -> None:
+def _add_body(scene: Scene, joint: UrdfJoint) -> None:
     """The body of a joint's child; a joint that is locked is built into its place."""
     R, p, name = joint.R, joint.p, joint.child
     if joint.kind != "fixed" and joint.child not in scene.moving:
@@ -64,7 +64,7 @@ def _add_body(scene: Scene, joint: Joint) -> None:
     )
 
 
-def _add_joint(scene: Scene, joint: Joint) -> None:
+def _add_joint(scene: Scene, joint: UrdfJoint) -> None:
     """A joint that moves, with its limits and what drives it."""
     kind = "slide" if joint.kind == "prismatic" else "hinge"
     element = etree.SubElement(scene.bodies[joint.child], "joint", name=joint.name, type=kind, axis=text(joint.axis))
@@ -81,7 +81,7 @@ def _add_joint(scene: Scene, joint: Joint) -> None:
     add_motor(scene, joint)
 
 
-def _add_follower(scene: Scene, joint: Joint) -> None:
+def _add_follower(scene: Scene, joint: UrdfJoint) -> None:
     """Hold a mimic joint to the joint at the head of its chain."""
     model = scene.identified.model
     body = model.bodies[scene.moving[joint.child]]

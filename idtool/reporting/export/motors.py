@@ -8,12 +8,12 @@ from lxml import etree
 
 from idtool.reporting.export.joints import JointForces
 from idtool.reporting.export.scene import Scene, text
-from idtool.robot.urdf.reading import Joint
+from idtool.robot.urdf.reading import UrdfJoint
 
 _FAR = 1e10  # rad or m: beyond what a joint reaches
 
 
-def add_motor(scene: Scene, joint: Joint) -> None:
+def add_motor(scene: Scene, joint: UrdfJoint) -> None:
     """The motor of a joint, whose control is the torque or force there, with what else needs an actuator or tendon.
 
     A constant torque is a bias of the motor, so that there is one control a joint. Only where the motor drives a

@@ -13,7 +13,7 @@ from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.existence import can_exist, refused, slack
 from idtool.reporting.export.identified import Identified
-from idtool.reporting.export.joints import Forces
+from idtool.reporting.export.joints import ForcesByJoint
 from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
 
 LEAST = 1e-12  # kg, kg·m²: what MuJoCo takes for a body that can move, and by how much triangle inequalities must hold
@@ -46,7 +46,7 @@ class Scene:
     identified: Identified
     moving: dict[str, int] = field(init=False)
     pi: dict[int, Array] = field(init=False)
-    forces: Forces = field(init=False)
+    forces: ForcesByJoint = field(init=False)
     bodies: dict[str, etree._Element] = field(default_factory=dict)
     tendons: etree._Element = field(default_factory=lambda: etree.Element("tendon"))
     equalities: etree._Element = field(default_factory=lambda: etree.Element("equality"))
@@ -60,7 +60,7 @@ class Scene:
         self.moving = {body.name: i for i, body in enumerate(bodies) if body.kind == "link"}
         self.pi = {i: self.identified.pi[i].copy() for i in self.moving.values()}
         self.pi[-1] = self.own(self.identified.robot.root)
-        self.forces = Forces(self.identified.model.names)
+        self.forces = ForcesByJoint(self.identified.model.names)
 
     def own(self, link: str) -> Array:
         """A link's parameters in the URDF, shape (10,)."""

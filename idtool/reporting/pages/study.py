@@ -15,8 +15,7 @@ from idtool.reporting.figures import by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.plots.comparison import advantage_figure, learning_figure, online_figure, violation_figure
 from idtool.reporting.plots.torques import torque_figures
-from idtool.reporting.results.study import Advantage, Convergence, LearningCurve, StudyReport
-from idtool.reporting.results.study import Learning as LearningReport
+from idtool.reporting.results.study import Advantage, Convergence, LearningCurve, LearningCurves, StudyReport
 from idtool.reporting.sections.study import (
     ConstraintSetsSection,
     EstimatorsSection,
@@ -64,7 +63,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Learning:
+class LearningSummary:
     """What Fig. 5 says.
 
     Attributes
@@ -119,7 +118,7 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
     )
 
 
-def learning(found: LearningReport) -> Learning:
+def learning(found: LearningCurves) -> LearningSummary:
     """What Fig. 5 says in words.
 
     Parameters
@@ -137,10 +136,10 @@ def learning(found: LearningReport) -> Learning:
     together = counts[few] if few < len(counts) else None
     few = few if together is not None else (len(counts) + 1) // 2
     if not few:
-        return Learning(together=together)
+        return LearningSummary(together=together)
     mean = advantage[:, :few].mean(axis=1)
     order = [i for i in np.argsort(-mean, kind="stable") if np.isfinite(mean[i])]
-    return Learning(
+    return LearningSummary(
         order=tuple(names[i] for i in order),
         compared=tuple(_compared(names[i], counts, advantage[i, :few], error[i, :few]) for i in order if i),
         counts=tuple(counts[:few]),
@@ -166,7 +165,7 @@ def _share(advantage: float, error: float) -> tuple[float, float]:
     return float(-np.expm1(-advantage)), float(np.exp(-advantage) * error)
 
 
-def _short(found: LearningReport) -> dict[str, Any]:
+def _short(found: LearningCurves) -> dict[str, Any]:
     """The number of samples nearest to a short log's, and by how much sets violate realizability there."""
     index = int(np.argmin(np.abs(np.log(np.array(found.counts) / _SHORT))))
     amounts = {name: float(values[index]) for name, values in found.violation.items()}

@@ -179,14 +179,14 @@ def provenance_fields(sources: Sequence[ProvenanceSource]) -> dict[str, Any]:
     return provenance(sources)
 
 
-class Samples(Record):
+class SampleCounts(Record):
     """Number of samples of all logs together."""
 
     train: int = field("Samples used for the fit.")
     validation: int = field("Samples that were held out.")
 
 
-class Ellipsoid(Record):
+class LinkEllipsoid(Record):
     """A solid ellipsoid in the link's frame."""
 
     center: tuple[float, float, float] = field("Centre [m].")
@@ -194,7 +194,7 @@ class Ellipsoid(Record):
     rpy: tuple[float, float, float] = field("Roll, pitch and yaw of its axes [rad].")
 
 
-class Term(Record):
+class CombinationTerm(Record):
     """A term of a combination of coefficients."""
 
     of: str = field("Body or joint that the coefficient belongs to.")

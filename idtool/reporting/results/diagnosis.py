@@ -11,7 +11,7 @@ from idtool.reporting.results.base import (
     ReadOnly,
     Record,
     ReproducibleResult,
-    Samples,
+    SampleCounts,
     Sentences,
     Units,
     Vector,
@@ -142,7 +142,7 @@ class DiagnosisReport(ReproducibleResult):
     steps: tuple[StepReport, ...] = field("Effects that were added, in order.")
     removed: Sentences = field("Effects that were added and removed again, one sentence each.")
     data_faults: tuple[DataFault, ...] = field("Faults of the logs.")
-    samples: Samples = field("Number of samples used.")
+    samples: SampleCounts = field("Number of samples used.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Friction of the final model.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from idtool.reporting.results.base import Ellipsoid, Keys, ReadOnly, Record, Result, Sentences, Vector, field
+from idtool.reporting.results.base import Keys, LinkEllipsoid, ReadOnly, Record, Result, Sentences, Vector, field
 
 
 class EllipsoidsReport(Result):
     """Result of `idtool ellipsoids`."""
 
-    bounding_ellipsoids: Annotated[ReadOnly[tuple[Ellipsoid, ...]], Keys("link")] = field(
+    bounding_ellipsoids: Annotated[ReadOnly[tuple[LinkEllipsoid, ...]], Keys("link")] = field(
         "Bounding ellipsoids, as in the [configuration](config.md#bounds-of-the-bodies)."
     )
 

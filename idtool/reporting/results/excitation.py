@@ -6,11 +6,11 @@ from typing import Annotated
 
 from idtool.reporting.results.base import (
     ByJoint,
+    CombinationTerm,
     Keys,
     ReadOnly,
     Record,
     ReproducibleResult,
-    Term,
     Units,
     Vector,
     field,
@@ -38,7 +38,7 @@ class ExpectedParameter(Record):
     """A base parameter, and how well the motion will determine it."""
 
     name: str = field("The combination as text.")
-    terms: tuple[Term, ...] = field("Terms of the combination.")
+    terms: tuple[CombinationTerm, ...] = field("Terms of the combination.")
     unit: str = field("Its unit.")
     prior: float = field("Value of the prior.")
     standard_error: float | None = field("Expected standard error; null: not determined.")

@@ -8,15 +8,15 @@ from idtool.common.arrays import Array
 from idtool.reporting.results.base import (
     ByJoint,
     ByJointOrNone,
-    Ellipsoid,
+    CombinationTerm,
     Interval,
     Keys,
+    LinkEllipsoid,
     ReadOnly,
     Record,
     ReproducibleResult,
-    Samples,
+    SampleCounts,
     Sentences,
-    Term,
     Units,
     Vector,
     field,
@@ -105,9 +105,9 @@ class BodyReport(Record):
     copy_of: str | None = field("Body of which it is a copy (`mirror`).")
     lumped: tuple[str, ...] = field("Links on fixed or locked joints that are part of it.")
     prior: Vector = field("The ten parameters of the prior.")
-    ellipsoids: tuple[Ellipsoid, ...] = field("Its bounding ellipsoids.")
+    ellipsoids: tuple[LinkEllipsoid, ...] = field("Its bounding ellipsoids.")
     shapes: tuple[dict[str, Any], ...] = field("Its other bounding shapes, each as in `bounding_shapes`.")
-    deviation_ellipsoid: Ellipsoid | None = field(
+    deviation_ellipsoid: LinkEllipsoid | None = field(
         "Standard-deviation ellipsoid of the mass distribution; some mass lies on or outside it. Null if m < 0."
     )
     split: tuple[UnionPart, ...] | None = field("Parts of the body within a union of ellipsoids; null without a union.")
@@ -204,7 +204,7 @@ class BaseParameter(Record):
     """A combination of coefficients that the torque depends on."""
 
     name: str = field("The combination as text.")
-    terms: tuple[Term, ...] = field("Terms of the combination.")
+    terms: tuple[CombinationTerm, ...] = field("Terms of the combination.")
     unit: str = field("Its unit.")
     value: float = field("Its value.")
     standard_error: float | None = field("Standard error; null if these logs do not determine it.")
@@ -214,7 +214,7 @@ class BaseParameter(Record):
     )
 
 
-class BaseParameters(Record):
+class BaseParametersResult(Record):
     """The combinations of coefficients that the torque depends on."""
 
     of: int = field("Number of coefficients.")
@@ -336,7 +336,7 @@ class FitReport(ReproducibleResult):
 
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
-    samples: Samples = field("Number of samples used.")
+    samples: SampleCounts = field("Number of samples used.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     method: str = field("`ls` (least squares) or `iv` (instrumental variables).")
     rms: TorqueErrors = field("RMS torque errors within the filter's band.")
@@ -356,7 +356,7 @@ class FitReport(ReproducibleResult):
         "Delay from command to torque; null if the log contains the torque of every joint."
     )
     uncertainty: UncertaintyReport = field("How standard errors were computed.")
-    base_parameters: BaseParameters | None = field("Base parameters; null with `--quick`.")
+    base_parameters: BaseParametersResult | None = field("Base parameters; null with `--quick`.")
     bias: BiasReport | None = field("Comparison of least squares and instrumental variables; null if it was skipped.")
     repeatability: RepeatabilityReport | None = field("Comparison of the logs; null for one log.")
     regularization: RegularizationReport = field("The prior.")

@@ -10,7 +10,7 @@ from idtool.reporting.results.base import (
     ReadOnly,
     Record,
     ReproducibleResult,
-    Samples,
+    SampleCounts,
     Units,
     Vector,
     field,
@@ -64,7 +64,7 @@ class Advantage(Record):
     advantage_error: Vector = field("Standard error of that mean.")
 
 
-class Learning(Record):
+class LearningCurves(Record):
     """Errors as functions of the number of samples."""
 
     counts: tuple[int, ...] = field("Sample counts.")
@@ -92,10 +92,10 @@ class StudyReport(ReproducibleResult):
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
-    samples: Samples = field("Number of samples used.")
+    samples: SampleCounts = field("Number of samples used.")
     sets: Annotated[ReadOnly[SetReport], Keys("set")] = field("Results by constraint set.")
     estimators: Annotated[ReadOnly[EstimatorReport], Keys("estimator")] = field("Results by prior and local solver.")
-    learning: Learning = field("Errors as functions of the number of samples.")
+    learning: LearningCurves = field("Errors as functions of the number of samples.")
     adaptation: Convergence = field("The online estimate.")
     logs: tuple[str, ...] = field("The logs.")
     urdf: str = field("The URDF.")

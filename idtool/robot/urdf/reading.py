@@ -40,7 +40,7 @@ class Mimic:
 
 
 @dataclass(frozen=True)
-class Joint:
+class UrdfJoint:
     """A URDF joint.
 
     Attributes
@@ -99,7 +99,7 @@ class Robot:
     text: bytes
     root: str
     links: dict[str, Array | None]
-    joints: dict[str, Joint]
+    joints: dict[str, UrdfJoint]
     source: InputFile
 
     def path_to_root(self, joint: str) -> list[str]:
@@ -261,7 +261,7 @@ def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
     return pi
 
 
-def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
+def _joint(path: Path, joint: yourdfpy.Joint) -> UrdfJoint:
     where = f"{path}: joint {joint.name}"
     if joint.type not in _TYPES:
         raise ModelError(where, f"type {joint.type} is not supported; use one of {', '.join(_TYPES)}")
@@ -286,7 +286,7 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> Joint:
 
     limit = joint.limit
     has_position_limits = limit and joint.type != "continuous"
-    return Joint(
+    return UrdfJoint(
         name=joint.name,
         kind=joint.type,
         parent=joint.parent,
@@ -309,10 +309,10 @@ def _finite_or(default: float, value: float | None) -> float:
     return default if value is None or not math.isfinite(value) else float(value)
 
 
-def _tree(path: Path, links: dict[str, Array | None], joints: list[Joint]) -> tuple[str, dict[str, Joint]]:
+def _tree(path: Path, links: dict[str, Array | None], joints: list[UrdfJoint]) -> tuple[str, dict[str, UrdfJoint]]:
     """The root link, and the joints with parents before children."""
-    parent_joint: dict[str, Joint] = {}
-    children: dict[str, list[Joint]] = {}
+    parent_joint: dict[str, UrdfJoint] = {}
+    children: dict[str, list[UrdfJoint]] = {}
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
@@ -325,7 +325,7 @@ def _tree(path: Path, links: dict[str, Array | None], joints: list[Joint]) -> tu
     if len(roots) != 1:
         which = f"{len(roots)} root links ({', '.join(roots[:4])})" if roots else "no root link"
         raise ModelError(path, f"has {which}; a URDF must be one tree")
-    order: list[Joint] = []
+    order: list[UrdfJoint] = []
     stack = list(reversed(children.get(roots[0], [])))
     while stack:  # depth first: leg by leg, as a reader of the URDF expects them
         joint = stack.pop()
