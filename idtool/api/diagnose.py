@@ -71,7 +71,7 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
         return stacked(gap_figures(self)).to_plotly()
 
     def __repr__(self) -> str:
-        first, last = (level.validation or level.train for level in (self.before, self.after))
+        first, last = self.before.torque, self.after.torque
         rows = []
         for name in first:
             share = self.gap_closed[name]

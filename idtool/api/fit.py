@@ -77,8 +77,7 @@ class FitResult(FitReport, Saved, Recordable):
         """
         from idtool.reporting.plots.torques import torque_figures
 
-        evaluation = self._fit.train if self.rms.validation is None else self._fit.validation
-        return torque_figures(evaluation, "identified", self.units).groups[log].to_plotly()
+        return torque_figures(self._fit.evaluation, "identified", self.units).groups[log].to_plotly()
 
     def __repr__(self) -> str:
         units = " or ".join(dict.fromkeys(self.units.values()))

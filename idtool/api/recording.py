@@ -50,8 +50,7 @@ def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Se
 
 def of_fit(fit: Fit) -> list[list[Trace]]:
     """The logs of a fit: what was held out, else what it was fitted to."""
-    held_out = fit.validation.errors["identified"].samples > 0
-    return beside(fit.validation if held_out else fit.train, fit.simulation.traces if fit.simulation else ())
+    return beside(fit.evaluation, fit.simulation.traces if fit.simulation else ())
 
 
 def beside(evaluation: Evaluation, motions: Sequence[Trace]) -> list[list[Trace]]:

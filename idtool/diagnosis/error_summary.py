@@ -31,7 +31,7 @@ def evaluate_errors(experiment: Experiment, theta: Array, simulate: bool, progre
     models = {_MODEL: theta}
     train = evaluate(experiment, models, False, progress).errors[_MODEL].rms(joints)
     validation = None
-    held_out = any(run.held_out for run in experiment.runs)
+    held_out = experiment.has_held_out
     if held_out:
         validation = evaluate(experiment, models, True, progress).errors[_MODEL].rms(joints)
     simulation = None
@@ -46,8 +46,7 @@ def errors_of_fit(fit: Fit) -> ErrorSummary:
     """Errors of an identified model, from its fit."""
     joints = fit.experiment.equation.joints
     train = fit.train.errors[_IDENTIFIED].rms(joints)
-    held_out = fit.validation.errors[_IDENTIFIED]
-    validation = held_out.rms(joints) if held_out.samples else None
+    validation = fit.validation.errors[_IDENTIFIED].rms(joints) if fit.has_held_out else None
     simulation = None
     if fit.simulation is not None and _IDENTIFIED not in fit.simulation.failed:
         simulation = fit.simulation.errors[_IDENTIFIED].rmse(joints, "position")

@@ -72,7 +72,7 @@ def estimate_noise_floor(
     reversal_margin
         Least distance in time from reversals at which a joint counts as moving [s].
     """
-    held_out = any(run.held_out for run in experiment.runs)
+    held_out = experiment.has_held_out
     low_pass = experiment.runs[0].signals.low_pass
     dt = experiment.runs[0].signals.log.dt
     joint_count = len(experiment.equation.joints)
@@ -82,7 +82,7 @@ def estimate_noise_floor(
     resting_count = np.zeros(joint_count)
     periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
     for run in experiment.runs:
-        parts = run.held_out if held_out else run.train
+        parts = run.parts(held_out)
         for batch in tracked(run.signals.batches(parts), parts, progress, "looking for the noise floor"):
             e = batch.filter(LinearizedModel(experiment.equation, theta, batch.motion).residual)
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))

@@ -71,6 +71,16 @@ class Fit:
     delay: CommandDelay | None
 
     @property
+    def has_held_out(self) -> bool:
+        """True if data were held out for validation."""
+        return self.validation.errors["identified"].samples > 0
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """Errors on the held-out data, or on the training data if nothing was held out."""
+        return self.validation if self.has_held_out else self.train
+
+    @property
     def uncertainty(self) -> Uncertainty:
         """Standard errors."""
         return self.uncertainty_analysis.uncertainty

@@ -119,15 +119,10 @@ def gap_closed(
 
 def _closed(diagnosis: Diagnosis) -> dict[str, float | None]:
     """``gap_closed``; None of it where model and data do not disagree."""
-    before, after = _torque(diagnosis.before), _torque(diagnosis.after)
+    before, after = diagnosis.before.torque, diagnosis.after.torque
     if diagnosis.verdict == "no_disagreement":
         return dict.fromkeys(before)
     return gap_closed(before, after, diagnosis.floor)
-
-
-def _torque(level: ErrorSummary) -> Mapping[str, float]:
-    """Torque errors on what was held out, else on the training data."""
-    return level.train if level.validation is None else level.validation
 
 
 def _level(level: ErrorSummary) -> ErrorLevel:
@@ -139,7 +134,7 @@ def _worse(before: ErrorSummary, after: ErrorSummary) -> list[str]:
 
     An error that is not finite is that of rollouts that ran away.
     """
-    if before.simulation is None or after.simulation is None or _torque(after)["overall"] >= _torque(before)["overall"]:
+    if before.simulation is None or after.simulation is None or after.torque["overall"] >= before.torque["overall"]:
         return []
     return [
         name
@@ -183,8 +178,8 @@ def _step(step: DiagnosisStep, model: Model) -> StepReport:
             sentence=step.sentence,
             doubt=step.doubt,
         ),
-        validation_rms_before=plain(_torque(step.before)),
-        validation_rms_after=plain(_torque(step.after)),
+        validation_rms_before=plain(step.before.torque),
+        validation_rms_after=plain(step.after.torque),
         alternatives=[_candidate(one) for one in step.alternatives],
         rejected=[_candidate(one) for one in step.rejected],
     )

@@ -93,7 +93,7 @@ def next_steps(report: DiagnosisReport) -> list[str]:
 
 
 def _overall(level: ErrorLevel) -> float | None:
-    return (level.validation or level.train)["overall"]
+    return level.torque["overall"]
 
 
 def _named_alone(found: StepReport | CandidateReport) -> str:

@@ -65,7 +65,6 @@ def fit_report(fit: Fit) -> FitReport:
     """The content of report.json."""
     experiment = fit.experiment
     joints = experiment.equation.joints
-    validated = fit.validation.errors["identified"].samples > 0
     analysis = fit.uncertainty_analysis
     return FitReport(
         **provenance_fields(experiment.sources),
@@ -76,7 +75,7 @@ def fit_report(fit: Fit) -> FitReport:
         method=fit.method,
         rms=_rms(fit, joints, raw=False),
         rms_raw=_rms(fit, joints, raw=True),
-        nrms=nrms(fit.validation if validated else fit.train, "identified", joints),
+        nrms=nrms(fit.evaluation, "identified", joints),
         simulation=simulation_report(fit.simulation, "identified", experiment),
         noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
         bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
@@ -141,11 +140,10 @@ def _known(constraint: Constraint, fit: Fit) -> KnownValue:
 
 def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> TorqueErrors:
     held_out = fit.validation.errors
-    validated = held_out["identified"].samples > 0
     return TorqueErrors(
         train=fit.train.errors["identified"].rms(joints, raw),
-        validation=held_out["identified"].rms(joints, raw) if validated else None,
-        prior_validation=held_out["prior"].rms(joints, raw) if validated else None,
+        validation=held_out["identified"].rms(joints, raw) if fit.has_held_out else None,
+        prior_validation=held_out["prior"].rms(joints, raw) if fit.has_held_out else None,
     )
 
 

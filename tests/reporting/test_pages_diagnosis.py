@@ -288,7 +288,7 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     report |= {"joints": joints, "units": units, "steps": [step] * 8, "bodies": {f"body {i}": body for i in range(30)}}
     curves = {name: rng.normal(size=(12, 4000)) for name in ("measured", "identified")}
     fit = SimpleNamespace(
-        validation=evaluation_of(curves, logs=6), simulation=rollouts_of(curves), experiment=experiment_of(units)
+        evaluation=evaluation_of(curves, logs=6), simulation=rollouts_of(curves), experiment=experiment_of(units)
     )
     many = residual(1 / 3, points=500, lines=50_000)
     maps = dict.fromkeys(joints, replace(many, mean={name: rng.normal(size=500) for name in many.mean}))

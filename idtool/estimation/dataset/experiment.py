@@ -50,6 +50,10 @@ class Run:
     train: tuple[slice, ...]
     held_out: tuple[slice, ...]
 
+    def parts(self, held_out: bool) -> tuple[slice, ...]:
+        """The parts for validation, or those for fitting."""
+        return self.held_out if held_out else self.train
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -129,6 +133,11 @@ class Experiment:
         return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
 
     @property
+    def has_held_out(self) -> bool:
+        """True if a log has a part for validation."""
+        return any(run.held_out for run in self.runs)
+
+    @property
     def band_hz(self) -> float:
         """The low-pass's cut-off, the lowest of the runs' [Hz]."""
         return min(run.signals.band_hz for run in self.runs)
@@ -138,7 +147,7 @@ class Experiment:
         return sum(
             max(part.stop - part.start - 2 * run.signals.every_sample.edge, 0)
             for run in self.runs
-            for part in (run.held_out if held_out else run.train)
+            for part in run.parts(held_out)
         )
 
     def rows(self, run: Run, progress: Progress) -> Rows:

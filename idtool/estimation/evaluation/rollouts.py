@@ -141,7 +141,7 @@ def evaluate_rollouts(
     progress
         Told how far it has come.
     """
-    parts = [(run.signals, run.held_out if held_out else run.train) for run in experiment.runs]
+    parts = [(run.signals, run.parts(held_out)) for run in experiment.runs]
     closed = any(signals.command.joints.any() for signals, ranges in parts if ranges)
     window = None if closed else experiment.config.simulation.window
     jobs, available = _windows(parts, window, closed)

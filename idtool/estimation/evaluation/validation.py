@@ -89,7 +89,7 @@ def evaluate(
     samples, stride = 0, 1
     traces, correlations = [], Correlations()
     for run in experiment.runs:
-        parts = run.held_out if held_out else run.train
+        parts = run.parts(held_out)
         if not parts:
             continue
         log, stride = run.signals.log, run.signals.low_pass.stride

@@ -147,7 +147,7 @@ def uncertainty_analysis(
     if common_error is not None:
         uncertainty = uncertainty.with_common_error(common_error)
 
-    held_out = any(run.held_out for run in experiment.runs)
+    held_out = experiment.has_held_out
     torque_errors = prediction(experiment, uncertainty, held_out, progress)
 
     parameters = logs = bias = None

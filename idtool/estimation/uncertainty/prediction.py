@@ -51,7 +51,7 @@ def prediction(experiment: Experiment, uncertainty: Uncertainty, held_out: bool,
     unobservable = directions.unobservable
     squares, largest, count, unknown = np.zeros((4, len(equation.joints)))
     for run in experiment.runs:
-        parts = run.held_out if held_out else run.train
+        parts = run.parts(held_out)
         stage = f"errors on {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts), parts, progress, stage):
             for j, (block, columns) in enumerate(zip(equation.block(batch), equation.active(), strict=True)):

@@ -68,7 +68,7 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
     simulation = simulation_report(simulated, "identified", diagnosis.last.experiment)
     held_out = report.before.validation is not None
     views = report_views(report.bodies)["bodies"]
-    last, first = (fit.validation if held_out else fit.train for fit in (diagnosis.last, diagnosis.first))
+    last, first = diagnosis.last.evaluation, diagnosis.first.evaluation
     robot = robot_view(diagnosis.last.experiment.model, views, last.traces)
     shown_if = {_STEPS: bool(report.steps), _SIMULATION: simulation is not None}
     sections = [section for section in _SECTIONS if shown_if.get(section, True)]
@@ -101,7 +101,7 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
 
 def _worst(report: DiagnosisReport) -> str | None:
     """The joint that is the farthest from the noise floor before, in units of that."""
-    before, floor = report.before.validation or report.before.train, report.noise_floor
+    before, floor = report.before.torque, report.noise_floor
     return max(report.joints, key=lambda joint: (before[joint] or 0.0) / (floor[joint] or 1.0), default=None)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
 from idtool.reporting.plots.figure import MEDIUM, SHORT, Figure, Panel, Values, curve, figure
 from idtool.reporting.plots.sampling import significant
-from idtool.reporting.results.diagnosis import DiagnosisReport, ErrorLevel
+from idtool.reporting.results.diagnosis import DiagnosisReport
 
 
 def gap_figures(report: DiagnosisReport) -> list[Figure]:
@@ -22,11 +21,11 @@ def gap_figures(report: DiagnosisReport) -> list[Figure]:
     steps = [(i, step) for i, step in enumerate(report.steps, 1) if step.effect != UNKNOWN]
     models = ["the model given", *(f"{i}: {effect_name(step.effect)} on {on(step)}" for i, step in steps)]
     first, last = report.before, report.after
-    torques = [_held_out(first), *(step.validation_rms_after for _, step in steps)]
+    torques = [first.torque, *(step.validation_rms_after for _, step in steps)]
     rollouts = [first.simulation, *(step.evidence.simulation_after for _, step in steps)]
-    if len(models) > 1 and torques[-1] != _held_out(last):  # what came to be superfluous was taken out again
+    if len(models) > 1 and torques[-1] != last.torque:  # what came to be superfluous was taken out again
         models.append("in the end")
-        torques.append(_held_out(last))
+        torques.append(last.torque)
         rollouts.append(last.simulation)
     torque_units = {"overall": together(report.units), **report.units}
     lengths = {"overall": together(position_units(report.units)), **position_units(report.units)}
@@ -85,10 +84,6 @@ def gap_figure(
     x_axis = {"range": ends, "tickvals": at, "ticktext": steps, "zeroline": False}
     description = f"Errors of {name} by step, against the noise floor"
     return figure(name, "step", panels, description, height, x_axis=x_axis)
-
-
-def _held_out(level: ErrorLevel) -> Mapping[str, float | None]:
-    return level.validation or level.train
 
 
 def _step(i: int, model: str) -> str:

@@ -39,6 +39,11 @@ class ErrorLevel(Record):
         "Position error of the rollouts [rad or m]; null if nothing was simulated."
     )
 
+    @property
+    def torque(self) -> ByJointOrNone:
+        """Torque errors on the held-out data, or on the fitted data if nothing was held out."""
+        return self.train if self.validation is None else self.validation
+
 
 class Location(Record):
     """Where model and data disagree."""

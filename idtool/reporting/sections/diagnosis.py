@@ -79,8 +79,8 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
     @override
     def table(self, report: DiagnosisReport) -> Table:
         is_held_out = report.before.validation is not None
-        before = report.before.validation or report.before.train
-        after = report.after.validation or report.after.train
+        before = report.before.torque
+        after = report.after.torque
         rollouts: tuple[ByJointOrNone, ByJointOrNone] | None = None
         if report.before.simulation and report.after.simulation:
             rollouts = report.before.simulation, report.after.simulation
