@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.dynamics.effects import effect_types
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 
@@ -83,8 +84,8 @@ class Candidate:
 
     @property
     def target(self) -> str:
-        """Joint or link that it acts on."""
-        return self.joint or self.link or "all joints"
+        """Joint or link that it acts on, or what it acts on of the whole robot."""
+        return self.joint or self.link or effect_types()[self.effect].whole_robot_owner
 
     @property
     def significance(self) -> float:

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary
-from idtool.diagnosis.words import with_doubts
+from idtool.diagnosis.words import step_sentence, with_doubts
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -370,3 +370,9 @@ def test_nothing_is_written_where_a_file_cannot_be(tmp_path: Path, asked: list[A
     done = idtool("diagnose", LEG, LOG, "--out", tmp_path)
     assert done.code == 2
     assert files(tmp_path) == {"diagnosis.json": b"the former one"}
+
+
+@pytest.mark.parametrize(("effect", "owner"), [("gravity_tilt", "the base"), ("time_delay", "all joints")])
+def test_sentences_name_what_an_effect_on_the_whole_robot_acts_on(effect: str, owner: str) -> None:
+    step = replace(step_of(), chosen=candidate(effect, joint=None))
+    assert step_sentence(step, dict.fromkeys(("abad", "hip", "knee"), "N·m")).startswith(f"{owner}: ")
