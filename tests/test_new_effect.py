@@ -114,7 +114,8 @@ def run(folder: Path) -> Callable[..., str]:
 def fitted(run: Callable[..., str]) -> Path:
     """Folders of fits without and with the effect."""
     for name in ("plain", "spring"):
-        run("fit", "pendulum.urdf", "run.csv", "--config", f"{name}.yaml", "--out", name)
+        printed = run("fit", "pendulum.urdf", "run.csv", "--config", f"{name}.yaml", "--out", name)
+        assert ("stiffness" in printed) == (name == "spring")
     return Path()
 
 
@@ -135,6 +136,13 @@ def test_it_is_fitted_and_reported_with_its_unit(folder: Path, fitted: Path) -> 
     assert spring["unit"] == "N·m/rad³"
     assert spring["value"] == pytest.approx(STIFFNESS, rel=1e-2)
     assert "swing stiffness" in (folder / fitted / "spring" / "report.html").read_text()
+
+    (effect,) = report["effects"]
+    assert (effect["effect"], effect["joint"], effect["link"]) == ("cubic_spring", "swing", None)
+    assert effect["parameters"] == {"stiffness": pytest.approx(STIFFNESS, rel=1e-2), "rest_position": REST}
+    assert effect["standard_error"]["stiffness"] == pytest.approx(spring["standard_error"])
+    assert effect["standard_error"]["rest_position"] is None
+    assert effect["units"] == {"stiffness": "N·m/rad³", "rest_position": "rad"}
 
     (entry,) = yaml.safe_load((folder / fitted / "spring" / "model.yaml").read_text())["effects"]
     assert entry["parameters"]["stiffness"]["value"] == pytest.approx(STIFFNESS, rel=1e-2)

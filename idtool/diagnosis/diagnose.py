@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -173,9 +173,9 @@ def _parameters(effect: AddedEffect, search: EffectSearch) -> tuple[dict[str, ob
     key = effect_from_entry(effect.entry, fitted.experiment.model).key
     values: dict[str, object] = {}
     errors: dict[str, object] = {}
-    for name, given in effect.entry.parameters.items():
-        values[name] = given["value"] if isinstance(given, Mapping) else given
-        errors[name] = _nonlinear_error(effect, name, values[name])
+    for name, value in effect.entry.values.items():
+        values[name] = value
+        errors[name] = _nonlinear_error(effect, name, value)
 
     offsets = equation.offsets()
     for present, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):

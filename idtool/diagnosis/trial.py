@@ -204,8 +204,7 @@ def parameter_value(entry: EffectEntry, name: str) -> object:
     ``com.0`` names the first element of the list ``com``.
     """
     name, _, index = name.partition(".")
-    given = entry.parameters.get(name)
-    value = given["value"] if isinstance(given, Mapping) else given
+    value = entry.values.get(name)
     return value[int(index)] if index and value is not None else value
 
 

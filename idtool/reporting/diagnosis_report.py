@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
 
 from idtool.common.notice import Notice
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
 from idtool.reporting.diagnosis_words import next_steps, summary
-from idtool.reporting.fit_report import fit_report
-from idtool.reporting.results.base import notice_fields
+from idtool.reporting.fit_report import fit_report, parameter_units
+from idtool.reporting.results.base import notice_fields, plain
 from idtool.reporting.results.diagnosis import (
     CandidateReport,
     DataFault,
@@ -88,19 +85,6 @@ def _data_fault(fault: Notice) -> DataFault:
         detail=f"{fault.message}: {fault.advice}",
         undone=fault.severity == "note",
     )
-
-
-def plain(value: Any) -> Any:
-    """Numbers, arrays and what holds them as plain data; None for what is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(inner) for key, inner in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def gap_closed(
@@ -189,8 +173,7 @@ def _units(step: DiagnosisStep, model: Model) -> dict[str, str | None]:
     """The units of an effect's parameters; None of one that has none."""
     if step.entry is None:
         return dict.fromkeys(step.parameters)
-    units = effect_from_entry(step.entry, model).parameter_units()
-    return {name: None if units.get(name) == "1" else units.get(name) for name in step.parameters}
+    return parameter_units(effect_from_entry(step.entry, model), step.parameters)
 
 
 def _residual(residual: ResidualProfile) -> ResidualMap:

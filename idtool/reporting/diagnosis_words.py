@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from idtool.dynamics.effects import NamedEffect, effect_types
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
+from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
@@ -17,10 +18,10 @@ def effect_name(effect: str) -> str:
     return (kind.label if kind else "") or effect.replace("_", " ")
 
 
-def on(found: StepReport | CandidateReport) -> str:
-    """What an effect of the report acts on."""
-    kind = effect_types().get(found.effect, NamedEffect)
-    return str(found.joint or found.link or kind.whole_robot_owner)
+def on(effect: EffectReport | CandidateReport) -> str:
+    """Joint or link of an effect, or what it acts on of the whole robot."""
+    kind = effect_types().get(effect.effect, NamedEffect)
+    return str(effect.joint or effect.link or kind.whole_robot_owner)
 
 
 def together(units: Mapping[str, str]) -> str:

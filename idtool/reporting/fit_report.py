@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, cast
 
@@ -11,16 +11,17 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
+from idtool.dynamics.effects import NamedEffect, ParameterValue, config_parameters, effect_from_entry, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.reporting.results.base import SampleCounts, notice_fields, provenance_fields
+from idtool.reporting.results.base import SampleCounts, notice_fields, plain, provenance_fields
 from idtool.reporting.results.fit import (
     AutomaticWeight,
     BodyReport,
+    EffectReport,
     FitReport,
     FrictionErrors,
     FrictionIntervals,
@@ -81,6 +82,7 @@ def fit_report(fit: Fit) -> FitReport:
         bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         friction={joint: friction_report(fit, joint) for joint in joints},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in joints},
+        effects=[effect_report(fit, entry) for entry in experiment.config.effects],
         rotors=reflected_inertia(fit),
         controller=controller_report(fit),
         uncertainty=uncertainty_report(fit),
@@ -276,14 +278,42 @@ def model_config(fit: Fit) -> dict[str, Any]:
 
 
 def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
-    """What was identified of an effect's parameters, as the configuration has them."""
+    """An effect's identified parameters, as the configuration has them."""
+    found = config_parameters(_identified_parameters(fit, entry))
+    return {name: _written(**pair) for name, pair in found.items()}
+
+
+def _identified_parameters(fit: Fit, entry: EffectEntry) -> dict[str, ParameterValue]:
+    """An effect's identified parameters with their standard errors."""
     equation = fit.experiment.equation
     places = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
     i = places[effect_from_entry(entry, fit.experiment.model).key]
     part = slice(*equation.offsets()[i : i + 2])
     covariance = fit.uncertainty.covariance[part, part]
-    found = config_parameters(cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance))
-    return {name: _written(**pair) for name, pair in found.items()}
+    return cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance)
+
+
+def effect_report(fit: Fit, entry: EffectEntry) -> EffectReport:
+    """One entry of ``effects``: its parameters as identified, or as given."""
+    parameters = dict(entry.values)
+    errors: dict[str, Any] = dict.fromkeys(parameters)
+    for name, (value, error) in _identified_parameters(fit, entry).items():
+        parameters[name] = value
+        errors[name] = error
+    return EffectReport(
+        effect=entry.effect,
+        joint=entry.joint,
+        link=entry.link,
+        parameters=plain(parameters),
+        standard_error=plain(errors),
+        units=parameter_units(effect_from_entry(entry, fit.experiment.model), parameters),
+    )
+
+
+def parameter_units(effect: NamedEffect, names: Iterable[str]) -> dict[str, str | None]:
+    """Units of an effect's parameters by name; None for one without."""
+    units = effect.parameter_units()
+    return {name: None if units.get(name) == "1" else units.get(name) for name in names}
 
 
 def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.entry_parameters import entry_location
 from idtool.dynamics.effects.joint_term import JointTerm
-from idtool.dynamics.effects.named_effect import NamedEffect, config_parameters
+from idtool.dynamics.effects.named_effect import NamedEffect, ParameterValue, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.robot.config import Config, EffectEntry, Friction, UncertainValue
 from idtool.robot.model import Model
@@ -26,6 +26,7 @@ __all__ = [
     "Effect",
     "JointTerm",
     "NamedEffect",
+    "ParameterValue",
     "RigidBodies",
     "build_effects",
     "config_parameters",

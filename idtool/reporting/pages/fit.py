@@ -18,11 +18,18 @@ from idtool.reporting.plots.regularization import regularization_figure
 from idtool.reporting.plots.residuals import residual_figures
 from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.fit import FitReport
-from idtool.reporting.sections.fit import BodiesSection, FrictionSection, PriorWeightsSection, TorqueErrorsSection
+from idtool.reporting.sections.fit import (
+    BodiesSection,
+    EffectsSection,
+    FrictionSection,
+    PriorWeightsSection,
+    TorqueErrorsSection,
+)
 
 Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]
 
 _PRIOR = PriorWeightsSection()
+_EFFECTS = EffectsSection()
 _RESIDUALS = ("Where the torque error lives", "residuals.html")
 _NAMES, _MODELS = ("prior", "identified"), "the URDF given and of the identified model"
 _SECTIONS = (
@@ -32,6 +39,7 @@ _SECTIONS = (
     _RESIDUALS,
     SIMULATION,
     FrictionSection(),
+    _EFFECTS,
     BodiesSection(),
     _PRIOR,
     RESTS,
@@ -66,7 +74,7 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
     views = report_views(report.bodies)
     robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
     automatic = report.regularization.automatic
-    shown_if = {_RESIDUALS: bool(maps), _PRIOR: automatic is not None}
+    shown_if = {_RESIDUALS: bool(maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     return render(
         f"{Path(report.urdf).stem}: identified dynamics",

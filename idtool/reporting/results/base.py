@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Self, TypeVar, cast, get_args
@@ -91,6 +92,7 @@ class Keys:
 ByJoint = Annotated[ReadOnly[float], Keys("joint")]
 ByJointOrNone = Annotated[ReadOnly[float | None], Keys("joint")]
 Units = Annotated[ReadOnly[str], Keys("joint")]
+ByParameter = Annotated[ReadOnly[Any], Keys("parameter")]
 Interval = tuple[float, float]
 Sentences = tuple[str, ...]
 
@@ -200,3 +202,16 @@ class CombinationTerm(Record):
     of: str = field("Body or joint that the coefficient belongs to.")
     what: str = field("The coefficient's name.")
     share: float = field("Factor of the coefficient.")
+
+
+def plain(value: Any) -> Any:
+    """Numbers, arrays and what holds them as plain data; None for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

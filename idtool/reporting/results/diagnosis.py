@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from idtool.reporting.results.base import (
     ByJointOrNone,
@@ -19,6 +19,7 @@ from idtool.reporting.results.base import (
 )
 from idtool.reporting.results.fit import (
     BodyReport,
+    EffectReport,
     FrictionIntervals,
     FrictionReport,
     KnownValue,
@@ -26,7 +27,6 @@ from idtool.reporting.results.fit import (
     SolverReport,
 )
 
-ByParameter = Annotated[ReadOnly[Any], Keys("parameter")]
 ByState = Annotated[ReadOnly[Vector], Keys("state")]
 
 
@@ -80,15 +80,10 @@ class Evidence(Record):
     doubt: str = field("Reason for doubt, such as a payload heavier than the robot; empty: none.")
 
 
-class StepReport(Record):
+class StepReport(EffectReport):
     """An effect that was added to the model."""
 
     effect: str = field("Its id, see [Effects](effects.md), or `unknown`.")
-    joint: str | None = field("The joint it acts on; null if it has none.")
-    link: str | None = field("The link it acts on; null if it has none.")
-    parameters: ByParameter = field("Its parameters, see [Effects](effects.md).")
-    standard_error: ByParameter = field("Standard errors.")
-    units: Annotated[ReadOnly[str | None], Keys("parameter")] = field("Their units; null: none.")
     where: Location = field("Where model and data disagreed.")
     evidence: Evidence = field("Evidence for the effect.")
     validation_rms_before: ByJointOrNone = field("Held-out torque error before the step [N·m or N].")

@@ -8,6 +8,7 @@ from idtool.common.arrays import Array
 from idtool.reporting.results.base import (
     ByJoint,
     ByJointOrNone,
+    ByParameter,
     CombinationTerm,
     Interval,
     Keys,
@@ -145,6 +146,17 @@ class FrictionReport(Record):
     coulomb: float | None = field("Coulomb friction [N·m or N].")
     offset: float | None = field("Torque offset [N·m or N].")
     standard_error: FrictionErrors = field("Standard errors.")
+
+
+class EffectReport(Record):
+    """An effect and its parameters."""
+
+    effect: str = field("Its id, see [Effects](effects.md).")
+    joint: str | None = field("The joint it acts on; null if it has none.")
+    link: str | None = field("The link it acts on; null if it has none.")
+    parameters: ByParameter = field("Its parameters, identified or given.")
+    standard_error: ByParameter = field("Standard errors of the identified parameters; null: given, or undetermined.")
+    units: Annotated[ReadOnly[str | None], Keys("parameter")] = field("Units of the parameters; null: none.")
 
 
 class FrictionIntervals(Record):
@@ -349,6 +361,7 @@ class FitReport(ReproducibleResult):
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
+    effects: tuple[EffectReport, ...] = field("Effects beside rigid bodies and friction.")
     rotors: Annotated[ReadOnly[Annotated[ReadOnly[ReflectedInertia], Keys("joint")]], Keys("rotor")] = field(
         "Reflected inertia at each joint that drives the rotor."
     )

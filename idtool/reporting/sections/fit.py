@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
+import numpy as np
 from typing_extensions import override
 
-from idtool.reporting.diagnosis_words import position_units
-from idtool.reporting.figures import interval_text, metres
+from idtool.reporting.diagnosis_words import effect_name, on, position_units
+from idtool.reporting.figures import interval_text, metres, number
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
 from idtool.reporting.sections.base import (
+    NONE,
     Cell,
     Column,
     Section,
@@ -247,6 +250,44 @@ def _friction_cells(friction: FrictionReport) -> list[Cell]:
     for term in FrictionErrors.model_fields:
         cells += error_cells(getattr(friction, term), getattr(friction.standard_error, term))
     return cells
+
+
+class EffectsSection(Section[FitReport]):
+    """Parameters of the effects beside rigid bodies and friction, with standard errors."""
+
+    title = "Effects"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        columns = [
+            name_column("effect"),
+            name_column("on"),
+            name_column("parameter"),
+            Column("value"),
+            error_column(),
+            Column("unit", kind="name", attached=True),
+        ]
+        rows = []
+        for effect in report.effects:
+            for name, value in effect.parameters.items():
+                cells = _parameter_cells(value, effect.standard_error[name])
+                unit = effect.units[name] or ""
+                rows.append([Cell(effect_name(effect.effect)), Cell(on(effect)), Cell(name), *cells, Cell(unit)])
+        return Table(self.title, columns, rows, keys=3) if rows else None
+
+    @override
+    def text(self, report: FitReport) -> str:
+        return "± se: one standard error; –: given in the configuration, or not determined by the data."
+
+
+def _parameter_cells(value: Any, error: Any) -> tuple[Cell, Cell]:
+    """A parameter and its standard error: a number, a list of numbers, or a name."""
+    if isinstance(value, str) or value is None:
+        return Cell(value or NONE), Cell(NONE)
+    if isinstance(value, float | int):
+        return error_cells(value, error)
+    numbers = ", ".join(number(x) for x in np.ravel(value))
+    return Cell(numbers), Cell(NONE)
 
 
 class PriorWeightsSection(Section[FitReport]):

@@ -59,3 +59,10 @@ class EffectEntry(ConfigRecord):
     joint: str | None = None
     link: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values of the parameters without their standard errors."""
+        return {
+            name: given["value"] if isinstance(given, Mapping) else given for name, given in self.parameters.items()
+        }
