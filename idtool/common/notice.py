@@ -37,7 +37,7 @@ class Notice:
     advice: str = ""
 
     def about(self, subject: str) -> Notice:
-        """The same notice about a subject that it did not name."""
+        """A copy of the notice with another subject."""
         return replace(self, subject=subject)
 
     @property
@@ -52,5 +52,5 @@ class Notice:
 
 
 def unique(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Notices, each once, in the order in which they came."""
+    """The notices without duplicates, in their order."""
     return tuple(dict.fromkeys(notices))

@@ -44,7 +44,7 @@ def source_from_file(kind: str, path: Path) -> InputFile:
 
 
 def provenance(sources: Sequence[InputFile]) -> dict[str, Any]:
-    """``versions`` and ``inputs`` of the JSON files."""
+    """Versions and inputs, as under these keys of the JSON files."""
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _NUMERICAL}},
         "inputs": [asdict(source) for source in sources],

@@ -15,7 +15,7 @@ _MAX_CHARACTERS = 10_000  # of one value: numbers in base 60 take the square of 
 
 
 def read_yaml(path: Path, *, as_text: bool = False) -> Any:
-    """The contents of a YAML file from a stranger; parameters and errors as in `yaml_bytes` and `parse_yaml`."""
+    """The contents of an untrusted YAML file; parameters and errors as in `yaml_bytes` and `parse_yaml`."""
     return parse_yaml(path, yaml_bytes(path), as_text=as_text)
 
 

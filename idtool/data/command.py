@@ -24,7 +24,7 @@ MAX_DELAY = 0.05  # s: upper limit of the search
 
 @dataclass(frozen=True)
 class Command:
-    """The torque of a joint controller: kp (qcmd − q) + kd (vcmd − v), the command late (contract section 2).
+    """The torque of a joint controller: kp (qcmd − q) + kd (vcmd − v), with a delayed command.
 
     Attributes
     ----------

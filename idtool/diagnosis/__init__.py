@@ -1,1 +1,1 @@
-"""Where a model and its logs disagree, which effect explains it, and how far the gap shrinks once it is there."""
+"""Diagnosis: disagreement between a model and its logs, the effects that explain it, and the error that remains."""

@@ -50,7 +50,7 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
     theta
         Coefficients, shape (p,).
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Returns
     -------

@@ -69,7 +69,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     options
         Options.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def _nonlinear_error(effect: AddedEffect, name: str, value: object) -> object:
 
 
 def _structure(search: EffectSearch) -> list[Candidate]:
-    """What generic functions explain of each joint's residual; a share of 0 if it is no more than chance."""
+    """Share of each joint's residual that generic functions explain; 0 if it is within chance."""
     base = search.current
     joints = base.experiment.equation.joints
     inflation = search.last_round.inflation if search.last_round is not None else 1.0
@@ -264,7 +264,7 @@ def _unknown_steps(
 
 
 def _doubt_notices(steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
-    """Notices of what speaks against the effects that were added."""
+    """Notices about reasons to doubt the effects that were added."""
     for step in steps:
         if step.doubt:
             yield Notice("effect_doubtful", "warning", None, step.doubt)

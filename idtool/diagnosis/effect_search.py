@@ -99,7 +99,7 @@ class EffectSearch:
     max_effects
         Number of effects that are added at most.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
 
     def __init__(

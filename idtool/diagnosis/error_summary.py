@@ -25,7 +25,7 @@ def evaluate_errors(experiment: Experiment, theta: Array, simulate: bool, progre
     simulate
         True to simulate it too, on the held-out data if there are any, else on the training data.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     joints = experiment.equation.joints
     models = {_MODEL: theta}

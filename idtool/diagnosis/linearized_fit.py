@@ -142,7 +142,7 @@ def linearize_fit(
     experiment
         Model and data.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     reference
         Fit whose rows and noise are used, so that the two compare; default: own rows, and the noise that a fit without
         constraints leaves. If torque sensors differ, the noise is in units of what each takes as the true torque;

@@ -37,7 +37,7 @@ def localize_residual(
     theta_before, theta_after
         Coefficients, shape (p,) each.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     models = [(before.equation, theta_before), (after.equation, theta_after)]
     series = residual_series(before, models, progress, "locating what was explained")
@@ -61,7 +61,7 @@ def localize_unexplained(
     floor
         Noise floor, rms by joint [N·m or N].
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     series = residual_series(experiment, [(experiment.equation, theta)], progress, "locating what is left")
     joints = experiment.equation.joints

@@ -167,7 +167,7 @@ def select_best(
     inflation
         Number of rows that are worth one independent one.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     min_share
         Share of a joint's squared residual that an effect must explain.
     """

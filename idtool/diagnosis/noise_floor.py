@@ -68,7 +68,7 @@ def estimate_noise_floor(
     theta
         Its coefficients, shape (p,).
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     reversal_margin
         Least distance in time from reversals at which a joint counts as moving [s].
     """

@@ -39,7 +39,7 @@ class ErrorSummary:
 
 @dataclass(frozen=True)
 class ResidualLocation:
-    """Where model and data disagree.
+    """Location of a disagreement between model and data.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class DiagnosisStep:
     entry
         Its entry in model.yaml; None for ``unknown``.
     parameters, standard_error
-        By name, as in the contract; an error is None if it is not known.
+        Values and standard errors by parameter name; an error is None if it is not known.
     location
         Where the residual was that it explains.
     significance

@@ -28,7 +28,7 @@ def residual_maps(experiment: Experiment, theta: Array, progress: Progress) -> d
     theta
         Coefficients, shape (p,).
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     series = residual_series(experiment, [(experiment.equation, theta)], progress, "mapping what is left")
     joints = experiment.equation.joints

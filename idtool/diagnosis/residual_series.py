@@ -72,7 +72,7 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
     models
         Torque equations of the same joints, with their coefficients, shape (p,) each.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     stage
         Name of this stage.
     """

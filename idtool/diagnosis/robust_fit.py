@@ -63,7 +63,7 @@ def robust_coefficients(experiment: Experiment, theta: Array, progress: Progress
     theta
         Initial coefficients, shape (p,).
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     sums = _accumulate(experiment, theta, progress)
     has_rows = np.array([joint.rows > 0 for joint in sums])

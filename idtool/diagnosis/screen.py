@@ -104,7 +104,7 @@ class _ProbeSums:
 def screen_probes(
     linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
 ) -> list[ScreenedProbe]:
-    """What each probe explains, by itself.
+    """Screen the probes, each by itself, by the share of the residual that it explains.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def screen_probes(
     probes
         The hypotheses.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     stage
         Name of this stage.
     """
@@ -163,7 +163,7 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
 
 
 def _sibling_columns(columns: Array, index: Indices, starts: Indices, d: int) -> Array:
-    """For each column the d-th of its own probe, zero if the probe has fewer; shape as the columns."""
+    """The d-th column of each column's own probe, zero if the probe has fewer; same shape as the columns."""
     probe = np.searchsorted(starts, index, side="right") - 1
     wanted = starts[probe] + d
     exists = wanted < starts[probe + 1]

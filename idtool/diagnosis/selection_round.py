@@ -73,7 +73,7 @@ def find_best_effect(
     initial
         The model without any of the effects found.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     effects
         Ids of the effects to try; None: all.
     bursts
@@ -122,7 +122,7 @@ def fit_assumed_effect(
     base
         The model.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     effect
         Id of the effect.
     target

@@ -132,7 +132,7 @@ def fit_trial(
     moving
         Indices of those whose nonlinear parameters are moved.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     steps
         Number of Gauss-Newton steps at most.
 
@@ -273,7 +273,7 @@ def _grid_search(
     name
         The parameter.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     entries = list(current.experiment.config.effects)
     entry = entries[i]

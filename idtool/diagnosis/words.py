@@ -36,7 +36,7 @@ def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
 
 
 def with_doubts(steps: Sequence[DiagnosisStep], model: Model) -> list[DiagnosisStep]:
-    """Steps with what speaks against their effects, those of one kind considered together."""
+    """Steps with the doubts about their effects; effects of one kind are considered together."""
     entries: dict[str, list[EffectEntry]] = {}
     for step in steps:
         if step.entry is not None:

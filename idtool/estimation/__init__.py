@@ -1,1 +1,1 @@
-"""Parameters from data: the reduced data, the optimization problem, how far to trust its solution, and the fit."""
+"""Parameters from data: the reduced data, the optimization problem, the uncertainty of its solution, and the fit."""

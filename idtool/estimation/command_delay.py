@@ -179,7 +179,7 @@ def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | 
     experiment
         Model and data. Columns that take the torque for something are those at its own delay.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Returns
     -------

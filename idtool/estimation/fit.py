@@ -1,4 +1,4 @@
-"""The fit: from an experiment to estimated coefficients, their uncertainty, and how well they predict."""
+"""The fit: from an experiment to estimated coefficients, their uncertainty and their prediction errors."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def fit(
     experiment
         Model and data.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     simulate
         If true, simulate the identified model and the prior too.
     analyze_uncertainty

@@ -83,7 +83,7 @@ def estimate_from_logs(
     method
         Least squares, or instrumental variables, which noise in q and v does not bias.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     data
         The training data, if they have been reduced before.
 

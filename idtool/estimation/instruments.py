@@ -75,7 +75,7 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
     theta
         Coefficients of the model that is simulated, shape (p,).
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def instrumented_rows(
     made
         The instruments of one of its logs.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Yields
     ------

@@ -98,7 +98,7 @@ def two_stage_estimate(
     theta
         Coefficients to begin with, such as least squares', shape (p,).
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------

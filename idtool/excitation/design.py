@@ -144,7 +144,7 @@ def design(
     logged
         Data that was logged before, if any.
     progress
-        Told the stage and its share.
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------

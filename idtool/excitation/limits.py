@@ -169,7 +169,7 @@ def _limits_of_joint(
 
 
 def _tighten_by_mimics(model: Model, limits: Array) -> None:
-    """Tighten limits, shape (5, nv), by those of mimic joints; one that follows a locked joint is no body's."""
+    """Tighten limits, shape (5, nv), by those of mimic joints; the mimic of a locked joint moves no body."""
     lower, upper, velocity, *_ = limits  # views of the rows
     bodies = {body.name: body for body in model.bodies}
     for joint in model.robot.joints.values():

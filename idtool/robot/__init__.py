@@ -1,1 +1,1 @@
-"""What a robot is: configuration, bodies and the inertias they can have, URDF, meshes, kinematics and collision."""
+"""Robots: configuration, bodies and their realizable inertias, URDF, meshes, kinematics and collision."""

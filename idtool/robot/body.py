@@ -1,4 +1,4 @@
-"""Bodies and frames: what a `Model` is made of.
+"""Bodies and frames, of which a `Model` consists.
 
 Letters: q joint coordinates (nv,) [rad or m], pi inertia parameters (10,), R (3, 3) and p (3,) [m] a frame's pose in
 another, phi a body's own coordinate [rad or m].
@@ -45,7 +45,7 @@ class Member:
 
     @property
     def pi_in_body(self) -> Array:
-        """Its parameters in the body's frame, shape (10,)."""
+        """The link's parameters in the body's frame, shape (10,)."""
         return parameter_transform(self.frame.R, self.frame.p) @ self.pi
 
 

@@ -40,7 +40,7 @@ _RANGE_WITHOUT_LIMITS = {"prismatic": 0.5}  # m to either side, of such a joint 
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """Pairs of links that are not to collide.
+    """Pairs of links that must not collide.
 
     Not among them: links of one body, links joined by a joint, rotors, and links that touch at zero (or the nearest
     position within limits) or in more than half of random configurations, since these are made to.
@@ -178,7 +178,7 @@ class SelfCollision:
         return DistanceQueries(self._parts, self._part_pairs)
 
     def _always_touching(self) -> Mask:
-        """Mask of the pairs of links that touch by the way they are made, shape (pairs,)."""
+        """Mask of the pairs of links that touch in every configuration, shape (pairs,)."""
         lower: list[float] = []
         upper: list[float] = []
         for joint in self.model.joints:
@@ -203,7 +203,7 @@ class SelfCollision:
         return touching
 
     def _without(self, excluded: Mask) -> SelfCollision:
-        """Without some of the pairs of links, shape (pairs,)."""
+        """A copy without some of the pairs of links, given as a mask, shape (pairs,)."""
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
@@ -222,7 +222,7 @@ class SelfCollision:
 
 
 def _link_frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame]:
-    """Frame of every link, rotors excepted."""
+    """Frame of every link except rotors."""
     robot = model.robot
     moving = {body.name: i for i, body in enumerate(model.bodies) if body.kind == "link"}
     rotors = {body.name for body in model.bodies if body.kind == "rotor"}

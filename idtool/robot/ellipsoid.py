@@ -45,7 +45,7 @@ class Ellipsoid:
         return cls(tuple(x), tuple(y), tuple(z))
 
     def mirrored(self, signs: Array) -> Ellipsoid:
-        """Its mirror image: x, y and z times these signs, shape (3,)."""
+        """The mirror image, with x, y and z multiplied by signs, shape (3,)."""
         return Ellipsoid.from_axes(signs * self.center, self.semi_axes, signs[:, None] * self.rotation * signs)
 
     def to_dict(self) -> dict[str, list[float]]:

@@ -1,4 +1,4 @@
-"""Inertia parameters of a rigid body in their several forms. The one owner of the parameter order.
+"""Inertia parameters of a rigid body in their several forms. Only this file knows the parameter order.
 
 Letters (paper: Wensing, Kim & Slotine, arXiv 1701.04395):
 

@@ -139,7 +139,7 @@ def _propagate(
 
 
 def _rotation(body: Body, phi: Array) -> Array:
-    """From the parent's frame into the body's (Rodrigues' formula, backwards), shape (3, 3, N) or (3, 3, 1)."""
+    """Rotation from the parent's frame to the body's (Rodrigues' formula, inverted), shape (3, 3, N) or (3, 3, 1)."""
     R = body.mount.R.T
     if body.prismatic:
         return R[:, :, None]

@@ -1,4 +1,4 @@
-"""The sections on what a URDF does not know: rotors, effects, bounding ellipsoids, controller, masses."""
+"""Sections of a first configuration that a URDF lacks: rotors, effects, bounding ellipsoids, controller, masses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from idtool.setup.trials import TrialResults, search_of, searched_entry, term_ty
 
 
 def rotors(draft: Draft) -> ConfigSection:
-    """Templates, with what the URDF says."""
+    """The section ``rotors``: templates, filled in as far as the URDF allows."""
     known = {name: ratio for name, ratio in draft.ratios.items() if name in draft.joints}
     told = [f"{name}: {ratio:g}" for name, ratio in known.items() if abs(ratio) != 1]
     comments = [
@@ -47,7 +47,7 @@ def _free_name(draft: Draft, joint: str) -> str:
 
 
 def effects(draft: Draft) -> ConfigSection:
-    """What trials found."""
+    """The section ``effects``: those that the trials kept."""
     what = "What the model carries beside rigid bodies and friction"
     found = draft.trial_results
     if found is None:
@@ -75,7 +75,7 @@ def effects(draft: Draft) -> ConfigSection:
 
 
 def _nothing_kept(found: TrialResults) -> str:
-    """What was tried, in words, where none of it was kept."""
+    """Names of the effects that were tried, in words, for the case that none was kept."""
     names = {effect: kind.init_trial.name for effect, kind in effect_types().items() if kind.init_trial}
     names = {effect: name for effect, name in names.items() if not effect_types()[effect].friction_key}
     was_tried = {trial.effect for trial in found.trials}
@@ -93,7 +93,7 @@ def _short(x: float) -> float:
 
 
 def bounding_ellipsoids(draft: Draft) -> ConfigSection:
-    """Those that were found, and templates of the others."""
+    """The section ``bounding_ellipsoids``: ellipsoids around known geometry, templates for other links."""
     bounds = draft.bounds
     comments = [
         "Smallest ellipsoids around each link's collision or visual geometry, 5 % longer; m, rad, link frame (URDF)."
@@ -121,7 +121,7 @@ def bounding_ellipsoids(draft: Draft) -> ConfigSection:
 
 
 def controller(draft: Draft) -> ConfigSection | None:
-    """What is given of it, or a template; None where the logs have torque."""
+    """The section ``controller``: the given values, or a template; None if the logs have torque."""
     names = draft.log_summary.commanded
     if not names:
         return None
@@ -140,7 +140,7 @@ def controller(draft: Draft) -> ConfigSection | None:
 
 
 def known(draft: Draft) -> ConfigSection:
-    """A template, with the URDF's masses to compare."""
+    """The section ``known``: a template, with the URDF's masses for comparison."""
     robot = draft.robot
     links = [robot.joints[name].child for name in draft.joints]
     what = "Masses that were measured by other means, kg; with a standard error they are soft. To fill in where null."

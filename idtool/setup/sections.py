@@ -16,13 +16,13 @@ HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MAX_SAMPLES} samp
 
 
 def joints(draft: Draft) -> ConfigSection:
-    """Those that are identified."""
+    """The section ``joints``: the joints that are identified."""
     what = "Joints that are identified: actuated, in every log, moving, with a torque or a command (URDF, logs)."
     return ConfigSection("joints", (what,), list(draft.log_summary.identifiable))
 
 
 def locked_joints(draft: Draft) -> ConfigSection:
-    """Those that are held still, with what is given for some of them."""
+    """The section ``locked_joints``: joints that are held still, with given positions where there are any."""
     given = [name for name in draft.locked if name in draft.config.locked_joints]
     reasons = {name: lock.reason for name, lock in draft.log_summary.locked.items() if name not in given}
     what = "Joints that are held still, rad or m"
@@ -37,13 +37,13 @@ def locked_joints(draft: Draft) -> ConfigSection:
 
 
 def gravity(draft: Draft) -> ConfigSection:
-    """The default."""
+    """The section ``gravity``: the default."""
     what = f"Gravity in the frame of the URDF's root link {draft.robot.root}, m/s² (default: its z points up)."
     return ConfigSection("gravity", (what,), list(Config().gravity))
 
 
 def log(draft: Draft) -> ConfigSection:
-    """The topic, where there are several."""
+    """The section ``log``: the topic if there are several, and a template."""
     seen = draft.log_summary
     rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
     comments = [f"How the logs are read; their rate is {rates} Hz, from their time stamps (logs)."]
@@ -64,7 +64,7 @@ def log(draft: Draft) -> ConfigSection:
 
 
 def velocity(draft: Draft) -> ConfigSection:
-    """The default, and what it comes to."""
+    """The section ``velocity``: the default, and its outcome on these logs as a comment."""
     what = "Joint velocity: measured, differentiated from q, or auto, the quieter one that can be trusted"
     found = draft.trial_results
     if found is None:
@@ -78,7 +78,7 @@ def velocity(draft: Draft) -> ConfigSection:
 
 
 def low_pass(draft: Draft) -> ConfigSection:
-    """The filter, by how fast the joints move."""
+    """The section ``filter``: a low-pass, with a cut-off by the band of the motion."""
     seen = draft.log_summary
     what = (
         "One zero-phase low-pass for every signal alike. cutoff_hz: above what moves the joints, which lies below "
@@ -91,7 +91,7 @@ def low_pass(draft: Draft) -> ConfigSection:
 
 
 def friction(draft: Draft) -> ConfigSection:
-    """Its terms, an offset where trials found one."""
+    """The section ``friction``: viscous and Coulomb friction, and an offset where the trials kept one."""
     what = "Friction terms: viscous, Coulomb (default), and offset, a constant"
     found = draft.trial_results
     if found is None:
@@ -111,7 +111,7 @@ def friction(draft: Draft) -> ConfigSection:
 
 
 def errors(trial: Trial) -> str:
-    """The held-out error without and with what was tried, in words."""
+    """Held-out error without and with the effect that was tried, in words."""
     return " -> ".join("unknown" if x is None else f"{x:.3g}" for x in (trial.before, trial.after))
 
 

@@ -1,4 +1,4 @@
-"""What a URDF says of motors: gear ratios of transmissions, and links on fixed joints that are rotors by their name."""
+"""Motors in a URDF: gear ratios of transmissions, and links on fixed joints that are rotors by their name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def gear_ratios(robot: Robot) -> dict[str, float]:
 
 
 def _number(text: str | None) -> float | None:
-    """The number; None where it is none that a gear can have."""
+    """The gear ratio in a text; None if it is not a finite number other than zero."""
     try:
         value = float(text or "")
     except ValueError:
@@ -40,7 +40,7 @@ def _number(text: str | None) -> float | None:
 
 
 def rotor_links(robot: Robot, joints: Sequence[str]) -> dict[str, str]:
-    """By joint, the link that is its rotor by name: with mass, on a fixed joint at the link that carries the joint."""
+    """Rotor links by joint: links with mass and a rotor's name on a fixed joint at the link that carries the joint."""
     carrying = {joint.parent for joint in robot.joints.values()}
     fixed = {
         joint.child: joint.parent

@@ -146,7 +146,7 @@ def _errors(equation: LinearModel, theta: Array, data: Reduction) -> Array:
 
 
 def _shares(equation: LinearModel, theta: Array, data: Reduction) -> Array:
-    """Rms of what each coefficient makes of the torque of the joint on which it makes most, shape (p,)."""
+    """RMS torque of each coefficient on the joint on which it is largest, shape (p,)."""
     share = np.zeros(len(theta))
     for factor, active in zip(data, equation.active(), strict=True):
         column = np.linalg.norm(factor.R[:, :-1], axis=0) / np.sqrt(max(factor.rows, 1))

@@ -77,11 +77,11 @@ class TrialTerms:
     searched: tuple[tuple[str, float], ...] = ()
 
     def without(self, effect: str, joint: str) -> TrialTerms:
-        """The same less one term of a joint."""
+        """A copy without one term of a joint."""
         return replace(self, on_joints=tuple(term for term in self.on_joints if term != (effect, joint)))
 
     def at(self, effect: str, value: float) -> TrialTerms:
-        """The same with a searched parameter at another value."""
+        """A copy with another value of a searched parameter."""
         others = tuple(pair for pair in self.searched if pair[0] != effect)
         return replace(self, searched=(*others, (effect, value)))
 
@@ -92,12 +92,12 @@ def term_type(effect: str) -> type[JointTerm]:
 
 
 def trial_of(effect: str) -> InitTrial:
-    """How an effect is tried."""
+    """The trial of an effect."""
     return cast(InitTrial, effect_types()[effect].init_trial)
 
 
 def search_of(effect: str) -> InitSearch:
-    """How the value of an effect on the whole robot is searched."""
+    """The search for the value of an effect on the whole robot."""
     return cast(InitSearch, trial_of(effect))
 
 
@@ -111,9 +111,9 @@ class TrialRunner:
     data
         The configuration so far, plain data.
     logs
-        What was read of the logs.
+        The logs.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
 
     def __init__(self, robot: Robot, data: Data, logs: Sequence[Log], progress: Progress) -> None:
@@ -121,7 +121,7 @@ class TrialRunner:
         self.joints: list[str] = list(data["joints"])
 
     def config(self, terms: TrialTerms) -> Config:
-        """A variant."""
+        """The configuration of a variant."""
         data = dict(self.data)
         entries: list[EffectEntry] = []
         friction = {joint: Friction().model_dump() for joint in self.joints}
@@ -154,7 +154,7 @@ def searched_entry(effect: str, value: float) -> EffectEntry:
 
 
 def run_trials(runner: TrialRunner, on_joints: Sequence[tuple[str, str]], searched: Sequence[str]) -> TrialResults:
-    """Try what the data may show.
+    """Try the effects that the data may show.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def run_trials(runner: TrialRunner, on_joints: Sequence[tuple[str, str]], search
 def _notices(
     joints: Sequence[str], evaluator: TrialEvaluator, trials: Sequence[Trial], base: TrialScore, last: TrialScore
 ) -> Iterator[Notice]:
-    """What speaks against what was found."""
+    """Notices about implausible results of the trials."""
     for trial in trials:
         search = trial_of(trial.effect)
         if isinstance(search, InitSearch) and abs(trial.value) >= search.maximum:
@@ -218,7 +218,7 @@ def _notices(
 
 
 def _prune(runner: TrialRunner, terms: TrialTerms, evaluator: TrialEvaluator) -> tuple[TrialTerms, list[Trial]]:
-    """The terms without those that the held-out torque of their joint does not need, left out one after the other."""
+    """Leave out, one after the other, the terms that the held-out torque of their joint does not need."""
     trials: list[Trial] = []
     full, most = evaluator.score(runner.config(terms)), (_ODD * np.sqrt(evaluator.torque())).tolist()
     count = len(terms.on_joints)
@@ -240,7 +240,7 @@ def _prune(runner: TrialRunner, terms: TrialTerms, evaluator: TrialEvaluator) ->
 def _search_value(
     runner: TrialRunner, terms: TrialTerms, first: TrialEvaluator, full: TrialScore, effect: str
 ) -> tuple[TrialTerms, Trial, TrialEvaluator, TrialScore]:
-    """The value of an effect at which the training error is least, where the held-out error says so too."""
+    """Search the value of an effect with the least training error; keep it if the held-out error confirms it."""
     kind = effect_types()[effect]
     search = search_of(effect)
     known = {0.0: (first, full)}
@@ -266,7 +266,7 @@ def _search_value(
 
 
 def _minimize(cost: Callable[[float], float], step: float, dt: float, maximum: float) -> float:
-    """Where the cost is least, by parabolas through three values around the best so far; to 10 µs.
+    """Minimize a cost by parabolas through three values around the best so far, to 10 µs.
 
     Friction that may not be negative gives way to a delay on one side only, so that the parabola is bent: it is made
     narrower until that matters no more, at half a sample time ``dt`` [s]; and wider as long as it leads further away.

@@ -1,4 +1,4 @@
-"""Sections as YAML with comments. Names come from strangers: none may end the comment that it is in."""
+"""Sections as YAML with comments. Names are untrusted: none may end the comment that it is in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WIDTH = 116  # characters of a line, less those of a comment's sign
 
 
 def one_line(text: str) -> str:
-    """The text on one line, characters that cannot be printed, ends of lines among them, escaped."""
+    """The text on one line; line breaks and other unprintable characters are escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -54,14 +54,14 @@ def _block(section: ConfigSection) -> str:
 
 
 def _yaml(data: Mapping[str, Any]) -> str:
-    """Plain data as YAML, an entry of a key on a line of its own where it fits one."""
+    """Plain data as YAML, with each entry of a key on one line if it fits."""
     node = yaml.compose(as_yaml(data, ""), Loader=yaml.SafeLoader)
     _lay_out(node, 0)
     return str(yaml.serialize(node, Dumper=yaml.SafeDumper, width=_WIDTH))
 
 
 def _lay_out(node: yaml.Node | None, depth: int) -> int:
-    """Choose which collections stand on one line; how deeply the node is nested."""
+    """Choose the collections that are written on one line; return the depth of the node."""
     if not isinstance(node, yaml.CollectionNode):
         return 0
     pairs = node.value if isinstance(node, yaml.SequenceNode) else [child for pair in node.value for child in pair]

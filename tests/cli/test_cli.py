@@ -29,7 +29,7 @@ from idtool.cli import app
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 NAMES = sorted(COMMANDS)
 
-OPTIONS = {  # of the contract, section 4
+OPTIONS = {  # that every version keeps
     "fit": {"--config", "--out", "--json", "--quiet", "--holdout", "--validate", "--max-rms"},
     "validate": {"--config", "--out", "--json", "--quiet", "--prior", "--max-rms"},
     "inspect": {"--config", "--json", "--quiet"},

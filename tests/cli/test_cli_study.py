@@ -25,14 +25,12 @@ from commands import (
     sample_table,
     strict_json,
 )
-from paths import SHARED
 
 from idtool import __version__
 from idtool.cli import app
 from idtool.reporting.figures import figure
 
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-CONTRACT = SHARED / "contract.md"
 LEG_YAML = LEG.with_suffix(".yaml")
 BODIES = ("abad_link", "thigh_link", "shank_link", "abad_rotor", "hip_rotor", "knee_rotor")
 STUDY_FILES, ADAPT_FILES = {"study.json", "study.html"}, {"adapt.json", "adapt.html"}
@@ -207,15 +205,6 @@ def test_help_documents_each_command(name: str) -> None:
     assert f"Example: idtool {name} " in text
     for parameter in COMMANDS[name].params:
         assert parameter.help.split()[0] in text
-
-
-def test_every_command_is_in_the_contract() -> None:
-    if not CONTRACT.exists():
-        pytest.skip("the contract is not here")
-    table = CONTRACT.read_text().partition("## 4. Commands")[2].partition("## 5.")[0]
-    promised = set(re.findall(r"^\| `idtool (\w+)", table, re.MULTILINE))
-    assert set(COMMANDS) <= promised
-    assert {"fit", "validate", "inspect", "ellipsoids", "study", "adapt"} <= set(COMMANDS)
 
 
 @pytest.mark.parametrize(("name", "extra"), [("ellipsoids", []), ("adapt", []), ("study", ["--draws", "5"])])

@@ -53,7 +53,7 @@ FORMS: dict[str, tuple[dict[str, Any], Callable[[Motion], Array]]] = {
 
 
 @pytest.mark.parametrize(("given", "form"), FORMS.values(), ids=FORMS)
-def test_the_torque_is_the_contracts_form(build: Build, given: dict[str, Any], form: Callable[[Motion], Array]) -> None:
+def test_the_torque_is_the_documented_one(build: Build, given: dict[str, Any], form: Callable[[Motion], Array]) -> None:
     motion = moving()
     found = torque(build, motion, given)
     np.testing.assert_array_equal(found[0], 0)

@@ -25,7 +25,7 @@ from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.urdf.reading import read_robot
 
-# The contract's parameters of the effects that are functions of the joints' state, section 6.
+# Parameters of the effects that are functions of the joints' state.
 PARAMETERS = {
     "viscous_friction": {"viscous"},
     "coulomb_friction": {"coulomb"},
@@ -42,7 +42,7 @@ PARAMETERS = {
 }
 
 
-def test_the_contracts_effects_are_there_with_its_parameters(build: Build) -> None:
+def test_the_documented_effects_have_the_documented_parameters(build: Build) -> None:
     model = build(TWO, JOINTS)
     values: dict[str, Any] = {name: 0.5 for names in PARAMETERS.values() for name in names} | {"source": "shoulder"}
     assert set(effect_types()) >= set(PARAMETERS)

@@ -142,7 +142,7 @@ def numbers(x: Any) -> Iterator[float]:
 
 
 def refuse(folder: Path, *arguments: object, naming: str, file: str = "") -> None:
-    """Run a command in a folder and check that it refuses its input as the contract says (section 4).
+    """Run a command in a folder and check that it refuses its input.
 
     Exit code 2, one line on standard error that names what is at fault, and no file written, changed or left behind.
     """

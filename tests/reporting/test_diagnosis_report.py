@@ -63,7 +63,7 @@ def said(diagnosis: Diagnosis, explain: bool = False, color: bool = False) -> st
     return out.getvalue()
 
 
-def test_the_report_has_what_the_contract_promises(found: Diagnosis) -> None:
+def test_the_report_has_the_documented_keys(found: Diagnosis) -> None:
     report = report_of(found)
     assert list(report)[:2] == ["idtool", "schema"]
     assert report["verdict"] == "explained"

@@ -1,4 +1,4 @@
-"""Every key of the contract's example, and keys and values that do not fit."""
+"""Configurations: an example with every key, and keys and values that are refused."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ seed: 0
 """
 
 
-def test_the_contracts_example(read: Read) -> None:
+def test_an_example_with_every_key(read: Read) -> None:
     config = read(EXAMPLE)
     assert config.joints == ("abad", "hip", "knee")
     assert config.locked_joints == {"tail": 0.0}

@@ -36,7 +36,7 @@ def pinocchio_inertia(pi: Array) -> pin.Inertia:
     return pin.Inertia.FromDynamicParameters(pi)
 
 
-def test_the_order_of_the_parameters_is_the_contracts() -> None:
+def test_the_order_of_the_parameters_is_fixed() -> None:
     assert inertia.PARAMETER_NAMES == NAMES
     assert len(inertia.PARAMETER_UNITS) == inertia.PI_SIZE == 10
 

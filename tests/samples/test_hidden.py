@@ -111,7 +111,7 @@ def test_bristles_wear_off_after_a_few_displacements() -> None:
 
 
 @pytest.mark.parametrize("bend", [0.02, -0.02])
-def test_saturation_is_that_of_the_contract(bend: float) -> None:
+def test_saturation_is_that_of_idtool(bend: float) -> None:
     true = np.linspace(-25, 25, 101)
     measured = saturated(true, 10.0, bend)
     x, y = np.maximum(np.abs(true) - 10, 0), np.maximum(np.abs(measured) - 10, 0)

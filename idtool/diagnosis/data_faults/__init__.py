@@ -52,7 +52,7 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice
     experiment
         Model and logs.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Returns
     -------

@@ -180,7 +180,7 @@ class ReducedSample:
 
     @cached_property
     def _powers(self) -> list[tuple[Array, Array]]:
-        """Per joint, products of all torques with each other: of what its columns leave of them, and of them."""
+        """Products of all torques, (nv, nv) each: of their residuals under a joint's columns, and of themselves."""
         nv = len(self.factors)
         powers = []
         for factor in self.factors:
@@ -193,7 +193,7 @@ class ReducedSample:
 
 
 def _power_share(rest: float, power: float) -> float:
-    """Share of a rest in a torque's power, at least 1e-6; 1 without any torque."""
+    """Share of a residual in a torque's power, at least 1e-6; 1 without any torque."""
     return max(float(rest / power), _MIN_NOISE) if power > 0 else 1.0
 
 

@@ -57,7 +57,7 @@ class ChannelSearch:
     computed
         Names of joints whose torque is computed by the controller's law.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     accepted
         Mistakes that were accepted, in turn.
     """
@@ -138,7 +138,7 @@ class ChannelSearch:
         return sample.unexplained(T)
 
     def _best_mistakes(self, u: Array) -> GroupMistakes:
-        """For each group, the mistake that is best undone next, with those that are as good."""
+        """The mistake that is best undone next, by group, together with equally good ones."""
         suspects = self._suspected_mistakes(u)
         gains: list[list[float]] = [[] for _ in suspects]
         steps = list(zip_longest(*suspects))  # the k-th mistake of all groups at once
@@ -159,7 +159,7 @@ class ChannelSearch:
         return best
 
     def _suspected_mistakes(self, u: Array) -> list[list[Mistake]]:
-        """For each group, the mistakes that may have been made.
+        """Mistakes that may have been made, by group.
 
         A mistake of the torques alone is left out if even unconstrained coefficients gain too little from undoing it.
         """

@@ -88,7 +88,7 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
 
 
 def effect_from_entry(entry: EffectEntry, model: Model) -> NamedEffect:
-    """Effect that an entry describes.
+    """The effect that an entry describes.
 
     Raises
     ------

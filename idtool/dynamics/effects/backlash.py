@@ -62,7 +62,7 @@ class Backlash(FixedJointEffect):
     @classmethod
     @override
     def gradient_parameters(cls) -> tuple[str, ...]:
-        """None, since the moments at which teeth part and meet jump from sample to sample."""
+        """No parameters, since the times at which teeth part and meet jump from sample to sample."""
         return ()
 
     @classmethod
@@ -87,7 +87,7 @@ class Backlash(FixedJointEffect):
         motion: Motion,
         linearized: Linearization,
     ) -> Array:
-        """All of the change, whose coefficient should be 1."""
+        """Total change of the torque by the play; its fitted coefficient should be 1."""
         return _torque_change(motion, joint, nonlinear_values, linearized)
 
     @classmethod

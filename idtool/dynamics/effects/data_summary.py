@@ -1,4 +1,4 @@
-"""`DataSummary`: what the logs cover, on which the search for a missing effect depends."""
+"""`DataSummary`: ranges of the logged motion and torque, on which the search for a missing effect depends."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class DataSummary:
 
     @property
     def q_range(self) -> Array:
-        """From the least to the greatest position, shape (nv,) [rad or m]."""
+        """Difference between the greatest and the least position, shape (nv,) [rad or m]."""
         return self.q_max - self.q_min
 
     def has_effect(self, effect: str, owner: str) -> bool:

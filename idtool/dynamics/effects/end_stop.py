@@ -1,4 +1,4 @@
-"""End stops: what a joint runs into."""
+"""End stops: springs that a joint runs into."""
 
 from __future__ import annotations
 

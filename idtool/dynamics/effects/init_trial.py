@@ -1,4 +1,4 @@
-"""`InitTrial` and `InitSearch`: how `init` tries an effect, and the words in which it says what came of it."""
+"""`InitTrial` and `InitSearch`: the way in which `init` tries an effect, and the words for the result."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class InitTrial:
-    """For a `JointTerm`: it is tried on every joint that may have it, and stays where held-out torque needs it.
+    """Trial of a `JointTerm` on every joint that may have it; it is kept where it reduces the held-out torque error.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class InitTrial:
 
 @dataclass(frozen=True, kw_only=True)
 class InitSearch(InitTrial):
-    """For an effect on the whole robot: one nonlinear parameter is searched from 0.
+    """Search for one nonlinear parameter of an effect on the whole robot, starting from 0.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side 
 
 
 class JointElasticity(FixedJointEffect):
-    """Motor side less link side = carried torque / stiffness.
+    """Elasticity: motor position − link position = transmitted torque / stiffness.
 
     The joint is measured and driven at the motor side, where its rotors turn; all other effects act at the link,
     and of friction what ``motor_friction``, a share that may be left out, does not put on the motor. In the forward

@@ -202,7 +202,7 @@ class NamedEffect(Effect):
         return {}
 
     def simulator_elements(self, theta: Array) -> tuple[SimulatorElement, ...]:
-        """What simulators have that together is the effect's torque; empty: they have nothing like it.
+        """Simulator elements whose torques sum to the effect's; empty if simulators have none.
 
         Parameters
         ----------

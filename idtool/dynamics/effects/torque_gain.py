@@ -20,7 +20,7 @@ _MAX_GAIN = 5.0
 
 
 class TorqueGain(TorqueSensorEffect):
-    """Measured = gain × true: a torque constant, gear ratio or efficiency taken for another."""
+    """Measured torque = gain × true torque, as with a wrong torque constant, gear ratio or efficiency."""
 
     id = "torque_gain"
     is_countable = True
@@ -38,7 +38,7 @@ class TorqueGain(TorqueSensorEffect):
         motion: Motion,
         linearized: Linearization,
     ) -> Array:
-        """Derivative in units of the measured torque: else scaling it to nothing would explain everything."""
+        """Derivative in units of the measured torque; otherwise a gain of zero would explain everything."""
         return single_joint_torque(joint, linearized.predicted_torque[joint], motion)
 
     @classmethod

@@ -78,7 +78,7 @@ class TorqueSaturation(TorqueSensorEffect):
         return self._bent(tau, self.nonlinear_values["bend"])
 
     def _bent(self, tau: Array, bend: float) -> Array:
-        """Torque whose size above the level grows by bend/2 times its square, or falls by the inverse of that."""
+        """Torque whose excess over the level is increased by bend/2 times its square, or the inverse of that map."""
         above = np.maximum(np.abs(tau) - self.nonlinear_values["level"], 0.0)
         bent = above + bend / 2 * above**2
         if bend < 0:

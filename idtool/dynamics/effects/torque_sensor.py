@@ -1,4 +1,4 @@
-"""Torque sensors, and what is used as one, that give another torque than the true one.
+"""Sensors, or motor currents used as such, whose torque differs from the true one.
 
 Several on a joint act one after the other: the first in the configuration is nearest to the log.
 """

@@ -70,7 +70,7 @@ def simulate(
     windows
         Samples of the log, no gap within one.
     report
-        Told the share that is done.
+        Callback for the share that is done.
 
     Yields
     ------
@@ -199,13 +199,13 @@ class _Run:
         self._diverged = np.zeros(len(windows), dtype=bool)
 
     def restart(self, rollout_ids: Indices, state_vector: Array) -> None:
-        """Begin some again, in states, shape (states, w)."""
+        """Restart some rollouts from states, shape (states, w)."""
         self.rollouts.restart(rollout_ids, state_vector, self._t0[rollout_ids])
         self.initial_state_vector[:, rollout_ids] = self.rollouts.state_vector[:, rollout_ids]
         self._diverged[rollout_ids] = False
 
     def advance(self, rollout_ids: Indices, report: Report) -> None:
-        """Take some to their ends."""
+        """Advance some rollouts to their ends."""
         rollouts = self.rollouts
         dt = self._signals.log.dt
         self._q[:, rollout_ids, 0] = rollouts.q[:, rollout_ids] - self._offset

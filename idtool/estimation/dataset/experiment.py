@@ -235,7 +235,7 @@ def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[
 
 
 def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress, stage: str) -> Iterable[Batch]:
-    """The batches, telling progress how far they have come."""
+    """The batches, unchanged; each reports the progress."""
     whole = sum(part.stop - part.start for part in parts) or 1
     done = 0
     for batch in batches:

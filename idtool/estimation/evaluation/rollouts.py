@@ -54,7 +54,7 @@ class RolloutError:
 
     @classmethod
     def none(cls, joints: int) -> RolloutError:
-        """No samples yet, for so many joints."""
+        """Errors without any samples, for a number of joints."""
         return cls(np.zeros(joints), np.zeros(joints))
 
     def add(self, measured: _MeasuredMotion, q: Array, v: Array, dt: float) -> None:
@@ -78,7 +78,7 @@ class RolloutError:
         return _root_mean(joints, self.velocity, self.speeds)
 
     def horizon(self, joints: Sequence[str], seconds: float) -> dict[str, float] | None:
-        """Root mean square position error so long after a start, as in `rmse`; None where no rollout is that long."""
+        """RMS position error a given time after the start, as in `rmse`; None if no rollout is that long."""
         if seconds not in self.after:
             return None
         squares, count = self.after[seconds]
@@ -139,7 +139,7 @@ def evaluate_rollouts(
     held_out
         If true the held-out parts, else the training parts.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     parts = [(run.signals, run.parts(held_out)) for run in experiment.runs]
     closed = any(signals.command.joints.any() for signals, ranges in parts if ranges)

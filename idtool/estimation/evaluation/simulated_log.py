@@ -56,7 +56,7 @@ class SimulatedLog:
 
 
 def as_logged(log: Log) -> Log:
-    """A log as it is.
+    """The log itself, unchanged.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def simulated_log(
     path
         The file that the log is to be written to.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------

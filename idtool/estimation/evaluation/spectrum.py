@@ -61,7 +61,7 @@ def _products(x: Array, lags: int) -> Array:
 
 
 def _added(total: Array, new: Array) -> Array:
-    """Sum of two, the shorter one padded with zeros."""
+    """Sum of two arrays, the shorter one padded with zeros."""
     if total.shape[1] < new.shape[1]:
         total, new = new.copy(), total
     if new.size:

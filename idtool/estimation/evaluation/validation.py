@@ -79,7 +79,7 @@ def evaluate(
     held_out
         If true the held-out parts, else the training parts.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     angles
         If true the traces hold the joints' positions too, as ``q``.
     """

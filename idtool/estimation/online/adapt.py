@@ -92,7 +92,7 @@ class Adaptation:
 def adapt(
     experiment: Experiment, sets: Sequence[ConstraintSet], forgetting: float = FORGETTING, *, progress: Progress
 ) -> Adaptation:
-    """Run through the training parts of the logs once.
+    """Process the training parts of the logs once, sample by sample.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def adapt(
     forgetting
         Time constant with which samples lose their weight [s]; infinite: never.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------
@@ -190,7 +190,7 @@ class _ReportedRows:
             self._theta.append(fit.theta)
 
     def end(self) -> None:
-        """A log has come to its end."""
+        """Note the end of a log."""
         self._earlier, self._first = self._now, None
 
     def all(self, theta: Array) -> tuple[Array, Array]:

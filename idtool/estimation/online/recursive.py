@@ -42,7 +42,7 @@ _GRAVITY = 9.81  # m/s²: what a joint carries, it carries on earth
 
 
 class RecursiveFit:
-    """The estimate and what it follows from.
+    """The estimate and the information that it follows from.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class RecursiveFit:
 
     @property
     def noise(self) -> Array:
-        """sigma, shape (nv,) [N·m or N]; 1 where it is not known yet."""
+        """Noise sigma of each joint, shape (nv,) [N·m or N]; 1 where it is not known yet."""
         sigma = np.sqrt(np.maximum(self._noise, _LEAST_NOISE**2 * self._power))
         return np.where(sigma > 0, sigma, 1.0)
 
@@ -171,7 +171,7 @@ class _Information:
 
     @classmethod
     def of(cls, rows: Array) -> _Information:
-        """No information yet, of an equation whose coefficients are ``rows`` · x."""
+        """Zero information about an equation whose coefficients are ``rows`` · x."""
         variables = np.flatnonzero(rows.any(axis=0))
         m = len(variables)
         return cls(variables, np.zeros((m, m)), np.zeros(m))

@@ -245,7 +245,7 @@ def _concatenated(groups: list[_Group]) -> _Group:
 
 
 def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, E: Array, e: Array) -> tuple[Array, bool]:
-    """Newton steps from x, strictly inside, each with a line search, until one is short; and if one was."""
+    """Newton's method with a line search from x, strictly inside; the minimiser, and true if it converged."""
     for _ in range(_MOST_STEPS):
         gradient = P @ x - q
         H = P.copy()

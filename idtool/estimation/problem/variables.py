@@ -46,7 +46,7 @@ class PieceVariables:
 
     @property
     def stop(self) -> int:
-        """Index after its last variable in x."""
+        """Index after the piece's last variable in x."""
         return self.start + len(self.piece.powers)
 
     @property
@@ -56,7 +56,7 @@ class PieceVariables:
 
     @property
     def x_slice(self) -> slice:
-        """Its K variables in x."""
+        """The piece's K variables in x."""
         return slice(self.start, self.stop)
 
     @property

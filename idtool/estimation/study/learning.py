@@ -132,7 +132,7 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
 
 
 def counts(samples: int) -> list[int]:
-    """1, 3, 10, 30, … up to a number of samples, and that number."""
+    """Sample counts 1, 3, 10, 30, … up to the number of samples, and that number."""
     steps = []
     for power in range(len(str(samples))):
         steps += [step * 10**power for step in _STEPS]
@@ -168,7 +168,7 @@ def learn(
     rng
         Source of the draws.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
 
     Returns
     -------

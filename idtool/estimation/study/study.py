@@ -126,7 +126,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     experiment
         Model and data, some of it held out.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     draws
         Random draws of samples for each count; four times as many where there are fewer samples than parameters.
 

@@ -122,7 +122,7 @@ def uncertainty_analysis(
     independent
         Number of independent samples that the residual holds, by joint.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     thorough
         If true, find the information source of each parameter, compare logs, and look for bias by noise.
     common_error

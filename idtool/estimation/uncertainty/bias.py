@@ -79,7 +79,7 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
     experiment, identification
         Model and data, and their identification.
     progress
-        Told the stage and how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     two_stage = identification.two_stage
     theta, noise = identification.estimate.theta, identification.estimate.noise

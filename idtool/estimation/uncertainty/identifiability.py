@@ -98,7 +98,7 @@ def identifiability(
     reduction: Reduction,
     estimate: Estimate,
     uncertainty: Uncertainty,
-    tell: Callable[[float], None],
+    progress: Callable[[float], None],
 ) -> Identifiability:
     """Find the information source of every inertia parameter.
 
@@ -112,15 +112,15 @@ def identifiability(
         The identification.
     uncertainty
         Standard errors.
-    tell
-        Told the share that is done.
+    progress
+        Callback for the share that is done.
     """
     base = structural_base_parameters(model, equation, equalities)
     problem, x = estimate.problem, estimate.x
     inertial = np.setdiff1d(np.arange(len(equalities.free)), problem.other_coefficients)
     names = equalities.free[inertial]
     posterior, correlation = _posterior(equation, equalities, reduction, problem, estimate.noise, uncertainty, inertial)
-    limits = ranges(problem, x, inertial, tell)
+    limits = ranges(problem, x, inertial, progress)
     free = free_spread(problem, x)[inertial] / problem.scale[inertial]
     ends = np.where(np.isfinite(limits), limits, (-np.inf, np.inf))
     half_widths = np.diff(ends, axis=1)[:, 0] / 2 / problem.scale[inertial]

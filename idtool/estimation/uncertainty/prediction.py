@@ -42,7 +42,7 @@ def prediction(experiment: Experiment, uncertainty: Uncertainty, held_out: bool,
     held_out
         If true on the held-out parts, else on the training parts.
     progress
-        Told how far it has come.
+        Callback for the stage and its progress, from 0 to 1.
     """
     equation, directions = experiment.equation, uncertainty.directions
     values, vectors = np.linalg.eigh(uncertainty.covariance_y)

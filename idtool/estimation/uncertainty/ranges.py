@@ -28,7 +28,7 @@ _SETTINGS = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-5, "tol_feas": 1e-7, "equili
 _ATTEMPTS: tuple[dict[str, float | bool], ...] = (_SETTINGS, {**_SETTINGS, "equilibrate_enable": True})
 
 
-def ranges(problem: Problem, x: Array, wanted: Indices, tell: Callable[[float], None]) -> Array:
+def ranges(problem: Problem, x: Array, wanted: Indices, progress: Callable[[float], None]) -> Array:
     """Ranges of coefficients.
 
     Parameters
@@ -39,8 +39,8 @@ def ranges(problem: Problem, x: Array, wanted: Indices, tell: Callable[[float], 
         Its optimum, shape (m,).
     wanted
         Indices in z of the coefficients.
-    tell
-        Told the share that is done.
+    progress
+        Callback for the share that is done.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def ranges(problem: Problem, x: Array, wanted: Indices, tell: Callable[[float], 
             highest = -_least(restricted, start, -row, level)
             limits[place[k]] = problem.scale[k] * lowest, problem.scale[k] * highest
             done += 1
-            tell(done / len(wanted))
+            progress(done / len(wanted))
     return limits
 
 

@@ -98,7 +98,7 @@ class Pattern(ABC):
         """The motion with its excursion from home times ``share``, shape (nv,), from 0 to 1."""
 
     def gradient(self, x: Array, t: Array, by: MotionSamples) -> Array:
-        """Gradient with respect to x, shape (n,), of a function whose derivatives by q, v and a are ``by``.
+        """Gradient with respect to x, shape (n,), of a function with the derivatives ``by`` with respect to q, v and a.
 
         A family without gradient gives zeros: of its motions, the best random one is taken.
         """

@@ -68,7 +68,7 @@ class LinearPattern(Pattern):
         return (x.reshape(len(self.home), -1) * share[:, None]).ravel()
 
     def _functions_at(self, t: Array) -> MotionSamples:
-        """The functions; those of the last few sets of times are cached."""
+        """The functions at given times, cached for the last few sets of times."""
         for times, functions in self._cache:
             if times is t:
                 return functions

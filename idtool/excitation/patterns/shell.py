@@ -145,7 +145,7 @@ class Shell(Pattern):
         return q, float(np.linalg.norm(error, axis=0).max())
 
     def _limbs(self, tip: str | None) -> tuple[_Limb, ...]:
-        """The tip asked for, or tips of limbs that have no joint in common, longest first."""
+        """The tip of the named link, or tips of limbs that have no joint in common, longest first."""
         robot = self.model.robot
         if tip is not None and tip not in robot.links:
             raise ConfigError("--tip", f"{tip} is no link; {suggestion(tip, robot.links)}")

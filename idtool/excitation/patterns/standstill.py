@@ -14,7 +14,7 @@ _RANGE_SHARE = 0.9  # of the range from home to the limits
 
 
 class Standstill(Pattern):
-    """From home to pose after pose and home again, a standstill at each; x are the poses in units of the reach."""
+    """Moves from pose to pose with a standstill at each, from home and back; x: poses in units of the reach."""
 
     name = "standstill"
 

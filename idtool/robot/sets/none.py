@@ -10,7 +10,7 @@ from idtool.robot.sets.base import ConstraintSet
 
 
 class Unconstrained(ConstraintSet):
-    """All of R^10."""
+    """The set of all parameters, R^10."""
 
     name = "none"
     tightness = 0

@@ -41,7 +41,7 @@ class Shape(ABC):
     @property
     @abstractmethod
     def volume(self) -> float:
-        """Its volume [m³]."""
+        """Volume [m³]."""
 
     @property
     def size(self) -> float:
@@ -98,7 +98,7 @@ class PosedShape(Shape):
 
     @property
     def rotation(self) -> Array:
-        """Its own axes as columns, shape (3, 3)."""
+        """The shape's axes as columns, shape (3, 3)."""
         matrix: Array = Rotation.from_euler("xyz", self.rpy).as_matrix()
         return matrix
 

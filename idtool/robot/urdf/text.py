@@ -47,7 +47,7 @@ class Element:
 
     @property
     def name(self) -> str:
-        """Its attribute ``name``; empty where it has none."""
+        """Value of the attribute ``name``; empty if there is none."""
         return self.attributes.get("name", "")
 
     def with_tag(self, tag: str) -> Iterator[Element]:

@@ -1,4 +1,4 @@
-"""What the commands write: files, keys and shapes of the contract, and that the files are the identified model."""
+"""Output of the commands: files, keys and shapes as documented; the files describe the identified model."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from idtool.robot.urdf.reading import read_robot
 BODIES = {"abad_link", "thigh_link", "shank_link", "abad_rotor", "hip_rotor", "knee_rotor"}
 LEG_YAML = LEG.with_suffix(".yaml")
 
-# Keys of report.json and of a body (contract, section 5) and the length of those that are lists.
+# Keys of report.json and of a body and the length of those that are lists.
 REPORT = {
     "idtool",
     "schema",
@@ -92,7 +92,7 @@ def test_fit_writes_its_four_files(out: Path) -> None:
     assert set(files(out)) == FIT_FILES
 
 
-def test_report_has_the_contracts_keys(report: dict[str, Any]) -> None:
+def test_report_has_the_documented_keys(report: dict[str, Any]) -> None:
     assert list(report)[:2] == ["idtool", "schema"]
     assert (report["idtool"], report["schema"]) == (__version__, 1)
     assert set(report) >= REPORT
@@ -134,7 +134,7 @@ def test_report_of_friction_and_solver(report: dict[str, Any]) -> None:
     assert report["solver"]["name"] == "clarabel"
 
 
-def test_validation_has_the_contracts_keys(validation: dict[str, Any]) -> None:
+def test_validation_has_the_documented_keys(validation: dict[str, Any]) -> None:
     assert list(validation)[:2] == ["idtool", "schema"]
     assert (validation["idtool"], validation["schema"]) == (__version__, 1)
     assert set(validation) >= VALIDATION
@@ -147,7 +147,7 @@ def test_validation_has_the_contracts_keys(validation: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("source", ["report", "validation"])
-def test_simulation_has_the_contracts_keys(source: str, request: pytest.FixtureRequest) -> None:
+def test_simulation_has_the_documented_keys(source: str, request: pytest.FixtureRequest) -> None:
     """Both simulate the identified model and the prior on the same log, so they agree."""
     simulation = request.getfixturevalue(source)["simulation"]
     assert set(simulation) >= SIMULATION
