@@ -1,6 +1,6 @@
 """Reading of MCAP logs: time against the mcap package with its ROS 2 decoder, and memory beyond the result.
 
-Run ``python benchmarks/mcap_reading.py``. Memory is the resident set's high-water mark, which Linux tells.
+Run ``python benchmarks/mcap_reading.py``. Memory is the peak of the resident set, as Linux reports it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ JOINTS = ("abad", "hip", "knee")
 
 
 def leg_log(path: Path, seconds: float) -> Log:
-    """A log of a leg that moves, with the noise that keeps it from compressing too well."""
+    """A log of a moving leg, with noise so that it does not compress too well."""
     count = int(seconds * RATE)
     t = 1.7e9 + np.arange(count) / RATE
     phase = np.linspace(0.0, 2 * np.pi * 0.7 * seconds, count)[:, None] * (1.0, 1.3, 1.7)
@@ -30,7 +30,7 @@ def leg_log(path: Path, seconds: float) -> Log:
 
 
 def seconds_by_decoder(path: Path) -> tuple[float, int]:
-    """Time that the mcap package's decoder takes to gather the same arrays, and how many samples there were."""
+    """Time that the mcap package's decoder takes for the same arrays [s], and the number of samples."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -47,28 +47,28 @@ def seconds_by_decoder(path: Path) -> tuple[float, int]:
 
 
 def seconds_by_idtool(path: Path) -> float:
-    """Time that `read_log` takes."""
+    """Time that `read_log` takes [s]."""
     start = time.perf_counter()
     read_log(path)
     return time.perf_counter() - start
 
 
-def memory(name: str) -> int:
-    """A figure of this process's memory [bytes]."""
+def process_memory(name: str) -> int:
+    """A figure of this process's memory by its name in /proc/self/status [bytes]."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(re.findall(rf"{name}:\s+(\d+)", status)[0])
 
 
 def print_memory(path: Path, warm_up: Path) -> None:
-    """Read ``path`` in this process and print its size in memory, and the most that was needed beyond."""
-    read_log(warm_up)  # so that imports are not counted
-    before = memory("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5")  # the high-water mark starts anew
+    """Read a log in this process; print its size in memory and the peak of the additional memory."""
+    read_log(warm_up)  # so that the memory of imports is not counted
+    before = process_memory("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak
     log = read_log(path)
     result = log.t.nbytes + sum(array.nbytes for array in log.signals.values())
-    beyond = memory("VmHWM") - before - result
+    additional = process_memory("VmHWM") - before - result
     minutes = len(log) / RATE / 60
-    print(f"{minutes:3.0f} min: {result / 2**20:6.1f} MiB of result, {beyond / 2**20:6.1f} MiB beyond it at most")
+    print(f"{minutes:3.0f} min: {result / 2**20:6.1f} MiB of result, {additional / 2**20:6.1f} MiB beyond it at most")
 
 
 def main() -> None:

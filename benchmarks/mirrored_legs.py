@@ -1,8 +1,8 @@
-"""A quadruped's legs as two and two mirrored copies against four free ones: what repeats, and what predicts.
+"""Repeatability and prediction error of a quadruped's fit, with mirrored legs and with four independent ones.
 
 Run ``python benchmarks/mirrored_legs.py FOLDER``, where FOLDER holds go2.urdf and chirp_4.csv to chirp_7.csv (not part
-of this repository). Each chirp is fitted alone; the spread is the standard deviation over the four fits, and the error
-that on the other three chirps.
+of this repository). Each chirp is fitted by itself. The spread is the standard deviation over the four fits, and the
+error of each fit is that on the other three chirps.
 """
 
 from __future__ import annotations
@@ -33,23 +33,25 @@ def silent(stage: str, share: float) -> None:
     """No progress to show."""
 
 
-def fitted(experiment: Experiment) -> Array:
-    """The coefficients that one chirp gives."""
+def fit_coefficients(experiment: Experiment) -> Array:
+    """Coefficients of a fit to one chirp."""
     sets, _ = choose_sets(experiment.model.bodies, None)
-    data, equalities = experiment.reduce(silent), experiment.equalities
-    return estimate(
-        experiment.equation, experiment.model.bodies, data, sets, experiment.config.regularization, equalities
-    ).theta
+    data = experiment.reduce(silent)
+    regularization, equalities = experiment.config.regularization.fixed_or_weak(), experiment.equalities
+    return estimate(experiment.equation, experiment.model.bodies, data, sets, regularization, equalities).theta
 
 
 def compare(robot: Robot, config: Config, folder: Path, name: str) -> None:
-    """Fit every chirp by itself and print spread and error."""
+    """Fit every chirp by itself, and print spread and error."""
     logs = [folder / f"chirp_{n}.csv" for n in CHIRPS]
     thetas, errors = [], []
     for log in logs:
-        experiment = prepare(robot, config, [log], [other for other in logs if other != log])
-        thetas.append(fitted(experiment))
-        errors.append(rms(held_out(experiment, silent), experiment.equation.active(), thetas[-1])[-1])
+        others = [other for other in logs if other != log]
+        experiment = prepare(robot, config, [log], others)
+        theta = fit_coefficients(experiment)
+        error = rms(held_out(experiment, silent), experiment.equation.active(), theta)
+        thetas.append(theta)
+        errors.append(error[-1])  # over all joints
     coefficients = experiment.equation.coefficients
     theta, spread = np.mean(thetas, axis=0), np.std(thetas, axis=0, ddof=1)
     inertial = np.array([c.scale is not None for c in coefficients])
@@ -70,13 +72,16 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     robot, config = read_robot(folder / "go2.urdf"), read_config(CONFIG)
-    bodies = tuple(Mirror(body=f"{a}_{b}", of=f"{of}_{b}", plane="xz") for a, of in PAIRS for b in BODIES)
-    joints = tuple(Mirror(joint=f"{a}_{j}", of=f"{of}_{j}") for a, of in PAIRS for j in JOINTS)
-    for name, mirror in (
-        ("four free legs", ()),
-        ("two and two mirrored", bodies),
-        ("mirrored, friction equal as well", (*bodies, *joints)),
-    ):
+    bodies, joints = [], []
+    for copy, original in PAIRS:
+        bodies += [Mirror(body=f"{copy}_{name}", of=f"{original}_{name}", plane="xz") for name in BODIES]
+        joints += [Mirror(joint=f"{copy}_{name}", of=f"{original}_{name}") for name in JOINTS]
+    variants = {
+        "four free legs": (),
+        "two and two mirrored": tuple(bodies),
+        "mirrored, friction equal as well": (*bodies, *joints),
+    }
+    for name, mirror in variants.items():
         compare(robot, config.model_copy(update={"mirror": mirror}), folder, name)
 
 

@@ -1,15 +1,15 @@
-"""The columns of the leg's six bodies against a Python loop over Pinocchio's regressor.
+"""Time of the columns of the leg's six bodies, compared with a Python loop over Pinocchio's regressor.
 
 Run ``python benchmarks/regressor.py``. Pinocchio's model has the three links and the three rotors as six joints that
-are coupled by phi = G q, so that Y = Gᵀ Y_six. Its loop is timed twice: with G applied and every Y kept, which is what
-`LinearModel.columns` gives, and as bare calls whose results are lost.
+are coupled by phi = G q, so that Y = Gᵀ Y_six. Its loop is timed twice: with G applied and every Y stored, which is the
+result of `LinearModel.columns`, and as bare calls whose results are discarded.
 """
 
 from __future__ import annotations
 
-import leg
 import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
+import sample_leg
 import yaml
 from numpy.typing import NDArray
 
@@ -19,14 +19,14 @@ from idtool.dynamics.regressor import LinearModel
 Array = NDArray[np.float64]
 
 REPETITIONS = 15
-CHECKED = 50  # samples
+CHECKED_SAMPLES = 50
 JOINTS = ("abad", "hip", "knee")
 
 
 def coupled_tree() -> tuple[pin.Model, Array]:
     """The leg and its rotors as joints of a tree, and G, shape (6, 3)."""
-    tree = pin.buildModelFromXML(leg.URDF.read_text())
-    rotors = yaml.safe_load(leg.CONFIG.read_text())["rotors"]
+    tree = pin.buildModelFromXML(sample_leg.URDF.read_text())
+    rotors = yaml.safe_load(sample_leg.CONFIG.read_text())["rotors"]
     for name, rotor in rotors.items():
         frame = tree.frames[tree.getFrameId(rotor["parent"])]
         origin = pin.SE3(pin.rpy.rpyToMatrix(*rotor["origin"]["rpy"]), np.array(rotor["origin"]["xyz"], dtype=float))
@@ -37,8 +37,8 @@ def coupled_tree() -> tuple[pin.Model, Array]:
 
 
 def main() -> None:
-    """Check that the columns are equal, time all by turns and print the ratios."""
-    experiment = leg.experiment()
+    """Check that the columns are equal, time all in turn and print the ratios."""
+    experiment = sample_leg.leg_experiment()
     model = experiment.model
     linear = LinearModel(model.names, (RigidBodies(model),))
     motion = next(experiment.runs[0].signals.batches()).motion
@@ -49,23 +49,23 @@ def main() -> None:
     q, v, a = (np.ascontiguousarray((G @ x).T) for x in (motion.q, motion.v, motion.a))
     Y = np.empty((count, 3, 60))
 
-    def bare() -> None:
+    def bare_calls() -> None:
         for n in range(count):
             pin.computeJointTorqueRegressor(tree, data, q[n], v[n], a[n])
 
-    def kept() -> None:
+    def stored_results() -> None:
         for n in range(count):
             np.matmul(G.T, pin.computeJointTorqueRegressor(tree, data, q[n], v[n], a[n]), out=Y[n])
 
-    kept()
+    stored_results()
     for j, (block, active) in enumerate(zip(linear.columns(motion), linear.active(), strict=True)):
-        for n in np.linspace(0, count - 1, CHECKED).astype(int):
+        for n in np.linspace(0, count - 1, CHECKED_SAMPLES).astype(int):
             np.testing.assert_allclose(block[:-1, n], Y[n, j, active], rtol=0, atol=1e-10 * np.abs(Y[n]).max())
-    seconds = leg.medians(REPETITIONS, lambda: linear.columns(motion), kept, bare)
-    ours, same, calls = (s / count * 1e6 for s in seconds)
+    seconds = sample_leg.median_times(REPETITIONS, lambda: linear.columns(motion), stored_results, bare_calls)
+    ours, pinocchio, bare = (s / count * 1e6 for s in seconds)
     print(
-        f"{count} samples, {ours:.2f} µs each; Pinocchio {same:.2f} µs: ratio {same / ours:.1f}; "
-        f"its bare calls {calls:.2f} µs: ratio {calls / ours:.1f}"
+        f"{count} samples, {ours:.2f} µs each; Pinocchio {pinocchio:.2f} µs: ratio {pinocchio / ours:.1f}; "
+        f"its bare calls {bare:.2f} µs: ratio {bare / ours:.1f}"
     )
 
 

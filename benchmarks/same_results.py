@@ -1,13 +1,13 @@
-"""Whether two versions of idtool give the same results: every command on the sample logs, and on real ones if at hand.
+"""Comparison of the results of two versions of idtool: every command on the sample logs, and on real ones if there.
 
 Run ``python benchmarks/same_results.py record DIR`` with each version, then
-``python benchmarks/same_results.py compare DIR OTHER``. ``--only fit,init`` takes the cases whose names contain one of
-these words, ``--jobs N`` runs several at once.
+``python benchmarks/same_results.py compare DIR OTHER``. ``--only fit,init`` selects the cases whose names contain one
+of these words, ``--jobs N`` runs several at once.
 
-``record`` runs every case in a folder of its own below DIR, and keeps what the command writes, its JSON result and its
+``record`` runs every case in a folder of its own below DIR, and keeps the written files, the JSON results and the
 messages. ``compare`` lists every number that differs by more than ``--tolerance`` of its size, and every other value
-that differs, in JSON results, URDFs, configurations and models for simulators. Times and versions are left aside. With
-``--texts`` messages are compared too, with ``--pages`` the HTML pages as well. Exit code 1: they are not the same.
+that differs, in JSON results, URDFs, configurations and models for simulators. Times and versions are ignored. With
+``--texts`` messages are compared too, with ``--pages`` also the HTML pages. Exit code 1: the results differ.
 """
 
 from __future__ import annotations
@@ -27,20 +27,19 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-REAL = ROOT.parent / "shared" / "data"
+REAL_DATA = ROOT.parent / "shared" / "data"
 
-LEAST = 1e-12  # a difference of numbers that is smaller is none, whatever their size
-ASIDE = {"seconds", "wall_seconds", "versions", "idtool", "version"}  # JSON keys of times and versions
+MIN_DIFFERENCE = 1e-12  # smaller absolute differences of numbers are ignored
+IGNORED_KEYS = {"seconds", "wall_seconds", "versions", "idtool", "version"}  # JSON keys of times and versions
 DURATION = re.compile(r"[\d.e-]+ m?s\b")
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-MODELS = {".urdf", ".yaml", ".xml"}  # compared word by word
-TEXTS = {".txt"}
-MOST_LINES = 12  # of differences shown for one file
+MODEL_SUFFIXES = {".urdf", ".yaml", ".xml"}  # compared word by word
+MAX_LINES = 12  # of differences that are printed for one file
 
 
 @dataclass(frozen=True)
 class Case:
-    """A folder's commands, one after the other, each with what is typed after ``idtool``."""
+    """Commands that run one after the other in one folder, each without the leading ``idtool``."""
 
     name: str
     commands: tuple[str, ...]
@@ -104,90 +103,97 @@ REAL_LOGS = (
     Case("panda_diagnose", (f"diagnose {PANDA} {PANDA_CONFIG} --max-effects 3 --no-simulation --out out",)),
     Case("panda_study", (f"study {PANDA} {PANDA_CONFIG} --draws 5 --out out",)),
 )
-GAINS = "controller: {kp: {%s}, kd: {%s}}\n"
+GO2_GAINS = {"hip": (20.0, 1.0), "thigh": (20.0, 1.0), "calf": (40.0, 2.0)}  # kp, kd
 
 
-def gains() -> str:
-    """The Go2's controller, which no log tells."""
-    gain = {"hip": (20.0, 1.0), "thigh": (20.0, 1.0), "calf": (40.0, 2.0)}
-    joints = [(f"{leg}_{part}_joint", *gain[part]) for leg in ("FL", "FR", "RL", "RR") for part in gain]
-    return GAINS % (", ".join(f"{j}: {kp}" for j, kp, _ in joints), ", ".join(f"{j}: {kd}" for j, _, kd in joints))
+def go2_controller() -> str:
+    """Configuration with the Go2's controller, which its logs do not have."""
+    kp, kd = [], []
+    for leg in ("FL", "FR", "RL", "RR"):
+        for part, (stiffness, damping) in GO2_GAINS.items():
+            kp.append(f"{leg}_{part}_joint: {stiffness}")
+            kd.append(f"{leg}_{part}_joint: {damping}")
+    return f"controller: {{kp: {{{', '.join(kp)}}}, kd: {{{', '.join(kd)}}}}}\n"
 
 
 def record(case: Case, to: Path) -> tuple[float, list[str]]:
-    """Run a case in a new folder of its own; the time it took [s], and the last line of commands that failed."""
+    """Run a case in a new folder of its own; its wall time [s], and the last message of each failed command."""
     folder = to / case.name
     folder.mkdir(parents=True)
     (folder / "samples").symlink_to(ROOT / "sample_logs")
     (folder / "configs").symlink_to(ROOT / "configs")
-    (folder / "real").symlink_to(REAL)
-    (folder / "gains.yaml").write_text(gains())
+    (folder / "real").symlink_to(REAL_DATA)
+    (folder / "gains.yaml").write_text(go2_controller())
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
     started = time.perf_counter()
     failures = []
     for i, command in enumerate(case.commands):
-        ran = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-m", "idtool", *command.split(), "--json"],
             cwd=folder,
             env=environment,
             capture_output=True,
             text=True,
         )
-        (folder / f"{i}.json").write_text(ran.stdout or "null")
-        (folder / f"{i}.txt").write_text(f"{command}\nexit code {ran.returncode}\n{ran.stderr}")
-        if ran.returncode:
-            failures.append(f"idtool {command}: {ran.stderr.strip().splitlines()[-1:]}")
+        (folder / f"{i}.json").write_text(process.stdout or "null")
+        (folder / f"{i}.txt").write_text(f"{command}\nexit code {process.returncode}\n{process.stderr}")
+        if process.returncode:
+            failures.append(f"idtool {command}: {process.stderr.strip().splitlines()[-1:]}")
     return time.perf_counter() - started, failures
 
 
-def files(folder: Path, kinds: set[str]) -> dict[str, Path]:
-    """The files of some endings that a case has written, by their paths below its folder."""
-    found = {}
+def files_by_path(folder: Path, suffixes: set[str]) -> dict[str, Path]:
+    """Files of a case with given suffixes, by their paths below its folder."""
+    files = {}
     for path in sorted(folder.rglob("*")):
-        if path.suffix in kinds and path.is_file():
-            found[str(path.relative_to(folder))] = path
-    return found
+        if path.suffix in suffixes and path.is_file():
+            files[str(path.relative_to(folder))] = path
+    return files
 
 
-def leaves(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
-    """All values of a JSON document that hold no others, with where they are."""
+def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Paths and values of a JSON document's leaves: all values but objects and lists."""
     if isinstance(value, dict):
         for key, inner in value.items():
-            if key not in ASIDE:
-                yield from leaves(inner, f"{at}.{key}")
+            if key not in IGNORED_KEYS:
+                yield from leaves(inner, f"{path}.{key}")
     elif isinstance(value, list):
         for i, inner in enumerate(value):
-            yield from leaves(inner, f"{at}[{i}]")
+            yield from leaves(inner, f"{path}[{i}]")
     else:
-        yield at, value
+        yield path, value
 
 
-def same(one: Any, other: Any, tolerance: float) -> bool:
-    """Whether two values are equal, numbers to a share of their size."""
-    numbers = (int, float)
-    if isinstance(one, numbers) and isinstance(other, numbers) and not isinstance(one, bool | None):
-        return one == other or abs(one - other) <= max(tolerance * max(abs(one), abs(other)), LEAST)
+def are_equal(one: Any, other: Any, tolerance: float) -> bool:
+    """True if two values are equal; numbers may differ by a share of their size."""
+    is_number = isinstance(one, int | float) and isinstance(other, int | float) and not isinstance(one, bool)
+    if is_number:
+        size = max(abs(one), abs(other))
+        return one == other or abs(one - other) <= max(tolerance * size, MIN_DIFFERENCE)
     return bool(one == other)
 
 
 def json_differences(one: Path, other: Path, tolerance: float) -> Iterator[str]:
-    """What differs between two JSON files."""
-    left, right = (dict(leaves(json.loads(path.read_text()))) for path in (one, other))
-    for at in left.keys() - right.keys():
-        yield f"{at}: {left[at]!r} is gone"
-    for at in right.keys() - left.keys():
-        yield f"{at}: {right[at]!r} is new"
-    for at in left.keys() & right.keys():
-        if not same(left[at], right[at], tolerance):
-            yield f"{at}: {left[at]!r} became {right[at]!r}"
+    """Differences between two JSON files, one line each."""
+    before = dict(leaves(json.loads(one.read_text())))
+    after = dict(leaves(json.loads(other.read_text())))
+    for path in before.keys() - after.keys():
+        yield f"{path}: {before[path]!r} is gone"
+    for path in after.keys() - before.keys():
+        yield f"{path}: {after[path]!r} is new"
+    for path in before.keys() & after.keys():
+        if not are_equal(before[path], after[path], tolerance):
+            yield f"{path}: {before[path]!r} became {after[path]!r}"
 
 
 def text_differences(one: Path, other: Path, tolerance: float) -> Iterator[str]:
     """The lines that differ between two text files by more than rounded numbers."""
-    left, right = (_comparable_lines(path) for path in (one, other))
-    if len(left) == len(right) and all(same_line(a, b, tolerance) for a, b in zip(left, right, strict=True)):
-        return
-    for line in difflib.unified_diff(left, right, lineterm="", n=0):
+    before, after = _comparable_lines(one), _comparable_lines(other)
+    if len(before) == len(after):
+        pairs = zip(before, after, strict=True)
+        if all(are_equal_lines(line, other_line, tolerance) for line, other_line in pairs):
+            return
+    for line in difflib.unified_diff(before, after, lineterm="", n=0):
         if not line.startswith(("---", "+++", "@@")):
             yield line
 
@@ -199,39 +205,41 @@ def _comparable_lines(path: Path) -> list[str]:
     return [DURATION.sub("… s", line) for line in text.splitlines() if "idtool 0." not in line]
 
 
-def same_line(one: str, other: str, tolerance: float) -> bool:
-    """Whether two lines have the same words, and the same numbers but for rounding."""
+def are_equal_lines(one: str, other: str, tolerance: float) -> bool:
+    """True if two lines have the same words, and the same numbers except for rounding."""
     if NUMBER.split(one) != NUMBER.split(other):
         return False
     pairs = zip(NUMBER.findall(one), NUMBER.findall(other), strict=True)
-    return all(same(float(a), float(b), tolerance) for a, b in pairs)
+    return all(are_equal(float(a), float(b), tolerance) for a, b in pairs)
 
 
 def compare(one: Path, other: Path, arguments: argparse.Namespace) -> int:
-    """Print what differs between two recordings; the number of files that do."""
+    """Print the differences between two recordings; return the number of files that differ."""
     differing = 0
-    kinds = (
-        MODELS | {".json", ".csv"} | (TEXTS if arguments.texts else set()) | ({".html"} if arguments.pages else set())
-    )
-    for folder in sorted(path for path in one.iterdir() if chosen(path.name, arguments.only)):
-        left, right = files(folder, kinds), files(other / folder.name, kinds)
-        for name in sorted(left.keys() | right.keys()):
-            if name not in left or name not in right:
-                lines = ["is gone" if name in left else "is new"]
+    suffixes = MODEL_SUFFIXES | {".json", ".csv"}
+    if arguments.texts:
+        suffixes.add(".txt")
+    if arguments.pages:
+        suffixes.add(".html")
+    for folder in sorted(path for path in one.iterdir() if is_selected(path.name, arguments.only)):
+        before, after = files_by_path(folder, suffixes), files_by_path(other / folder.name, suffixes)
+        for name in sorted(before.keys() | after.keys()):
+            if name not in before or name not in after:
+                lines = ["is gone" if name in before else "is new"]
             elif name.endswith(".json"):
-                lines = list(json_differences(left[name], right[name], arguments.tolerance))
+                lines = list(json_differences(before[name], after[name], arguments.tolerance))
             else:
-                lines = list(text_differences(left[name], right[name], arguments.tolerance))
+                lines = list(text_differences(before[name], after[name], arguments.tolerance))
             if lines:
                 differing += 1
                 print(f"{folder.name}/{name}: {len(lines)} differences")
-                for line in lines[:MOST_LINES]:
+                for line in lines[:MAX_LINES]:
                     print(f"    {line[:200]}")
     return differing
 
 
-def chosen(name: str, only: str) -> bool:
-    """Whether a case is to be run or compared."""
+def is_selected(name: str, only: str) -> bool:
+    """True if a case is to be run or compared: its name contains one of the words."""
     return any(word in name for word in only.split(","))
 
 
@@ -256,10 +264,11 @@ def main() -> int:
         differing = compare(arguments.one, arguments.other, arguments)
         print(f"{differing} files differ" if differing else "the same")
         return int(differing > 0)
-    cases = [case for case in (*SAMPLES, *(REAL_LOGS if REAL.exists() else ())) if chosen(case.name, arguments.only)]
+    available = SAMPLES + REAL_LOGS if REAL_DATA.exists() else SAMPLES
+    cases = [case for case in available if is_selected(case.name, arguments.only)]
     with ThreadPool(arguments.jobs) as pool:
-        took = pool.imap(lambda case: record(case, arguments.to.resolve()), cases)
-        for case, (seconds, failures) in zip(cases, took, strict=True):
+        results = pool.imap(lambda case: record(case, arguments.to.resolve()), cases)
+        for case, (seconds, failures) in zip(cases, results, strict=True):
             print(f"{case.name:20} {seconds:6.1f} s", *failures, sep="\n    ", flush=True)
     return 0
 

@@ -1,10 +1,10 @@
-"""A quadruped on a stand and an arm of six joints, in MuJoCo: what they truly are, and logs of random motions.
+"""A quadruped on a stand and an arm of six joints, simulated in MuJoCo: true parameters and logs of random motions.
 
-The quadruped has four mirrored legs of three joints, whose geared rotors are bodies: carried along as bodies of the
-MuJoCo model, their spin the armature of a tendon. That is exact here, as they are balanced and each one's spin, its
-carrier's share included, is a constant times the joints' velocities. The arm's rotors are MuJoCo's armature, a
-reflected inertia at the joint. A PD controller that reads the encoders follows random sines within the joints' limits.
-Nothing of idtool takes part but its `Log`.
+The quadruped has four mirrored legs of three joints with geared rotors. A rotor is a body of the MuJoCo model that
+moves with its carrier, and its spin is the armature of a tendon. That is exact here, as rotors are balanced and each
+one's spin, with its carrier's, is a linear function of the joints' velocities. The arm's rotors are MuJoCo's armature,
+a reflected inertia at the joint. A PD controller with encoders follows random sines within the joints' limits. Nothing
+of idtool is used but its `Log`.
 
 Letters: q [rad], v [rad/s], tau [N m] at the joint output, each (N, n), at `RATE`; t [s].
 """
@@ -36,54 +36,56 @@ from idtool.data.logs import Log, make_log
 Array = NDArray[np.float64]
 
 RATE = 500  # samples a second
-_STEPS = 2  # of the integrator, a sample
-_EVERY = hidden_plant.RATE // RATE  # of the drawn motion's samples
-_BANDWIDTH, _DAMPING = 60.0, 0.8  # of the position loop [rad/s]
-_LAG = 2e-3  # of the velocity that is differenced from the encoder and smoothed [s]
-_SPIN_LEFT = 1e-8  # share of its spin inertia that a rotor's body keeps, as MuJoCo wants one
-_HARD = 0.9999  # the hardest friction constraint that MuJoCo knows
-_COLOURED_TIME = 0.2  # s
-_FINE = 32  # bits
+_STEPS = 2  # of the integrator, per sample
+_STRIDE = hidden_plant.RATE // RATE  # of the samples of a drawn motion
+_BANDWIDTH = 60.0  # rad/s, of the position loop
+_DAMPING_RATIO = 0.8
+_VELOCITY_LAG = 2e-3  # s, of the velocity, which is differenced from the encoder and smoothed
+_MIN_AXIAL_SHARE = 1e-8  # of a rotor's axial inertia that its body keeps, as MuJoCo needs some
+_MAX_IMPEDANCE = 0.9999  # of MuJoCo's friction constraints
+_CORRELATION_TIME = 0.2  # s, of the coloured noise
+_FINE_ENCODER = 32  # bits
 
-SIDES = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}  # of the trunk: front or rear, left or right
+LEGS = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}  # signs of x (front or rear) and y (left or right)
 
 
 def _quadruped() -> Robot:
+    """Four copies of the leg on one trunk, mirrored to its corners."""
     joints: list[Joint] = []
     links = {}
-    for leg, (front, left) in SIDES.items():
+    for leg, (x_sign, y_sign) in LEGS.items():
         for joint in LEG3.joints:
             x, y, z = joint.xyz
             on_trunk = joint.parent == "trunk"
-            place = (front * x if on_trunk else x, left * y, z)
+            xyz = (x_sign * x if on_trunk else x, y_sign * y, z)
             parent = "trunk" if on_trunk else f"{leg}_{joint.parent}"
             child = f"{leg}_{joint.child}"
-            joints.append(replace(joint, name=f"{leg}_{joint.name}", parent=parent, child=child, xyz=place))
+            joints.append(replace(joint, name=f"{leg}_{joint.name}", parent=parent, child=child, xyz=xyz))
         for name, link in LEG3.links.items():
-            image = np.diag([1, left, 1])
-            links[f"{leg}_{name}"] = replace(link, com=image @ link.com, inertia=image @ link.inertia @ image)
+            mirror = np.diag([1, y_sign, 1])
+            links[f"{leg}_{name}"] = replace(link, com=mirror @ link.com, inertia=mirror @ link.inertia @ mirror)
     return replace(LEG3, name="quadruped", joints=tuple(joints), links=links)
 
 
 @dataclass(frozen=True)
-class Sensors:
-    """Noise of the torque that the drives log.
+class TorqueNoise:
+    """Noise on the logged torque.
 
     Attributes
     ----------
-    noise
-        White, on the torque, as a share of each joint's rms torque.
+    white
+        White noise, as a share of each joint's rms torque.
     coloured
-        First-order autoregressive noise of a correlation time of 0.2 s on top of it, as such a share.
+        First-order autoregressive noise with a correlation time of 0.2 s in addition, as a share of the same.
     """
 
-    noise: float = 0.02
+    white: float = 0.02
     coloured: float = 0.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """A simulated motion: t (N,); q and v as logged and tau as it truly was, (N, n)."""
+    """A simulated motion: t (N,); logged q and v, and true tau, (N, n)."""
 
     t: Array
     q: Array
@@ -91,16 +93,16 @@ class Run:
     tau: Array
 
     def log(self, name: str, joints: tuple[str, ...]) -> Log:
-        """The signals as they stand as a log."""
+        """The signals as a log."""
         return make_log(Path(name), self.t, joints, {"q": self.q, "v": self.v, "tau": self.tau})
 
-    def noisy(self, sensors: Sensors, rng: np.random.Generator) -> Run:
-        """Copy with noise on the torque."""
+    def with_noise(self, noise: TorqueNoise, rng: np.random.Generator) -> Run:
+        """A copy with noise on the torque."""
         rms = np.sqrt(np.mean(np.square(self.tau), axis=0))
         white = rng.normal(size=self.tau.shape)
-        keep = np.exp(-1 / (_COLOURED_TIME * RATE))
-        coloured = lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.normal(size=self.tau.shape), axis=0)
-        return replace(self, tau=self.tau + rms * (sensors.noise * white + sensors.coloured * coloured))
+        decay = np.exp(-1 / (_CORRELATION_TIME * RATE))
+        coloured = lfilter([np.sqrt(1 - decay**2)], [1, -decay], rng.normal(size=self.tau.shape), axis=0)
+        return replace(self, tau=self.tau + rms * (noise.white * white + noise.coloured * coloured))
 
 
 @dataclass(frozen=True)
@@ -110,13 +112,13 @@ class SimulatedRobot:
     Attributes
     ----------
     robot
-        Its joints, and the links that it truly has.
-    geared
-        Whether the rotors are bodies; else they are the joints' armature.
+        The joints, and the true links.
+    has_rotor_bodies
+        True if the rotors are bodies; otherwise they are the joints' armature.
     """
 
     robot: Robot
-    geared: bool
+    has_rotor_bodies: bool
 
     @property
     def name(self) -> str:
@@ -133,66 +135,75 @@ class SimulatedRobot:
         """Names of the links."""
         return tuple(self.robot.links)
 
-    def confined(self, share: float) -> SimulatedRobot:
-        """Copy that moves within a share of its joints' travel."""
+    def with_travel(self, share: float) -> SimulatedRobot:
+        """A copy that moves within a share of its joints' travel."""
         joints = []
         for joint in self.robot.joints:
-            middle, half = (joint.upper + joint.lower) / 2, share * (joint.upper - joint.lower) / 2
+            middle = (joint.upper + joint.lower) / 2
+            half = share * (joint.upper - joint.lower) / 2
             joints.append(replace(joint, lower=middle - half, upper=middle + half))
         return replace(self, robot=replace(self.robot, joints=tuple(joints)))
 
     def without_stiction(self) -> SimulatedRobot:
-        """Copy without Coulomb friction, whose encoders have steps that are not felt: all is smooth."""
+        """A copy without Coulomb friction and with ideal encoders: all signals are smooth."""
         joints = tuple(replace(joint, coulomb=0.0) for joint in self.robot.joints)
-        return replace(self, robot=replace(self.robot, joints=joints, bits=_FINE))
+        return replace(self, robot=replace(self.robot, joints=joints, encoder_bits=_FINE_ENCODER))
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """With rotors and friction, without limits."""
+        """The MuJoCo model, with rotors and friction, without joint limits."""
         spec = mujoco.MjSpec.from_string(urdf_text(self.robot))
         spec.compiler.fusestatic = False
-        spec.option.timestep = step = 1 / (RATE * _STEPS)
+        timestep = 1 / (RATE * _STEPS)
+        spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_REFSAFE
-        for joint in self.robot.joints if self.geared else ():
-            self._add_rotor(spec, joint)
+        if self.has_rotor_bodies:
+            for joint in self.robot.joints:
+                self._add_rotor(spec, joint)
         model = spec.compile()
         for joint in self.robot.joints:
-            place = model.joint(joint.name).dofadr[0]
-            model.dof_damping[place], model.dof_frictionloss[place] = joint.viscous, joint.coulomb
-            model.dof_armature[place] = 0.0 if self.geared else joint.reflected
-        model.dof_solref[:] = [step, 1.0]  # friction is whole beyond about the deceleration times the step
-        model.dof_solimp[:, :2] = _HARD
+            dof = model.joint(joint.name).dofadr[0]
+            model.dof_damping[dof] = joint.viscous
+            model.dof_frictionloss[dof] = joint.coulomb
+            model.dof_armature[dof] = 0.0 if self.has_rotor_bodies else joint.reflected_inertia
+        model.dof_solref[:] = [timestep, 1.0]  # full friction above about deceleration times timestep
+        model.dof_solimp[:, :2] = _MAX_IMPEDANCE
         return model
 
     def _add_rotor(self, spec: mujoco.MjSpec, joint: Joint) -> None:
         axis, body = np.array(joint.axis), rotor(joint)
-        spin = float(axis @ body.inertia @ axis)
-        turn = Rotation.from_euler("xyz", joint.rpy).as_quat(scalar_first=True)
-        carried = spec.body(joint.parent).add_body(name=rotor_name(joint), pos=joint.xyz, quat=turn)
-        inertia = body.inertia - (1 - _SPIN_LEFT) * spin * np.outer(axis, axis)
-        carried.explicitinertial, carried.mass, carried.ipos = True, body.mass, body.com
-        carried.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        tendon = spec.add_tendon(name=rotor_name(joint), armature=spin)
+        axial_inertia = float(axis @ body.inertia @ axis)
+        rotation = Rotation.from_euler("xyz", joint.rpy).as_quat(scalar_first=True)
+        target = spec.body(joint.parent).add_body(name=rotor_name(joint), pos=joint.xyz, quat=rotation)
+        inertia = body.inertia - (1 - _MIN_AXIAL_SHARE) * axial_inertia * np.outer(axis, axis)
+        target.explicitinertial = True
+        target.mass = body.mass
+        target.ipos = body.com
+        target.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        tendon = spec.add_tendon(name=rotor_name(joint), armature=axial_inertia)
         tendon.wrap_joint(joint.name, joint.gear)
         for carrier in self.robot.joints:
             if carrier.child == joint.parent and carrier.axis == joint.axis:
                 tendon.wrap_joint(carrier.name, 1.0)
 
     @cached_property
-    def places(self) -> NDArray[np.int64]:
-        """Degrees of freedom of the joints in MuJoCo, (n,)."""
+    def dofs(self) -> NDArray[np.int64]:
+        """Indices of the joints' degrees of freedom in MuJoCo, shape (n,)."""
         return np.array([self.model.joint(name).dofadr[0] for name in self.joints])
 
     @cached_property
     def bodies(self) -> dict[str, Body]:
-        """Links and geared rotors as the MuJoCo model has them, each in its own frame."""
-        found = {name: self._body(name) for name in self.links}
-        for joint in self.robot.joints if self.geared else ():
-            name = rotor_name(joint)
-            body, spin = self._body(name), float(self.model.tendon_armature[self.model.tendon(name).id])
-            found[name] = replace(body, inertia=body.inertia + spin * np.outer(joint.axis, joint.axis))
-        return found
+        """True bodies of links and geared rotors in the MuJoCo model, each in its own frame."""
+        bodies = {name: self._body(name) for name in self.links}
+        if self.has_rotor_bodies:
+            for joint in self.robot.joints:
+                name = rotor_name(joint)
+                body = self._body(name)
+                axial_inertia = float(self.model.tendon_armature[self.model.tendon(name).id])
+                inertia = body.inertia + axial_inertia * np.outer(joint.axis, joint.axis)
+                bodies[name] = replace(body, inertia=inertia)
+        return bodies
 
     def _body(self, name: str) -> Body:
         body = self.model.body(name)
@@ -201,62 +212,64 @@ class SimulatedRobot:
 
     @cached_property
     def joint_terms(self) -> dict[tuple[str, str], float]:
-        """Friction and armature of every joint as the MuJoCo model has them, by joint and coefficient."""
-        terms = {"viscous": "dof_damping", "coulomb": "dof_frictionloss", "inertia": "dof_armature"}
-        return {
-            (joint, name): float(getattr(self.model, field)[place])
-            for joint, place in zip(self.joints, self.places, strict=True)
-            for name, field in terms.items()
-        }
+        """True friction and armature of every joint, by joint and name of the coefficient."""
+        terms = {}
+        for joint, dof in zip(self.joints, self.dofs, strict=True):
+            terms[joint, "viscous"] = float(self.model.dof_damping[dof])
+            terms[joint, "coulomb"] = float(self.model.dof_frictionloss[dof])
+            terms[joint, "inertia"] = float(self.model.dof_armature[dof])
+        return terms
 
     def urdf(self, bodies: dict[str, Body]) -> str:
-        """The URDF with these inertias of its links."""
+        """The URDF with the inertias of given bodies."""
         return urdf_text(self.robot, {name: bodies[name] for name in self.links})
 
     def config(self, bodies: dict[str, Body]) -> dict[str, Any]:
-        """The configuration as plain data: rotors with these inertias, or that every joint has one."""
-        if self.geared:
+        """The configuration as plain data: rotors with the inertias of given bodies, or a rotor inertia per joint."""
+        if self.has_rotor_bodies:
             return {"rotors": {rotor_name(joint): _rotor_entry(joint, bodies) for joint in self.robot.joints}}
-        parameters = {"inertia": 0.0}
-        entries = [{"effect": "rotor_inertia", "joint": j, "parameters": parameters} for j in self.joints]
+        entries = []
+        for joint in self.joints:
+            entries.append({"effect": "rotor_inertia", "joint": joint, "parameters": {"inertia": 0.0}})
         return {"effects": entries}
 
     def run(self, seed: int, seconds: float) -> Run:
-        """A random motion, under the control of drives that read the encoders.
+        """Simulate a random motion under a PD controller that reads the encoders.
 
         Raises
         ------
         RuntimeError
-            If there is no such motion within the robot's limits.
+            If no motion within the robot's limits is found.
         """
         command = draw_motion(self.robot, seed, seconds)
-        q_cmd, v_cmd = (x[:, ::_EVERY].T for x in (command.q, command.v))
-        model, data, places = self.model, mujoco.MjData(self.model), self.places
-        data.qpos[places], data.qvel[places] = q_cmd[0], v_cmd[0]
+        q_cmd, v_cmd = command.q[:, ::_STRIDE].T, command.v[:, ::_STRIDE].T
+        model, data, dofs = self.model, mujoco.MjData(self.model), self.dofs
+        data.qpos[dofs], data.qvel[dofs] = q_cmd[0], v_cmd[0]
         kp, kd = self._gains(command)
-        step = 2 * np.pi / 2**self.robot.bits
-        keep = 1 / (0.5 + _LAG * RATE)
+        resolution = 2 * np.pi / 2**self.robot.encoder_bits
+        smoothing = 1 / (0.5 + _VELOCITY_LAG * RATE)
         q, v, tau = np.zeros((3, *q_cmd.shape))
-        read, speed = q_cmd[0], v_cmd[0]
+        q_measured, v_measured = q_cmd[0], v_cmd[0]
         for k in range(len(q_cmd)):
-            tau[k] = kp * (q_cmd[k] - read) + kd * (v_cmd[k] - speed)
-            data.qfrc_applied[places] = tau[k]
+            tau[k] = kp * (q_cmd[k] - q_measured) + kd * (v_cmd[k] - v_measured)
+            data.qfrc_applied[dofs] = tau[k]
             mujoco.mj_step(model, data, _STEPS // 2)
-            before, read = read, np.round(data.qpos[places] / step) * step
-            speed = speed + keep * ((read - before) * RATE - speed)
-            q[k], v[k] = read, speed
+            q_last = q_measured
+            q_measured = np.round(data.qpos[dofs] / resolution) * resolution
+            v_measured = v_measured + smoothing * ((q_measured - q_last) * RATE - v_measured)
+            q[k], v[k] = q_measured, v_measured
             mujoco.mj_step(model, data, _STEPS // 2)
         return Run((np.arange(len(q)) + 0.5) / RATE, q, v, tau)
 
     def _gains(self, command: Motion) -> tuple[Array, Array]:
-        """Gains of the PD controller, by each joint's inertia in the middle of its travel, (n,) each."""
+        """Gains kp and kd by each joint's inertia in the middle of its travel, shape (n,) each."""
         data = mujoco.MjData(self.model)
-        data.qpos[self.places] = np.median(command.q, axis=1)
+        data.qpos[self.dofs] = np.median(command.q, axis=1)
         mujoco.mj_forward(self.model, data)
-        full = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, data, full)
-        inertia = np.diag(full)[self.places]
-        return _BANDWIDTH**2 * inertia, 2 * _DAMPING * _BANDWIDTH * inertia
+        M = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, data, M)
+        inertia = np.diag(M)[self.dofs]
+        return _BANDWIDTH**2 * inertia, 2 * _DAMPING_RATIO * _BANDWIDTH * inertia
 
 
 def rotor_name(joint: Joint) -> str:
@@ -275,6 +288,6 @@ def _rotor_entry(joint: Joint, bodies: dict[str, Body]) -> dict[str, Any]:
     }
 
 
-QUADRUPED = SimulatedRobot(_quadruped(), geared=True)
-ARM = SimulatedRobot(ARM6, geared=False)
+QUADRUPED = SimulatedRobot(_quadruped(), has_rotor_bodies=True)
+ARM = SimulatedRobot(ARM6, has_rotor_bodies=False)
 ROBOTS = {"quadruped": QUADRUPED, "arm": ARM}

@@ -1,7 +1,7 @@
-"""How long ``idtool --help`` takes, and where the time of a whole ``idtool fit`` of the leg goes.
+"""Time of ``idtool --help``, and of each step of ``idtool fit`` of the leg.
 
-Run ``python benchmarks/startup.py``. Every run is a fresh process. Help and an empty Python take turns, and so do the
-command ``idtool fit``, timed from outside, and a process that takes its steps one by one and times them.
+Run ``python benchmarks/startup.py``. Every run is a fresh process. These take turns: an empty Python program, the help,
+the command ``idtool fit``, and a process that takes the steps of the fit one by one and times them.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ REPETITIONS = 7
 
 
 def python(*arguments: str | Path) -> str:
-    """Run Python, and return what it prints."""
-    done = subprocess.run([sys.executable, *arguments], check=True, capture_output=True, text=True)
-    return done.stdout
+    """Run Python, and return its standard output."""
+    process = subprocess.run([sys.executable, *arguments], check=True, capture_output=True, text=True)
+    return process.stdout
 
 
 def idtool(*arguments: str | Path) -> str:
@@ -51,23 +51,23 @@ def print_steps(urdf: Path, log: Path) -> None:
 
 
 def main() -> None:
-    """Time all by turns and print medians."""
+    """Time all in turn and print medians."""
     if len(sys.argv) == 3:
         return print_steps(Path(sys.argv[1]), Path(sys.argv[2]))
-    import leg
+    import sample_leg
 
     steps: list[dict[str, float]] = []
     with tempfile.TemporaryDirectory() as folder:
-        empty, help_, whole, _ = leg.medians(
+        empty, help_seconds, fit_seconds, _ = sample_leg.median_times(
             REPETITIONS,
             lambda: python("-c", "pass"),
             lambda: idtool("--help"),
-            lambda: idtool("fit", leg.URDF, leg.LOG, "--out", folder, "--quiet"),
-            lambda: steps.append(json.loads(python(__file__, leg.URDF, leg.LOG))),
+            lambda: idtool("fit", sample_leg.URDF, sample_leg.LOG, "--out", folder, "--quiet"),
+            lambda: steps.append(json.loads(python(__file__, sample_leg.URDF, sample_leg.LOG))),
         )
-    print(f"idtool --help {help_:.3f} s, an empty Python {empty:.3f} s: ratio {help_ / empty:.1f}")
+    print(f"idtool --help {help_seconds:.3f} s, an empty Python {empty:.3f} s: ratio {help_seconds / empty:.1f}")
     parts = ", ".join(f"{name} {statistics.median(run[name] for run in steps):.2f}" for name in steps[0])
-    print(f"idtool fit {whole:.2f} s; of it {parts} s")
+    print(f"idtool fit {fit_seconds:.2f} s; of it {parts} s")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Logs of robots in which an effect is hidden that no model of theirs has; shares no code with idtool.
+"""Logs of simulated robots with hidden effects that their models lack; shares no code with idtool.
 
-MuJoCo moves the bodies, and effects act on the motion as forces, or on the sensors.
+MuJoCo moves the bodies. Effects act on the motion as forces, or on the sensors.
 """

@@ -10,13 +10,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from hidden_effects.cases import write_case
+from hidden_effects.case_files import write_case
+from hidden_effects.case_list import KINDS, Case, list_cases, parse_numbers
 from hidden_effects.effects import MAGNITUDES
-from hidden_effects.plans import KINDS, Case, cases, numbers
 from hidden_effects.robots import ROBOTS
 
 
 def _write(task: tuple[Case, Path]) -> str:
+    """Write one case; its name, with the reason if it cannot be simulated."""
     case, folder = task
     try:
         write_case(case, folder / case.name)
@@ -26,7 +27,7 @@ def _write(task: tuple[Case, Path]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write cases."""
+    """Write the chosen cases."""
     parser = argparse.ArgumentParser(description="Write logs of robots with hidden effects.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--kind", default="single", help=f"of {', '.join(KINDS)}; several with commas")
@@ -37,20 +38,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args(arguments)
-    chosen = [
-        case
-        for kind in options.kind.split(",")
-        for case in cases(
-            kind,
-            options.robots.split(","),
-            options.magnitudes.split(","),
-            numbers(options.seeds),
-            options.seconds,
-        )
-        if not options.effects or {one.effect for one in case.hidden} & set(options.effects.split(","))
-    ]
+
+    robots, magnitudes = options.robots.split(","), options.magnitudes.split(",")
+    cases: list[Case] = []
+    for kind in options.kind.split(","):
+        cases += list_cases(kind, robots, magnitudes, parse_numbers(options.seeds), options.seconds)
+    if options.effects:
+        wanted = set(options.effects.split(","))
+        cases = [case for case in cases if wanted & {effect.effect for effect in case.hidden}]
     with Pool(options.jobs) as pool:
-        for name in pool.imap_unordered(_write, [(case, options.folder) for case in chosen]):
+        for name in pool.imap_unordered(_write, [(case, options.folder) for case in cases]):
             print(name, flush=True)
 
 

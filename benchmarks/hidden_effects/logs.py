@@ -1,10 +1,10 @@
-"""Logs of robots with hidden effects: a drive follows a command, sensors read what happens.
+"""Logs of robots with hidden effects: a drive follows a command, and sensors record the motion.
 
-Each millisecond, a PD controller sets the actuators' torque from what the sensors read a millisecond before. Its
-feed-forward is the designer's inverse dynamics and about the true friction. A sample lies in the middle of its
-torque's millisecond.
+Every millisecond, a PD controller sets the torque of the actuators from the sensor values of the millisecond before.
+Its feed-forward is the designer's inverse dynamics with nearly the true friction. A sample lies in the middle of the
+millisecond of its torque.
 
-Letters: q, v, a, tau (n, N) at 1 kHz in the motion, and (N, n) in `Recording`.
+Letters: q, v, tau at 1 kHz; shape (n, N) in a `Motion`, (N, n) in a `Recording`.
 """
 
 from __future__ import annotations
@@ -15,49 +15,49 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden_effects.effects import Channels, Hidden, act
+from hidden_effects.effects import HiddenEffect, SensorErrors, apply_effects
 from hidden_effects.motion import Motion, nominal_torque
-from hidden_effects.plant import RATE, Physics, Plant, needed
+from hidden_effects.plant import RATE, AddedPhysics, Plant, inverse_dynamics
 from hidden_effects.robots import Robot, Truth, rotor
 
 Array = NDArray[np.float64]
 
-_BANDWIDTH = 60.0  # rad/s of the position loop
-_DAMPING = 0.8
-_TUNED = (0.9, 1.1)  # friction in the feed-forward, of the true one
-_CALM = 200.0  # 1/s, the damping of a motor by itself
-_LOST = 0.6  # rad from the command
-_STEPS, _FINE = 4, 10  # steps a sample; with gears that give way or bristles
+_BANDWIDTH = 60.0  # rad/s, of the position loop
+_DAMPING_RATIO = 0.8
+_FRICTION_FACTORS = (0.9, 1.1)  # friction in the feed-forward over the true one
+_MAX_MOTOR_DAMPING = 200.0  # 1/s, of a motor that moves by itself in an elastic transmission
+_MAX_TRACKING_ERROR = 0.6  # rad
+_STEPS, _FINE_STEPS = 4, 10  # simulation steps per sample; with elastic transmissions or presliding friction
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What the drives read.
+    """The sensors of a log.
 
     Attributes
     ----------
-    bits
-        Of the encoder, a turn of the joint; None: the robot's own.
-    lag
-        By which the velocity lags, differenced from the encoder and smoothed [s].
-    velocity
-        Whether the log has it.
-    noise
-        White, on the torque, as a share of each joint's rms torque.
-    jitter
-        Of the time stamps, as a share of a millisecond.
+    encoder_bits
+        Resolution per turn of the joint; None: the robot's own.
+    velocity_lag
+        Lag of the velocity, which is differenced from the encoder and smoothed [s].
+    has_velocity
+        True if the log has velocities.
+    torque_noise
+        White noise on the torque, as a share of each joint's rms torque.
+    time_jitter
+        Noise of the time stamps, as a share of a millisecond.
     """
 
-    bits: int | None = None
-    lag: float = 1.0e-3
-    velocity: bool = True
-    noise: float = 0.005
-    jitter: float = 0.0
+    encoder_bits: int | None = None
+    velocity_lag: float = 1.0e-3
+    has_velocity: bool = True
+    torque_noise: float = 0.005
+    time_jitter: float = 0.0
 
 
 @dataclass(frozen=True)
 class Recording:
-    """As measured: t (N,), q, v, tau (N, n); ``noise`` on each joint's torque [N m], (n,)."""
+    """Measured signals: t (N,); q, v, tau (N, n); and the noise on each joint's torque, shape (n,) [N m]."""
 
     t: Array
     q: Array
@@ -67,9 +67,9 @@ class Recording:
 
 
 def record(
-    robot: Robot, truth: Truth, hidden: tuple[Hidden, ...], motion: Motion, sensors: Sensors, seed: int
+    robot: Robot, truth: Truth, hidden: tuple[HiddenEffect, ...], motion: Motion, sensors: Sensors, seed: int
 ) -> Recording:
-    """Run the robot along a motion.
+    """Run a robot along a commanded motion.
 
     Raises
     ------
@@ -77,89 +77,95 @@ def record(
         If a joint departs from its command by more than 0.6 rad.
     """
     rng = np.random.default_rng([seed, 13])
-    tuned = np.array([truth.viscous, truth.coulomb]) * rng.uniform(*_TUNED, (2, len(robot.joints)))
-    fed = nominal_torque(robot, motion, tuned).T
-    truth, physics, channels = act(robot, truth, hidden)
-    fine = physics.gears or any(one.effect == "presliding_hysteresis" for one in hidden)
-    steps = _FINE if fine else _STEPS
-    plant = Plant(robot, truth, physics, 1 / (RATE * steps), motion.q[:, 0] + channels.offset, motion.v[:, 0])
-    gains = _gains(robot, motion, physics)
-    true, q, v = _run(plant, robot, motion, fed, gains, channels, sensors, steps)
-    tau = _measured(true, channels)
-    noise = sensors.noise * np.sqrt(np.mean(np.square(tau), axis=0))
-    t = motion.t + sensors.jitter / RATE * rng.normal(size=len(motion.t))
+    friction = np.array([truth.viscous, truth.coulomb]) * rng.uniform(*_FRICTION_FACTORS, (2, len(robot.joints)))
+    feed_forward = nominal_torque(robot, motion, friction).T
+    truth, physics, errors = apply_effects(robot, truth, hidden)
+    is_stiff = physics.transmissions or any(effect.effect == "presliding_hysteresis" for effect in hidden)
+    steps = _FINE_STEPS if is_stiff else _STEPS
+    start = motion.q[:, 0] + errors.position_offset
+    plant = Plant(robot, truth, physics, 1 / (RATE * steps), start, motion.v[:, 0])
+    gains = _controller_gains(robot, motion, physics)
+    true_tau, q, v = _track(plant, robot, motion, feed_forward, gains, errors, sensors, steps)
+    tau = measured_torque(true_tau, errors)
+    noise = sensors.torque_noise * np.sqrt(np.mean(np.square(tau), axis=0))
+    t = motion.t + sensors.time_jitter / RATE * rng.normal(size=len(motion.t))
     return Recording(t, q, v, tau + noise * rng.normal(size=tau.shape), noise)
 
 
-def _run(
+def _track(
     plant: Plant,
     robot: Robot,
     motion: Motion,
-    fed: Array,
+    feed_forward: Array,
     gains: tuple[Array, Array],
-    channels: Channels,
+    errors: SensorErrors,
     sensors: Sensors,
     steps: int,
 ) -> tuple[Array, Array, Array]:
-    """The true torque, position and velocity as read."""
-    step = 2 * np.pi / 2 ** (sensors.bits or robot.bits)
-    keep = 1 / (0.5 + sensors.lag * RATE)
+    """Track a motion with the PD controller: true torque, and measured position and velocity, shape (N, n) each."""
+    resolution = 2 * np.pi / 2 ** (sensors.encoder_bits or robot.encoder_bits)
+    smoothing = 1 / (0.5 + sensors.velocity_lag * RATE)
     kp, kd = gains
     limit = np.array([joint.effort for joint in robot.joints])
     q_cmd, v_cmd = motion.q.T, motion.v.T
     tau, q, v = np.zeros((3, *q_cmd.shape))
-    asked, speed = fed[0], v_cmd[0]
-    before = np.round((q_cmd[0] - v_cmd[0] / RATE) / step) * step
+    requested = feed_forward[0]
+    v_filtered = v_cmd[0]
+    q_last = np.round((q_cmd[0] - v_cmd[0] / RATE) / resolution) * resolution
     for k in range(len(q_cmd)):
-        tau[k] = np.clip(asked, -limit, limit)
+        tau[k] = np.clip(requested, -limit, limit)
         for _ in range(steps // 2):
             plant.step(tau[k])
-        at = plant.x[plant.motors] - plant.v[plant.motors] / (2 * steps * RATE) - channels.offset
+        x, dx = plant.x[plant.motors], plant.v[plant.motors]
+        q_true = x - dx / (2 * steps * RATE)  # semi-implicit Euler: x is half a step ahead of v
         for _ in range(steps // 2):
             plant.step(tau[k])
-        q[k] = np.round(at / step) * step
-        speed = speed + keep * ((q[k] - before) * RATE - speed)
-        v[k], before = speed, q[k]
-        if np.abs(q[k] - q_cmd[k]).max() > _LOST:
-            raise RuntimeError(f"{robot.name}: a joint lost its command after {k / RATE:.2f} s: {q[k] - q_cmd[k]} rad")
-        asked = fed[min(k + 1, len(fed) - 1)] + kp * (q_cmd[k] - q[k]) + kd * (v_cmd[k] - v[k])
+        q[k] = np.round((q_true - errors.position_offset) / resolution) * resolution
+        v_filtered = v_filtered + smoothing * ((q[k] - q_last) * RATE - v_filtered)
+        v[k] = v_filtered
+        q_last = q[k]
+        error = q_cmd[k] - q[k]
+        if np.abs(error).max() > _MAX_TRACKING_ERROR:
+            raise RuntimeError(f"{robot.name}: a joint lost its command after {k / RATE:.2f} s: {-error} rad")
+        requested = feed_forward[min(k + 1, len(q_cmd) - 1)] + kp * error + kd * (v_cmd[k] - v[k])
     return tau, q, v
 
 
-def _gains(robot: Robot, motion: Motion, physics: Physics) -> tuple[Array, Array]:
-    """Of the PD controller, by what each joint moves in the middle of its travel, (n,).
+def _controller_gains(robot: Robot, motion: Motion, physics: AddedPhysics) -> tuple[Array, Array]:
+    """Gains kp and kd, shape (n,) each, by the inertia that each joint moves in the middle of its travel.
 
-    Less where the motor can move without its link, lest it chatter.
+    They are lower where the motor can move without its link, as it would chatter otherwise.
     """
     n = len(robot.joints)
     middle = np.repeat(np.median(motion.q, axis=1)[:, None], n + 1, axis=1)
     rotors = {joint.name: rotor(joint) for joint in robot.joints}
-    torque = needed(robot, robot.links, rotors, middle, np.zeros((n, n + 1)), np.eye(n, n + 1))
+    torque = inverse_dynamics(robot, robot.links, rotors, middle, np.zeros((n, n + 1)), np.eye(n, n + 1))
     inertia = np.diag(torque[:, :n] - torque[:, n:])
     bandwidth = np.full(n, _BANDWIDTH)
-    for j in physics.gears:
-        bandwidth[j] = min(_BANDWIDTH, _CALM * robot.joints[j].reflected / (2 * _DAMPING * inertia[j]))
-    return bandwidth**2 * inertia, 2 * _DAMPING * bandwidth * inertia
+    for j in physics.transmissions:
+        motor_inertia = robot.joints[j].reflected_inertia
+        bandwidth[j] = min(_BANDWIDTH, _MAX_MOTOR_DAMPING * motor_inertia / (2 * _DAMPING_RATIO * inertia[j]))
+    return bandwidth**2 * inertia, 2 * _DAMPING_RATIO * bandwidth * inertia
 
 
-def _measured(true: Array, channels: Channels) -> Array:
-    """Torque as the channels give it, (N, n): late, then bent or scaled."""
-    total = np.vstack([np.zeros(true.shape[1]), np.cumsum(true, axis=0)])  # its integral at the samples' ends
-    ends = np.arange(len(total), dtype=float)
-    tau = true.copy()
-    for j in np.flatnonzero(channels.late):
-        late = ends - channels.late[j] * RATE
-        past = np.interp(late, ends, total[:, j]) + np.minimum(late, 0.0) * true[0, j]
-        tau[:, j] = np.diff(past)
-    for j, sensor in channels.sensors:
-        tau[:, j] = sensor(tau[:, j])
+def measured_torque(true_tau: Array, errors: SensorErrors) -> Array:
+    """Torque that the sensors give, shape (N, n): delayed, then scaled or saturated."""
+    integral = np.vstack([np.zeros(true_tau.shape[1]), np.cumsum(true_tau, axis=0)])  # at the ends of the samples
+    ends = np.arange(len(integral), dtype=float)
+    tau = true_tau.copy()
+    for j in np.flatnonzero(errors.torque_delay):
+        delayed_ends = ends - errors.torque_delay[j] * RATE
+        before_start = np.minimum(delayed_ends, 0.0) * true_tau[0, j]
+        tau[:, j] = np.diff(np.interp(delayed_ends, ends, integral[:, j]) + before_start)
+    for j, torque_map in errors.torque_maps:
+        tau[:, j] = torque_map(tau[:, j])
     return tau
 
 
-def write_log(path: Path, robot: Robot, recording: Recording, velocity: bool = True) -> None:
-    """A recording as CSV."""
+def write_log(path: Path, robot: Robot, recording: Recording, has_velocity: bool = True) -> None:
+    """Write a recording as CSV."""
     signals = {"q": recording.q, "v": recording.v, "tau": recording.tau}
-    if not velocity:
+    if not has_velocity:
         del signals["v"]
     names = [f"{signal}_{joint}" for signal in signals for joint in robot.names]
     table = np.column_stack([recording.t, *signals.values()])

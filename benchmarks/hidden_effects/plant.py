@@ -1,11 +1,11 @@
-"""A robot of hidden_robots.py moving in small steps: MuJoCo's mass matrix and bias, friction that truly sticks.
+"""A simulated robot with hidden effects: mass matrix and bias from MuJoCo, and dry friction that truly sticks.
 
-Links and rotors are bodies of one MuJoCo tree, each rotor on a hinge at its carrier, so that it turns with it too. The
-tree's coordinates are G x: a rotor's is its gear ratio times the joint's, or, behind a gear that gives way, times that
-of the motor's side, which is then a coordinate of its own. Each step is Moreau's: the velocities after it are those
-that dry friction allows, found by Gauss and Seidel's method on the impulses, so that a joint at rest rests.
+Links and rotors are bodies of one MuJoCo tree. Each rotor is on a hinge of its own at the link that carries it, so that
+it turns with that link too. The tree's coordinates are G x: a rotor's is its gear ratio times the joint's or, in an
+elastic transmission, times the motor side's, which is then a coordinate of its own. Each step is Moreau's: the
+velocities after it are those that dry friction allows, found by Gauss-Seidel on the impulses, so that a joint can rest.
 
-Coordinates x: the n joints on the link's side, then the motors' sides of the joints with a gear.
+Coordinates x: the n joints on the link side, then the motor sides of the joints with an elastic transmission.
 """
 
 from __future__ import annotations
@@ -23,15 +23,24 @@ from hidden_effects.robots import Body, Robot, Truth, urdf_text
 Array = NDArray[np.float64]
 
 RATE = 1000  # samples a second
-_SWEEPS = 60
-_DONE = 1e-9  # rad/s
+_MAX_SWEEPS = 60
+_CONVERGED = 1e-9  # rad/s
 
 
 @dataclass
-class Now:
-    """A moment of the joints' links: q, v, a, tau the actuators' torque, (n,) each; t time, dt the step [s].
+class JointState:
+    """State of the joints' links at one time, or along a motion.
 
-    Of a whole motion, t (N,) and the others (n, N).
+    Attributes
+    ----------
+    t
+        Time [s]; along a motion, shape (N,).
+    q, v, a
+        Position, velocity and acceleration, shape (n,) [rad, rad/s, rad/s^2]; along a motion, (n, N).
+    tau
+        Torque of the actuators [N m], same shape.
+    dt
+        Time step [s].
     """
 
     t: Array | float
@@ -42,189 +51,245 @@ class Now:
     dt: float = 1e-3
 
 
-Law = Callable[[Now], Array]  # the torque [N m] on one joint
+JointTorque = Callable[[JointState], Array]  # the torque [N m] on one joint
 
 
 @dataclass(frozen=True)
-class Gear:
-    """What lies between motor and link of a joint: a spring [N m/rad] with a damper [N m s/rad] and play [rad].
+class Transmission:
+    """An elastic transmission between motor and link of a joint: a spring with a damper and backlash.
 
-    ``share`` of the joint's friction acts on the motor's side.
+    Attributes
+    ----------
+    stiffness, damping
+        [N m/rad, N m s/rad].
+    backlash
+        Play between the teeth [rad].
+    motor_friction
+        Share of the joint's friction that acts on the motor side.
     """
 
     stiffness: float
     damping: float
-    play: float = 0.0
-    share: float = 0.0
+    backlash: float = 0.0
+    motor_friction: float = 0.0
 
-    def torque(self, way: float, speed: float) -> float:
-        """On the link, the motor being ahead by a way; teeth push and do not pull."""
-        beyond = way - np.clip(way, -self.play / 2, self.play / 2)
-        if not self.play:
-            return float(self.stiffness * way + self.damping * speed)
+    def torque(self, deflection: float, speed: float) -> float:
+        """Torque on the link, from motor less link position [rad] and its rate; teeth push and do not pull."""
+        if not self.backlash:
+            return float(self.stiffness * deflection + self.damping * speed)
+        beyond = deflection - np.clip(deflection, -self.backlash / 2, self.backlash / 2)
         push = self.stiffness * beyond + self.damping * speed
         return float(push if push * beyond > 0 else 0.0)
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A wrench [N, N m], along the root's axes, at the origin of a link's frame, from time to time [s]."""
+    """A constant wrench on a link in windows of time.
+
+    Attributes
+    ----------
+    link
+        At the origin of whose frame it acts.
+    windows
+        Start and end of each window [s].
+    wrench
+        Force and moment along the root's axes [N, N m], shape (6,).
+    rise_time
+        Time in which it comes and goes [s].
+    """
 
     link: str
     windows: Sequence[Sequence[float]]
     wrench: Array
-    comes: float = 0.005
+    rise_time: float = 0.005
 
-    def share(self, t: float) -> float:
-        """Of it at a time."""
+    def acting_share(self, t: float) -> float:
+        """Share of the wrench that acts at a time."""
         for start, stop in self.windows:
-            x = min(t - start, stop - t) / self.comes
+            x = min(t - start, stop - t) / self.rise_time
             if x > -0.5:
                 return 1.0 if x > 0.5 else float(0.5 + x + np.sin(2 * np.pi * x) / (2 * np.pi))
         return 0.0
 
 
 @dataclass
-class Physics:
-    """What acts beside the bodies and the friction of the truth; joints by number."""
+class AddedPhysics:
+    """Physics in addition to the true bodies and their viscous and Coulomb friction; joints by index."""
 
-    smooth: list[tuple[int, Law]] = field(default_factory=list)
-    dry: list[tuple[int, Law]] = field(default_factory=list)
+    smooth_torques: list[tuple[int, JointTorque]] = field(default_factory=list)
+    friction_levels: list[tuple[int, JointTorque]] = field(default_factory=list)
     contacts: list[Contact] = field(default_factory=list)
-    gears: dict[int, Gear] = field(default_factory=dict)
+    transmissions: dict[int, Transmission] = field(default_factory=dict)
     payloads: list[tuple[str, Body]] = field(default_factory=list)
     gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
 
 
-class Machine:
-    """The tree in MuJoCo: mass matrix and bias in the coordinates x."""
+class MujocoTree:
+    """The bodies in MuJoCo: mass matrix and bias in the coordinates x."""
 
-    def __init__(self, robot: Robot, truth: Truth, physics: Physics) -> None:
+    def __init__(self, robot: Robot, truth: Truth, physics: AddedPhysics) -> None:
         spec = mujoco.MjSpec.from_string(urdf_text(robot, truth.links))
         spec.compiler.fusestatic = False
         spec.option.gravity = physics.gravity
         for joint in robot.joints:
-            turn = Rotation.from_euler("xyz", joint.rpy).as_quat(scalar_first=True)
-            carried = spec.body(joint.parent).add_body(name=f"{joint.name}_rotor", pos=joint.xyz, quat=turn)
-            _weigh(carried, truth.rotors[joint.name])
-            carried.add_joint(name=f"{joint.name}_rotor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=joint.axis)
+            rotation = Rotation.from_euler("xyz", joint.rpy).as_quat(scalar_first=True)
+            rotor_body = spec.body(joint.parent).add_body(name=f"{joint.name}_rotor", pos=joint.xyz, quat=rotation)
+            _set_inertia(rotor_body, truth.rotors[joint.name])
+            rotor_body.add_joint(name=f"{joint.name}_rotor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=joint.axis)
         for k, (link, body) in enumerate(physics.payloads):
-            _weigh(spec.body(link).add_body(name=f"payload{k}"), body)
+            _set_inertia(spec.body(link).add_body(name=f"payload{k}"), body)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+
         n = len(robot.joints)
-        self.G = np.zeros((self.model.nv, n + len(physics.gears)))
-        motors = {j: n + k for k, j in enumerate(physics.gears)}
+        self.G = np.zeros((self.model.nv, n + len(physics.transmissions)))
+        motor_sides = {j: n + k for k, j in enumerate(physics.transmissions)}
         for j, joint in enumerate(robot.joints):
             self.G[self.model.joint(joint.name).dofadr[0], j] = 1.0
-            self.G[self.model.joint(f"{joint.name}_rotor").dofadr[0], motors.get(j, j)] = joint.gear
-        self._M, self._bias = np.zeros((self.model.nv, self.model.nv)), np.zeros(self.model.nv)
+            self.G[self.model.joint(f"{joint.name}_rotor").dofadr[0], motor_sides.get(j, j)] = joint.gear
+        self._M = np.zeros((self.model.nv, self.model.nv))
+        self._bias = np.zeros(self.model.nv)
 
-    def __call__(self, x: Array, dx: Array) -> tuple[Array, Array]:
-        """Mass matrix and bias."""
+    def mass_matrix_and_bias(self, x: Array, dx: Array) -> tuple[Array, Array]:
+        """Mass matrix and bias at positions x and velocities dx."""
         model, data = self.model, self.data
-        data.qpos[:], data.qvel[:] = self.G @ x, self.G @ dx
+        data.qpos[:] = self.G @ x
+        data.qvel[:] = self.G @ dx
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 0, self._bias)
         mujoco.mj_fullM(model, data, self._M)
         return self.G.T @ self._M @ self.G, self.G.T @ self._bias
 
-    def push(self, contact: Contact, share: float) -> Array:
-        """Torque of a contact on the coordinates, where the machine was last."""
-        body, full = self.model.body(contact.link).id, np.zeros(self.model.nv)
+    def contact_torque(self, contact: Contact, share: float) -> Array:
+        """Torque of a share of a contact's wrench on the coordinates, at the last positions."""
+        body = self.model.body(contact.link).id
         force, moment = share * contact.wrench[:3], share * contact.wrench[3:]
-        mujoco.mj_applyFT(self.model, self.data, force, moment, self.data.xpos[body], body, full)
-        return np.asarray(self.G.T @ full)
+        torque = np.zeros(self.model.nv)
+        mujoco.mj_applyFT(self.model, self.data, force, moment, self.data.xpos[body], body, torque)
+        return np.asarray(self.G.T @ torque)
 
 
-def _weigh(target: mujoco.MjsBody, body: Body) -> None:
-    target.explicitinertial, target.mass, target.ipos = True, body.mass, body.com
+def _set_inertia(target: mujoco.MjsBody, body: Body) -> None:
+    target.explicitinertial = True
+    target.mass = body.mass
+    target.ipos = body.com
     target.fullinertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 class Plant:
-    """A machine in motion.
+    """A robot in motion.
 
     Parameters
     ----------
     robot, truth, physics
-        What it is.
+        The robot, its true bodies and friction, and further physics.
     step
-        [s].
+        Time step [s].
     q, v
-        Where it starts, shape (n,).
+        First position and velocity, shape (n,).
+
+    Attributes
+    ----------
+    x, v
+        Present coordinates and their velocities.
+    motors
+        Index in x of each joint's motor side, shape (n,).
     """
 
-    def __init__(self, robot: Robot, truth: Truth, physics: Physics, step: float, q: Array, v: Array) -> None:
-        self._machine, self._physics = Machine(robot, truth, physics), physics
-        self._n, self._pairs = len(q), [(j, len(q) + k, gear) for k, (j, gear) in enumerate(physics.gears.items())]
-        self.motors = np.arange(self._n)
-        for j, motor, _ in self._pairs:
+    def __init__(self, robot: Robot, truth: Truth, physics: AddedPhysics, step: float, q: Array, v: Array) -> None:
+        n = len(q)
+        self._tree = MujocoTree(robot, truth, physics)
+        self._physics = physics
+        self._n = n
+        self._step = step
+        self._t = 0.0
+        self._transmissions = [(j, n + k, gear) for k, (j, gear) in enumerate(physics.transmissions.items())]
+        self.motors = np.arange(n)
+        joints = list(range(n))  # of each coordinate
+        for j, motor, _ in self._transmissions:
             self.motors[j] = motor
-        lanes = [*range(self._n), *(j for j, *_ in self._pairs)]
-        self.x, self.v = q[lanes].astype(float), v[lanes].astype(float)
-        self._a, self._t, self._step = np.zeros(len(lanes)), 0.0, step
-        split = np.ones(len(lanes))
-        for j, motor, gear in self._pairs:
-            split[j], split[motor] = 1 - gear.share, gear.share
-        self._viscous, self._coulomb = truth.viscous[lanes] * split, truth.coulomb[lanes] * split
+            joints.append(j)
+        self.x = q[joints].astype(float)
+        self.v = v[joints].astype(float)
+        self._a = np.zeros(len(joints))
+        friction_share = np.ones(len(joints))
+        for j, motor, transmission in self._transmissions:
+            friction_share[j] = 1 - transmission.motor_friction
+            friction_share[motor] = transmission.motor_friction
+        self._viscous = truth.viscous[joints] * friction_share
+        self._coulomb = truth.coulomb[joints] * friction_share
 
     def step(self, tau: Array) -> None:
-        """One step under the actuators' torque, (n,)."""
+        """Take one step under the actuators' torque, shape (n,)."""
         n, dt = self._n, self._step
-        M, bias = self._machine(self.x, self.v)
-        now = Now(self._t, self.x[:n], self.v[:n], self._a[:n], tau, dt)
+        M, bias = self._tree.mass_matrix_and_bias(self.x, self.v)
+        state = JointState(self._t, self.x[:n], self.v[:n], self._a[:n], tau, dt)
         force = -bias - self._viscous * self.v
         force[self.motors] += tau
-        level = self._coulomb.copy()
-        for j, law in self._physics.smooth:
-            force[j] -= law(now)
-        for j, law in self._physics.dry:
-            level[j] += law(now)
+        for j, torque in self._physics.smooth_torques:
+            force[j] -= torque(state)
+        friction_level = self._coulomb.copy()
+        for j, level in self._physics.friction_levels:
+            friction_level[j] += level(state)
         for contact in self._physics.contacts:
-            share = contact.share(self._t)
+            share = contact.acting_share(self._t)
             if share:
-                force += self._machine.push(contact, share)
-        for j, motor, gear in self._pairs:
-            carried = gear.torque(self.x[motor] - self.x[j], self.v[motor] - self.v[j])
-            force[j] += carried
-            force[motor] -= carried
-        W = np.linalg.inv(M)
-        after = slid(W, self.v + dt * W @ force, dt * np.maximum(level, 0.0), self.v)
-        self._a = (after - self.v) / dt
-        self.v = after
-        self.x = self.x + dt * after
+                force += self._tree.contact_torque(contact, share)
+        for j, motor, transmission in self._transmissions:
+            transmitted = transmission.torque(self.x[motor] - self.x[j], self.v[motor] - self.v[j])
+            force[j] += transmitted
+            force[motor] -= transmitted
+        M_inverse = np.linalg.inv(M)
+        v_without_friction = self.v + dt * M_inverse @ force
+        v = velocity_with_dry_friction(M_inverse, v_without_friction, dt * np.maximum(friction_level, 0.0), self.v)
+        self._a = (v - self.v) / dt
+        self.v = v
+        self.x = self.x + dt * v
         self._t += dt
 
 
-def slid(W: Array, free: Array, most: Array, before: Array) -> Array:
-    """Velocities after a step, from those without dry friction, whose impulse on each is ``most`` or less."""
-    impulse = most * np.sign(before)
-    after = free - W @ impulse
-    if ((after * before > 0) | (most == 0)).all():
-        return np.asarray(after)
-    rubbing = np.flatnonzero(most)
-    for _ in range(_SWEEPS):
+def velocity_with_dry_friction(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array:
+    """Velocity after a step with dry friction, shape (m,).
+
+    Parameters
+    ----------
+    M_inverse
+        Inverse of the mass matrix, shape (m, m).
+    v_free
+        Velocity after the step without dry friction.
+    max_impulse
+        Largest impulse of the friction on each coordinate.
+    v_before
+        Velocity before the step.
+    """
+    impulse = max_impulse * np.sign(v_before)
+    v = v_free - M_inverse @ impulse
+    if ((v * v_before > 0) | (max_impulse == 0)).all():
+        return np.asarray(v)  # nothing stops or reverses
+    with_friction = np.flatnonzero(max_impulse)
+    for _ in range(_MAX_SWEEPS):
         change = 0.0
-        for j in rubbing:
-            own = min(max(impulse[j] + after[j] / W[j, j], -most[j]), most[j])
+        for j in with_friction:
+            own = min(max(impulse[j] + v[j] / M_inverse[j, j], -max_impulse[j]), max_impulse[j])
             if own != impulse[j]:
-                change = max(change, abs(own - impulse[j]) * W[j, j])
-                after = after - W[:, j] * (own - impulse[j])
+                change = max(change, abs(own - impulse[j]) * M_inverse[j, j])
+                v = v - M_inverse[:, j] * (own - impulse[j])
                 impulse[j] = own
-        if change < _DONE:
+        if change < _CONVERGED:
             break
-    after[np.abs(impulse) < most] = 0.0
-    return np.asarray(after)
+    v[np.abs(impulse) < max_impulse] = 0.0
+    return np.asarray(v)
 
 
-def needed(robot: Robot, links: Mapping[str, Body], rotors: Mapping[str, Body], q: Array, v: Array, a: Array) -> Array:
-    """Torque of rigid bodies along a motion, without friction; all (n, N)."""
-    zero = np.zeros(len(q))
-    machine = Machine(robot, Truth(links, rotors, zero, zero), Physics())
-    out = np.zeros_like(q)
+def inverse_dynamics(
+    robot: Robot, links: Mapping[str, Body], rotors: Mapping[str, Body], q: Array, v: Array, a: Array
+) -> Array:
+    """Torque of the rigid bodies along a motion, without friction; all shapes (n, N)."""
+    no_friction = np.zeros(len(q))
+    tree = MujocoTree(robot, Truth(links, rotors, no_friction, no_friction), AddedPhysics())
+    tau = np.zeros_like(q)
     for k in range(q.shape[1]):
-        M, bias = machine(q[:, k], v[:, k])
-        out[:, k] = M @ a[:, k] + bias
-    return out
+        M, bias = tree.mass_matrix_and_bias(q[:, k], v[:, k])
+        tau[:, k] = M @ a[:, k] + bias
+    return tau

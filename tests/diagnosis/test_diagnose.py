@@ -13,24 +13,26 @@ import numpy as np
 import pytest
 import yaml
 from commands import idtool
-from hidden_effects.cases import Case, Hidden, Written, write_case
+from hidden_effects.case_files import CaseFiles, write_case
+from hidden_effects.case_list import Case
+from hidden_effects.effects import HiddenEffect
 
 SECONDS = 12.0
 OUT = {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
 
 
-def logged(folder: Path, *hidden: Hidden, inertia: str = "refit") -> Written:
+def logged(folder: Path, *hidden: HiddenEffect, inertia: str = "refit") -> CaseFiles:
     name = "_".join(one.effect for one in hidden) or "clean"
     return write_case(Case(name, "planar2", hidden, 0, inertia, SECONDS), folder / name)
 
 
-def diagnosed(files: Written, out: Path, *options: str) -> dict[str, Any]:
+def diagnosed(files: CaseFiles, out: Path, *options: str) -> dict[str, Any]:
     done = idtool("diagnose", files.urdf, files.log, "--config", files.config, "--out", out, "--json", *options)
     assert done.code == 0, done.err
     return done.json
 
 
-def truth(files: Written) -> dict[str, Any]:
+def truth(files: CaseFiles) -> dict[str, Any]:
     """The parameters of what is hidden."""
     (one,) = json.loads(files.truth.read_text())["hidden"]
     parameters = one["parameters"]
@@ -48,11 +50,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def stribeck(folder: Path) -> Written:
-    return logged(folder, Hidden("stribeck_friction", "shoulder", None, "strong"))
+def stribeck(folder: Path) -> CaseFiles:
+    return logged(folder, HiddenEffect("stribeck_friction", "shoulder", None, "strong"))
 
 
-def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: Written, folder: Path) -> None:
+def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: CaseFiles, folder: Path) -> None:
     report = diagnosed(stribeck, folder / "out")
     assert {path.name for path in (folder / "out").iterdir()} == OUT
     assert named(report) == [("stribeck_friction", "shoulder")]
@@ -68,7 +70,7 @@ def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: 
     assert json.loads((folder / "out" / "diagnosis.json").read_text()) == report
 
 
-def test_what_is_written_is_the_model_that_was_found(stribeck: Written, folder: Path) -> None:
+def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder: Path) -> None:
     out = folder / "again"
     report = diagnosed(stribeck, out, "--no-simulation")
     config = yaml.safe_load((out / "model.yaml").read_text())
@@ -97,7 +99,7 @@ def test_nothing_is_found_where_nothing_is_hidden(folder: Path) -> None:
 
 
 def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
-    files = logged(folder, Hidden("payload", None, "lower", "strong"), inertia="fixed")
+    files = logged(folder, HiddenEffect("payload", None, "lower", "strong"), inertia="fixed")
     report = diagnosed(files, folder / "payload", "--no-simulation", "--inertia", "fixed")
     assert named(report) == [("payload", "lower")]
     found, true = report["steps"][0]["parameters"], truth(files)
@@ -110,8 +112,8 @@ def test_a_payload_heavier_than_the_robot_is_in_doubt(folder: Path) -> None:
     """An arm in the horizontal plane, where no weight is felt: a rotor that its model lacks passes for a load."""
     level = {"gravity": [0.0, -9.81, 0.0]}
     hidden = (
-        Hidden("rotor_inertia", "shoulder", None, "strong", {"inertia": 2.0}),
-        Hidden("gravity_tilt", None, None, "strong", level),
+        HiddenEffect("rotor_inertia", "shoulder", None, "strong", {"inertia": 2.0}),
+        HiddenEffect("gravity_tilt", None, None, "strong", level),
     )
     files = logged(folder, *hidden, inertia="fixed")
     files.config.write_text(yaml.safe_dump({**yaml.safe_load(files.config.read_text()), **level}))
@@ -135,7 +137,7 @@ def test_a_payload_heavier_than_the_robot_is_in_doubt(folder: Path) -> None:
 def test_friction_that_builds_up_over_a_third_of_the_travel_is_found(folder: Path) -> None:
     """The search comes to a displacement of more than a quarter of the joint's travel, 3.2 rad."""
     friction = {"displacement": 0.9, "amplitude": 3.0, "damping": 0.0}
-    files = logged(folder, Hidden("presliding_hysteresis", "elbow", None, "strong", friction))
+    files = logged(folder, HiddenEffect("presliding_hysteresis", "elbow", None, "strong", friction))
     report = diagnosed(files, folder / "long", "--no-simulation")
     assert named(report) == [("presliding_hysteresis", "elbow")]
     assert report["steps"][0]["parameters"]["displacement"] == pytest.approx(0.9, rel=0.05)
@@ -144,13 +146,13 @@ def test_friction_that_builds_up_over_a_third_of_the_travel_is_found(folder: Pat
 
 
 def test_what_is_in_no_library_is_unknown(folder: Path) -> None:
-    files = logged(folder, Hidden("unknown", "elbow", None, "strong", {"form": "friction_by_position"}))
+    files = logged(folder, HiddenEffect("unknown", "elbow", None, "strong", {"form": "friction_by_position"}))
     report = diagnosed(files, folder / "unknown", "--no-simulation")
     assert ("unknown", "elbow") in named(report)
     assert report["verdict"] in ("unexplained", "partly_explained")
 
 
-def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: Written, folder: Path) -> None:
+def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: CaseFiles, folder: Path) -> None:
     options = ("--no-simulation", "--report-only", "--effects", "quadratic_drag", "--assume", "torque_offset:elbow")
     report = diagnosed(stribeck, folder / "only", *options)
     assert {path.name for path in (folder / "only").iterdir()} == {"diagnosis.json", "diagnosis.html"}
@@ -159,7 +161,7 @@ def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: Written, 
 
 
 @pytest.mark.parametrize("assumed", ["stribeck_fiction:elbow", "stribeck_friction:elbw", "payload:lower"])
-def test_what_cannot_be_assumed_is_refused(stribeck: Written, folder: Path, assumed: str) -> None:
+def test_what_cannot_be_assumed_is_refused(stribeck: CaseFiles, folder: Path, assumed: str) -> None:
     out = folder / "refused"
     done = idtool(
         "diagnose", stribeck.urdf, stribeck.log, "--config", stribeck.config, "--out", out, "--assume", assumed

@@ -1,4 +1,4 @@
-"""The paper's leg (sample_logs/leg.*) and a stopwatch for the other benchmarks."""
+"""The paper's leg (sample_logs/leg.*) and a stopwatch, for the other benchmarks."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
-URDF, CONFIG, LOG = SAMPLES / "leg.urdf", SAMPLES / "leg.yaml", SAMPLES / "leg_train.mcap"
+URDF = SAMPLES / "leg.urdf"
+CONFIG = SAMPLES / "leg.yaml"
+LOG = SAMPLES / "leg_train.mcap"
 
 
-def experiment(log: Path = LOG, holdout: float = 0.0) -> Experiment:
-    """The leg and a log of it."""
+def leg_experiment(log: Path = LOG, holdout: float = 0.0) -> Experiment:
+    """Experiment with the leg and one log of it."""
     return prepare(read_robot(URDF), read_config(CONFIG), [log], holdout=holdout)
 
 
-def medians(repetitions: int, *actions: Callable[[], object]) -> list[float]:
+def median_times(repetitions: int, *actions: Callable[[], object]) -> list[float]:
     """Median wall times of actions that take turns [s]."""
     seconds: list[list[float]] = [[] for _ in actions]
     for _ in range(repetitions):
-        for action, taken in zip(actions, seconds, strict=True):
+        for k, action in enumerate(actions):
             started = time.perf_counter()
             action()
-            taken.append(time.perf_counter() - started)
-    return [statistics.median(taken) for taken in seconds]
+            seconds[k].append(time.perf_counter() - started)
+    return [statistics.median(times) for times in seconds]

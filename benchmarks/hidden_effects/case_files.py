@@ -1,0 +1,105 @@
+"""Files of a case: `write_case` writes URDF, configuration, log and truth, for `idtool diagnose`.
+
+>>> for case in list_cases("single", robots=["planar2"], magnitudes=["strong"], seeds=[0]):
+...     write_case(case, Path("/tmp/hidden") / case.name)
+
+or ``python benchmarks/hidden_effects FOLDER --robots planar2 --magnitudes strong,ordinary --seeds 0 --seconds 20``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hidden_effects.case_list import Case
+from hidden_effects.effects import HiddenEffect, config_omissions
+from hidden_effects.logs import record, write_log
+from hidden_effects.magnitudes import draw_parameters
+from hidden_effects.motion import draw_motion
+from hidden_effects.robots import ROBOTS, Body, Robot, Truth, draw_truth, rotor, urdf_text
+
+
+@dataclass(frozen=True)
+class CaseFiles:
+    """Paths of a case's files."""
+
+    urdf: Path
+    config: Path
+    log: Path
+    truth: Path
+
+
+def write_case(case: Case, folder: Path) -> CaseFiles:
+    """Write a case's files into a folder, the log last; do nothing if the log is there already."""
+    files = CaseFiles(folder / "robot.urdf", folder / "config.yaml", folder / "log.csv", folder / "truth.json")
+    if files.log.exists():
+        return files
+    folder.mkdir(parents=True, exist_ok=True)
+    robot = ROBOTS[case.robot]
+    is_fixed = case.inertia == "fixed"
+    truth = draw_truth(robot, case.seed, exact=is_fixed)
+    motion = draw_motion(robot, case.seed, case.seconds)
+    hidden = draw_parameters(robot, truth, case.hidden, motion, case.seed, is_fixed)
+    recording = record(robot, truth, hidden, motion, case.sensors, case.seed)
+
+    files.urdf.write_text(urdf_text(robot))
+    files.config.write_text(yaml.safe_dump(_config(robot, hidden), sort_keys=False))
+    content = {
+        "case": case.name,
+        "robot": case.robot,
+        "seed": case.seed,
+        "inertia": case.inertia,
+        "seconds": case.seconds,
+        "hidden": [asdict(effect) for effect in hidden],
+        "truth": _truth_as_dict(robot, truth),
+        "torque_noise": dict(zip(robot.names, recording.noise.tolist(), strict=True)),
+    }
+    files.truth.write_text(json.dumps(content, indent=1))
+    part = files.log.with_suffix(".part")
+    write_log(part, robot, recording, case.sensors.has_velocity)
+    part.rename(files.log)
+    return files
+
+
+def _config(robot: Robot, hidden: tuple[HiddenEffect, ...]) -> dict[str, Any]:
+    """The designer's configuration: rotors, and the friction that the model has."""
+    friction, without_rotor = config_omissions(hidden)
+    rotors = {}
+    for joint in robot.joints:
+        if joint.name in without_rotor:
+            continue
+        body = rotor(joint)
+        rotors[f"{joint.name}_rotor"] = {
+            "joint": joint.name,
+            "gear_ratio": joint.gear,
+            "parent": joint.parent,
+            "origin": {"xyz": list(joint.xyz), "rpy": list(joint.rpy)},
+            "axis": list(joint.axis),
+            "inertial": {"mass": body.mass, "com": [0.0, 0.0, 0.0], "inertia": _inertia_entries(body)},
+        }
+    config: dict[str, Any] = {"rotors": rotors}
+    if friction:
+        config["friction"] = friction
+    return config
+
+
+def _inertia_entries(body: Body) -> list[float]:
+    """Entries ixx, ixy, iyy, ixz, iyz, izz of a body's inertia."""
+    return [float(body.inertia[a, b]) for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+
+
+def _truth_as_dict(robot: Robot, truth: Truth) -> dict[str, Any]:
+    return {
+        "links": {name: _body_as_dict(body) for name, body in truth.links.items()},
+        "rotors": {name: _body_as_dict(body) for name, body in truth.rotors.items()},
+        "viscous": dict(zip(robot.names, truth.viscous.tolist(), strict=True)),
+        "coulomb": dict(zip(robot.names, truth.coulomb.tolist(), strict=True)),
+    }
+
+
+def _body_as_dict(body: Body) -> dict[str, Any]:
+    return {"mass": body.mass, "com": body.com.tolist(), "inertia": _inertia_entries(body)}
