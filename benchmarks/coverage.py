@@ -139,11 +139,13 @@ class Case:
     def sensors(self) -> LegSensors:
         """The sensors."""
         if self.kind == "coarse":
-            return LegSensors(position_step=encoder_step(12, on_motor=False), velocity_lag=5e-3, felt=ACTING_SHARE)
+            return LegSensors(
+                position_step=encoder_step(12, on_motor=False), velocity_lag=5e-3, acting_share=ACTING_SHARE
+            )
         if self.kind == "coloured":
             time = np.random.default_rng(self.number).uniform(0.1, 0.3)
-            return LegSensors(coloured_noise=0.1, coloured_time=time, felt=ACTING_SHARE)
-        return LegSensors(felt=ACTING_SHARE)
+            return LegSensors(coloured_noise=0.1, coloured_time=time, acting_share=ACTING_SHARE)
+        return LegSensors(acting_share=ACTING_SHARE)
 
     def controller(self) -> Controller:
         """The controller."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from disturbed import Array, Hidden, after_reversals, contact, experiment_of, motion, nothing, on, quiet
+from disturbed import Array, Hidden, after_reversals, contact, experiment_of, motion, nothing, silent, torque_on_joint
 
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.linearized_fit import linearize_fit
@@ -20,7 +20,7 @@ def test_contacts_are_found_although_the_model_is_fitted_to_them(tmp_path: Path)
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), rows=rows, friction=friction)
     np.testing.assert_allclose(
-        find_bursts(experiment, linearize_fit(experiment, quiet).theta, quiet), WINDOWS, atol=0.01
+        find_bursts(experiment, linearize_fit(experiment, silent).theta, silent), WINDOWS, atol=0.01
     )
 
 
@@ -31,7 +31,7 @@ def test_a_contact_may_be_there_from_the_start_or_to_the_end(
     tmp_path: Path, begin: float, end: float, windows: tuple[tuple[float, float], ...]
 ) -> None:
     experiment = experiment_of(tmp_path, contact((begin, end)))
-    found = find_bursts(experiment, experiment.equation.prior, quiet)
+    found = find_bursts(experiment, experiment.equation.prior, silent)
     assert len(found) == len(windows)
     np.testing.assert_allclose(np.reshape(found, (-1, 2)), np.reshape(windows, (-1, 2)), atol=0.01)
 
@@ -43,22 +43,26 @@ def ramp(t: Array) -> Array:
 
 NO_CONTACTS: dict[str, Hidden] = {
     "nothing": nothing,
-    "friction that rises at low speed": on(0, lambda t, q, v, tau: 2 * np.exp(-np.square(v / 0.3)) * np.tanh(v / 0.01)),
-    "friction after reversals": on(0, lambda *state: 2 * after_reversals(*state)),
-    "an end stop": on(0, lambda t, q, v, tau: 10 * np.maximum(q - 0.8, 0.0)),
-    "ripple": on(0, lambda t, q, v, tau: 0.5 * np.sin(28 * q)),
-    "saturation": on(0, lambda t, q, v, tau: -0.5 * np.sign(tau) * np.maximum(np.abs(tau) - 10, 0.0)),
-    "what comes and goes slowly": on(0, lambda t, q, v, tau: 2 * ramp(t)),
-    "what swings through zero": on(0, lambda t, q, v, tau: 2 * np.cos(2 * np.pi * (t - 6)) * (np.abs(t - 6.5) < 0.5)),
-    "a kick": on(1, lambda t, q, v, tau: 5.0 * (np.abs(t - 6) < 0.05)),
-    "shaking": on(1, lambda t, q, v, tau: 2.0 * (np.abs(t - 6) < 1) * np.sin(60 * t)),
+    "friction that rises at low speed": torque_on_joint(
+        0, lambda t, q, v, tau: 2 * np.exp(-np.square(v / 0.3)) * np.tanh(v / 0.01)
+    ),
+    "friction after reversals": torque_on_joint(0, lambda *state: 2 * after_reversals(*state)),
+    "an end stop": torque_on_joint(0, lambda t, q, v, tau: 10 * np.maximum(q - 0.8, 0.0)),
+    "ripple": torque_on_joint(0, lambda t, q, v, tau: 0.5 * np.sin(28 * q)),
+    "saturation": torque_on_joint(0, lambda t, q, v, tau: -0.5 * np.sign(tau) * np.maximum(np.abs(tau) - 10, 0.0)),
+    "what comes and goes slowly": torque_on_joint(0, lambda t, q, v, tau: 2 * ramp(t)),
+    "what swings through zero": torque_on_joint(
+        0, lambda t, q, v, tau: 2 * np.cos(2 * np.pi * (t - 6)) * (np.abs(t - 6.5) < 0.5)
+    ),
+    "a kick": torque_on_joint(1, lambda t, q, v, tau: 5.0 * (np.abs(t - 6) < 0.05)),
+    "shaking": torque_on_joint(1, lambda t, q, v, tau: 2.0 * (np.abs(t - 6) < 1) * np.sin(60 * t)),
 }
 
 
 @pytest.mark.parametrize("hidden", NO_CONTACTS.values(), ids=NO_CONTACTS)
 def test_what_is_no_contact(tmp_path: Path, hidden: Hidden) -> None:
     experiment = experiment_of(tmp_path, hidden)
-    assert find_bursts(experiment, experiment.equation.prior, quiet) == ()
+    assert find_bursts(experiment, experiment.equation.prior, silent) == ()
 
 
 def test_what_was_seen_neither_to_come_nor_to_go(tmp_path: Path) -> None:
@@ -66,9 +70,9 @@ def test_what_was_seen_neither_to_come_nor_to_go(tmp_path: Path) -> None:
     t = motion()[0]
     rows = np.minimum(np.abs(t - 5.8), np.abs(t - 8.2)) > 0.2
     experiment = experiment_of(tmp_path, contact((5.8, 8.2)), rows=rows)
-    assert find_bursts(experiment, experiment.equation.prior, quiet) == ()
+    assert find_bursts(experiment, experiment.equation.prior, silent) == ()
 
 
 def test_with_several_logs_a_contact_has_no_windows(tmp_path: Path) -> None:
     experiment = experiment_of(tmp_path, contact(WINDOWS[0]), nothing)
-    assert find_bursts(experiment, experiment.equation.prior, quiet) == ()
+    assert find_bursts(experiment, experiment.equation.prior, silent) == ()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import LEG, TRAIN, idtool
-from disturbed import experiment_of, on, quiet
+from disturbed import experiment_of, silent, torque_on_joint
 from numpy.typing import NDArray
 from sentences import sentences
 
@@ -37,14 +37,17 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     """An arm with a spring on its first joint and an offset on its second."""
 
     def hidden(t: Any, q: Any, v: Any, tau: Any) -> Any:
-        spring, offset = (on(0, lambda t, q, v, tau: 3.0 * (q - 0.4)), on(1, lambda t, q, v, tau: 0.5 + 0 * t))
+        spring, offset = (
+            torque_on_joint(0, lambda t, q, v, tau: 3.0 * (q - 0.4)),
+            torque_on_joint(1, lambda t, q, v, tau: 0.5 + 0 * t),
+        )
         return spring(t, q, v, tau) + offset(t, q, v, tau)
 
     return experiment_of(tmp_path_factory.mktemp("arm"), hidden, rows=slice(8000))
 
 
 def diagnosed(experiment: Experiment) -> Diagnosis:
-    return diagnose(experiment, Options(effects=EFFECTS, simulate=False), quiet)
+    return diagnose(experiment, Options(effects=EFFECTS, simulate=False), silent)
 
 
 def named(found: Diagnosis) -> set[tuple[str, str]]:
@@ -91,7 +94,7 @@ def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, mon
 
     monkeypatch.setattr(effect_search, "fit_trial", fit_trial)
     without_spring(diagnosed(arm), REASON)
-    search = EffectSearch(arm, EFFECTS, 3, quiet)
+    search = EffectSearch(arm, EFFECTS, 3, silent)
     with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be added"):
         search.assume(*SPRING)
     search.assume(*OFFSET)
@@ -130,7 +133,7 @@ def test_an_effect_without_which_the_rest_cannot_be_fitted_stays(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The spring pays no more, but taking it out fails."""
-    search = EffectSearch(arm, EFFECTS, 3, quiet)
+    search = EffectSearch(arm, EFFECTS, 3, silent)
     for effect, joint in (SPRING, OFFSET):
         search.assume(effect, joint)
     inner, before = effect_search.linearize_fit, search.current

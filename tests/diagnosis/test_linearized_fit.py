@@ -9,8 +9,8 @@ import cvxpy as cp
 import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 import pytest
-from imposed import Log, imposed, silent, stacked, with_noise, with_torque
 from numpy.typing import NDArray
+from prescribed_motions import Log, prescribed_motion, silent, stacked, with_noise, with_torque
 from reference import Reference
 from spatial_arm import ARM, JOINTS, NOISE, experiment, in_band, written
 
@@ -29,7 +29,7 @@ MUCH = 0.3  # N·m, of noise that leaves much
 @pytest.fixture(scope="module")
 def log() -> Log:
     """The arm with offsets, and a kink that no model of it has."""
-    plain = imposed(6.0)
+    plain = prescribed_motion(6.0)
     bent = with_torque(with_torque(plain, 1, 0.4 + 0.5 * np.abs(plain["q"][:, 1])), 2, np.full(len(plain["t"]), -0.2))
     return with_noise(bent, MUCH)
 
@@ -52,7 +52,7 @@ def test_what_is_left_of_a_block_is_what_least_squares_without_it_leaves(tmp_pat
 
 
 def test_the_blocks_are_those_of_several_logs(tmp_path: Path, log: Log) -> None:
-    first, second = imposed(2.5, seed=1), imposed(4.0, seed=2)
+    first, second = prescribed_motion(2.5, seed=1), prescribed_motion(4.0, seed=2)
     paths = [written(tmp_path / str(i), with_noise(x, MUCH, i)) for i, x in enumerate((first, second))]
     config = parse_config({"friction": OFFSET, **FREE}, "")
     tried = prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0)
@@ -112,7 +112,7 @@ def refit(Y: Array, tau: Array) -> Array:
 def test_where_bodies_lie_on_their_limits_the_others_are_as_free_as_they_are(tmp_path: Path) -> None:
     """An arm whose fore part no body could be, against cvxpy's fits without a block."""
     tree = pin.buildModelFromXML(ARM)
-    found, data = tree.createData(), imposed(6.0)
+    found, data = tree.createData(), prescribed_motion(6.0)
     states = zip(data["q"], data["v"], data["a"], strict=True)
     wrong = [pin.computeJointTorqueRegressor(tree, found, *state)[:, -6:] @ TOO_LONG for state in states]
     data = with_noise({**data, "tau": data["tau"] + wrong}, MUCH)

@@ -20,8 +20,8 @@ from disturbed import (
     motion,
     noisy,
     nothing,
-    on,
-    quiet,
+    silent,
+    torque_on_joint,
 )
 from numpy.typing import NDArray
 
@@ -46,16 +46,16 @@ REGIONS: list[tuple[Hidden, str, list[float]]] = [
     (noisy(lambda t, q, v, tau: t > 12), "at the end of the log, from {} s", [12.0]),
     (noisy(lambda t, q, v, tau: np.abs(t - 6) < 1), "in a stretch of the log", []),
     (noisy(lambda t, q, v, tau: t > 0), "all along", []),
-    (on(0, after_reversals), "in the first {} rad after reversals", [0.05]),
-    (on(0, lambda t, q, v, tau: 0.4 * np.sin(2 * np.pi * 6.3 * t)), "at {} Hz", [6.3]),
-    (on(0, lambda t, q, v, tau: 0.4 * np.sin(28 * q + 1)), "{} periods per turn", [28.0]),
+    (torque_on_joint(0, after_reversals), "in the first {} rad after reversals", [0.05]),
+    (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(2 * np.pi * 6.3 * t)), "at {} Hz", [6.3]),
+    (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(28 * q + 1)), "{} periods per turn", [28.0]),
 ]
 
 
 @pytest.mark.parametrize(("hidden", "words", "bounds"), REGIONS, ids=[words for _, words, _ in REGIONS])
 def test_the_region_is_said_in_words(tmp_path: Path, hidden: Hidden, words: str, bounds: list[float]) -> None:
     experiment = experiment_of(tmp_path, hidden)
-    ((joint, where),) = localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet).items()
+    ((joint, where),) = localize_unexplained(experiment, experiment.equation.prior, FLOOR, silent).items()
     assert (joint, where.joints) == ("j1", ("j1",))
     number = r"(-?[\d.]+)"
     match = re.fullmatch(re.escape(words).replace(r"\{\}", number), where.region)
@@ -67,11 +67,11 @@ def test_a_torque_that_comes_with_another_joints_motion(tmp_path: Path) -> None:
     _, q, v, _ = motion()
     moves = np.abs(v[1]) > 0.3
     experiment = experiment_of(tmp_path, noisy(lambda *_: moves))
-    region = localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet)["j1"].region
+    region = localize_unexplained(experiment, experiment.equation.prior, FLOOR, silent)["j1"].region
     assert re.fullmatch(r"while j2 moves, above 0\.(3|2[89]|3[0-3]) rad/s", region)
     experiment = experiment_of(tmp_path, noisy(lambda *_: moves & (q[0] > 0.4)))
     one, other = sorted(
-        localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet)["j1"].region.split(" and ")
+        localize_unexplained(experiment, experiment.equation.prior, FLOOR, silent)["j1"].region.split(" and ")
     )
     assert re.fullmatch(r"above 0\.(4|3\d|4\d) rad", one)
     assert re.fullmatch(r"while j2 moves, above 0\.(3|2\d|3\d) rad/s", other)
@@ -79,7 +79,7 @@ def test_a_torque_that_comes_with_another_joints_motion(tmp_path: Path) -> None:
 
 def test_noise_is_nowhere(tmp_path: Path) -> None:
     experiment = experiment_of(tmp_path, nothing)
-    assert not localize_unexplained(experiment, experiment.equation.prior, FLOOR, quiet)
+    assert not localize_unexplained(experiment, experiment.equation.prior, FLOOR, silent)
 
 
 def test_a_prismatic_joint_has_metres_and_several_joints_have_names() -> None:
@@ -109,11 +109,11 @@ def test_a_contact_is_located(tmp_path: Path) -> None:
     """In its windows, by all joints, whether it is explained or not."""
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), friction=friction)
-    assert set(localize_unexplained(experiment, linearize_fit(experiment, quiet).theta, FLOOR, quiet)) == {"j1", "j2"}
+    assert set(localize_unexplained(experiment, linearize_fit(experiment, silent).theta, FLOOR, silent)) == {"j1", "j2"}
     parameters = {"windows": [list(window) for window in WINDOWS], "wrench": WRENCH}
     entry = EffectEntry(effect="external_contact", link="lower", parameters=parameters)
     with_it = with_effects(experiment, [entry])
-    where = localize_residual(experiment, experiment.equation.prior, with_it, with_it.equation.prior, quiet)
+    where = localize_residual(experiment, experiment.equation.prior, with_it, with_it.equation.prior, silent)
     assert where.joints == ("j1", "j2")
     t = motion()[0]
     told = np.any([(t >= first) & (t <= last) for first, last in where.windows], axis=0)
@@ -143,8 +143,8 @@ def test_what_a_step_explains_is_located(tmp_path: Path) -> None:
     before, after = experiment.equation.prior, experiment.equation.prior.copy()
     for joint, coulomb in (("j1", 0.02), ("j2", 0.7)):
         after[keys.index(("coulomb_friction", joint))] = coulomb
-    assert localize_residual(experiment, before, experiment, after, quiet).joints == ("j2",)
-    assert localize_residual(experiment, after, experiment, before, quiet).joints == ()
+    assert localize_residual(experiment, before, experiment, after, silent).joints == ("j2",)
+    assert localize_residual(experiment, after, experiment, before, silent).joints == ()
 
 
 def test_maps(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_maps(tmp_path: Path) -> None:
         tmp_path,
         lambda t, q, v, tau: np.stack([0.3 * np.sin(2 * np.pi * 6.5 * t), 0.2 * np.sin(41 * q[1]) + 0.05 * v[1]]),
     )
-    maps = residual_maps(experiment, experiment.equation.prior, quiet)
+    maps = residual_maps(experiment, experiment.equation.prior, silent)
     one, two = maps["j1"], maps["j2"]
     peak = int(np.argmax(one.density))
     assert one.frequency[peak] == 6.5
@@ -177,8 +177,8 @@ def test_maps(tmp_path: Path) -> None:
 
 def test_maps_of_logs_follow_each_other(tmp_path: Path) -> None:
     """Time runs on; velocity's bins are finer near zero; nothing is drawn where nothing was."""
-    experiment = experiment_of(tmp_path, nothing, on(0, lambda t, q, v, tau: 0 * t + 1.0))
-    one = residual_maps(experiment, experiment.equation.prior, quiet)["j1"]
+    experiment = experiment_of(tmp_path, nothing, torque_on_joint(0, lambda t, q, v, tau: 0 * t + 1.0))
+    one = residual_maps(experiment, experiment.equation.prior, silent)["j1"]
     time, mean = one.against["time"], one.mean["time"]
     assert (np.diff(time) > 0).all()
     np.testing.assert_allclose(mean[time < SECONDS - 0.3], 0.0, atol=0.01)
@@ -189,11 +189,11 @@ def test_maps_of_logs_follow_each_other(tmp_path: Path) -> None:
 
 
 def test_a_log_too_long_to_be_held_is_sampled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment = experiment_of(tmp_path, on(0, lambda t, q, v, tau: 0.3 * np.sin(40 * t)))
+    experiment = experiment_of(tmp_path, torque_on_joint(0, lambda t, q, v, tau: 0.3 * np.sin(40 * t)))
     models = [(experiment.equation, experiment.equation.prior)]
-    whole = residual_series(experiment, models, quiet, "")
+    whole = residual_series(experiment, models, silent, "")
     monkeypatch.setattr("idtool.diagnosis.residual_series._MAX_NUMBERS", whole.residuals.size * 3.0)
-    part = residual_series(experiment, models, quiet, "")
+    part = residual_series(experiment, models, silent, "")
     assert len(whole.segments) == 1
     assert 0.3 * len(whole.t) < len(part.t) < 0.7 * len(whole.t)
     assert set(part.t) < set(whole.t)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from arms import INERTIA, PENDULUM, WEIGHT
-from imposed import Log, imposed, silent, sines, with_torque
 from numpy.typing import NDArray
+from prescribed_motions import Log, prescribed_motion, silent, sines, with_torque
 from scipy.integrate import cumulative_trapezoid
 from spatial_arm import RATE, experiment, in_band, written
 
@@ -42,7 +42,7 @@ def floor_of(folder: Path, log: Log, extra: Array, **config: Any) -> NoiseFloor:
 @pytest.fixture(scope="module")
 def log() -> Log:
     """A pendulum that swings, without noise."""
-    return imposed(SECONDS, PENDULUM)
+    return prescribed_motion(SECONDS, PENDULUM)
 
 
 def stopping() -> Log:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from imposed import Stacked, imposed, silent, stacked, with_noise, with_torque
 from numpy.typing import NDArray
+from prescribed_motions import Stacked, prescribed_motion, silent, stacked, with_noise, with_torque
 from spatial_arm import experiment, written
 
 from idtool.data.signals import Motion
@@ -43,7 +43,7 @@ CONFIG: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> LinearizedFit:
     """An arm with friction, a spring on its lift, and torque that comes late."""
-    log = imposed(6.0)
+    log = prescribed_motion(6.0)
     log = with_torque(log, 0, 1.2 * np.sign(log["v"][:, 0]) + 1.0 * log["v"][:, 0])
     log = with_torque(log, 1, STIFFNESS * (log["q"][:, 1] - REST) + 0.8 * log["v"][:, 1])
     log = with_torque(log, 2, 0.6 * log["v"][:, 2])
@@ -137,7 +137,7 @@ def test_a_probe_is_least_squares_with_its_columns(base: LinearizedFit, rows: St
 
 
 def test_several_logs_are_one_row_of_blocks(tmp_path: Path) -> None:
-    logs = [with_noise(imposed(seconds, seed=seed), 0.3, seed) for seed, seconds in enumerate((2.3, 4.0))]
+    logs = [with_noise(prescribed_motion(seconds, seed=seed), 0.3, seed) for seed, seconds in enumerate((2.3, 4.0))]
     paths = [written(tmp_path / str(i), log) for i, log in enumerate(logs)]
     config = parse_config({**CONFIG, "friction": {"viscous": False, "coulomb": False}}, "")
     both = linearize_fit(prepare(read_robot(paths[0][0]), config, [csv for _, csv in paths], holdout=0), silent)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from arms import PENDULUM
-from imposed import Log, imposed, silent, with_noise, with_torque
 from numpy.typing import NDArray
+from prescribed_motions import Log, prescribed_motion, silent, with_noise, with_torque
 from spatial_arm import experiment, written
 
 from idtool.common.exceptions import ConfigError
@@ -42,7 +42,7 @@ def entry(effect: str, **parameters: float) -> EffectEntry:
 @pytest.fixture(scope="module")
 def log() -> Log:
     """A pendulum with Stribeck friction and a stop, without noise."""
-    plain = imposed(8.0, PENDULUM)
+    plain = prescribed_motion(8.0, PENDULUM)
     q, v = plain["q"][:, 0], plain["v"][:, 0]
     friction = np.sign(v) * (1.0 + STRIBECK * np.exp(-np.square(v / VELOCITY)))
     return with_torque(plain, 0, friction + STIFFNESS * np.maximum(q - STOP, 0))

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from acting import Build, effects_of, entry, moving, torque
 from arms import JOINTS, Physics, recording, written
+from effect_torques import Build, effects_of, entry, random_motion, torque
 from numpy.typing import NDArray
 from robots import chain, joint
 
@@ -54,7 +54,7 @@ FORMS: dict[str, tuple[dict[str, Any], Callable[[Motion], Array]]] = {
 
 @pytest.mark.parametrize(("given", "form"), FORMS.values(), ids=FORMS)
 def test_the_torque_is_the_documented_one(build: Build, given: dict[str, Any], form: Callable[[Motion], Array]) -> None:
-    motion = moving()
+    motion = random_motion()
     found = torque(build, motion, given)
     np.testing.assert_array_equal(found[0], 0)
     assert np.abs(form(motion)).max() > 0.05
@@ -76,7 +76,7 @@ def test_what_follows_from_torque_follows_from_the_models(
     build: Build, given: dict[str, Any], form: Callable[[Array, Motion], Array]
 ) -> None:
     """The form is that of all the torque that the actuators give by the model, and the measured one has no say."""
-    motion = moving()
+    motion = random_motion()
     load = [entry("parallel_spring", joint, stiffness=7.0, rest_position=0.3) for joint in ("shoulder", "elbow")]
     plain, found = torque(build, motion, *load), torque(build, motion, *load, given)
     inner = slice(1, -1)  # the first and last mean are over half a sample
@@ -115,7 +115,7 @@ def test_a_stop_acts_on_the_side_of_the_nearer_limit(build: Build, limit: str, c
     text = chain(*(f'<joint name="{n}" type="{kind}">{p}</joint>' for n, p in zip(JOINTS, pair, strict=True)))
     for position, side in cases:
         (effect,) = effects_of(build, entry("end_stop", stiffness=1.0, position=position), text=text)
-        motion = moving(3)
+        motion = random_motion(3)
         motion.q[1] = [position - 0.1, position, position + 0.1]
         linear = LinearModel(JOINTS, (effect,))
         expected = [0, 0, 0.1] if side > 0 else [-0.1, 0, 0]
@@ -136,7 +136,7 @@ def test_units_follow_the_kinds_of_the_joints(build: Build) -> None:
 
 @pytest.mark.parametrize("name", ["stribeck", "load", "drift", "drag"])
 def test_where_the_joint_rests_only_what_is_dry_is_not_known(build: Build, name: str) -> None:
-    motion = moving()
+    motion = random_motion()
     motion.v[1, 100:150] = 0
     (effect,) = effects_of(build, (FORMS | LOADED)[name][0])
     unknown = effect.invalid_mask(motion)

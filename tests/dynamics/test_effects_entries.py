@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from acting import TWO, Build, effects_of, entry, moving, torque
 from arms import JOINTS, Physics, recording, written
+from effect_torques import TWO, Build, effects_of, entry, random_motion, torque
 from hypothesis import given
 from hypothesis import strategies as st
 from robots import chain, joint
@@ -175,7 +175,7 @@ def test_a_new_effect_is_one_new_file(build: Build, tmp_path: Path, monkeypatch:
     monkeypatch.setattr(idtool.dynamics.effects, "__path__", [*idtool.dynamics.effects.__path__, str(tmp_path)])
     effect_types.cache_clear()
     try:
-        motion = moving()
+        motion = random_motion()
         np.testing.assert_allclose(torque(build, motion, entry("cubic_spring", cubic=2.0))[1], 2 * motion.q[1] ** 3)
     finally:
         monkeypatch.undo()

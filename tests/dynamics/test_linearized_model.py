@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 import pytest
-from imposed import sines
 from numpy.typing import NDArray
+from prescribed_motions import sines
 from reference import Reference
 from robots import actuated, random_urdf
 

@@ -17,13 +17,13 @@ from forward import (
     LEG_SPINS,
     NO_FRICTION,
     InputTorqueFunction,
-    alone,
     friction,
     hinge,
     mechanism,
-    of_time,
-    rolled,
-    undriven,
+    run_rollouts,
+    torque_of_one_state,
+    torque_of_time,
+    zero_torque,
 )
 from mujoco_robots import Simulation, Tree
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ def test_energy_is_kept(robot_of: ReadRobot, every: float) -> None:
     rng = np.random.default_rng(1)
     q0, v0 = rng.choice([-1, 1], (2, 4)) * rng.uniform(1.5, 2.5, (2, 4)), rng.normal(size=(2, 4)) * 3
     samples = np.linspace(0, 10, round(10 / every) + 1)
-    q, v = rolled(mechanism(robot_of(PENDULUM), FREE), q0, v0, undriven, samples)
+    q, v = run_rollouts(mechanism(robot_of(PENDULUM), FREE), q0, v0, zero_torque, samples)
     tree = Tree(PENDULUM, JOINTS, FREE)
     for w in range(4):
         states = zip(q[:, w].T, v[:, w].T, strict=True)
@@ -85,7 +85,7 @@ def test_energy_is_kept(robot_of: ReadRobot, every: float) -> None:
 def test_the_pendulums_rotors_are_coupled(robot_of: ReadRobot) -> None:
     """What is kept is not the energy of rotors that only add inertia to their joints."""
     q0, v0 = np.array([0.5, -1.0]), np.array([2.0, 3.0])
-    q, v = rolled(mechanism(robot_of(PENDULUM), FREE), q0, v0, undriven, np.linspace(0, 2, 101))
+    q, v = run_rollouts(mechanism(robot_of(PENDULUM), FREE), q0, v0, zero_torque, np.linspace(0, 2, 101))
     links = Tree(PENDULUM, JOINTS, {})
     spin = np.array([9.0**2 * 6e-4, 8.0**2 * 6e-4])
     total = [sum(links.energy(a, b)) + 0.5 * spin @ b**2 for a, b in zip(q[:, 0].T, v[:, 0].T, strict=True)]
@@ -114,12 +114,12 @@ def leg_config(coulomb: Sequence[float]) -> dict[str, Any]:
 def errors(robot_of: ReadRobot, coulomb: Sequence[float], steps: Sequence[float]) -> Array:
     """Largest errors of the leg's positions in a second, per step length, against scipy on MuJoCo's equations."""
     config, samples = leg_config(coulomb), np.linspace(0, 1, 11)
-    torque, level = alone(of_time(pushes)), np.array(coulomb)
+    torque, level = torque_of_one_state(torque_of_time(pushes)), np.array(coulomb)
     witness = StickSlip(Tree(LEG, LEG_JOINTS, config), lambda t, q, v: torque(t, q, v) - 0.1 * v, lambda v: level)
     expected, _ = witness.run(*START, samples)
     assert bool(witness.changes) == bool(level.any())
     leg = mechanism(robot_of(LEG), config, LEG_JOINTS)
-    found = [rolled(leg, *START, of_time(pushes), samples, step=step)[0][:, 0] for step in steps]
+    found = [run_rollouts(leg, *START, torque_of_time(pushes), samples, step=step)[0][:, 0] for step in steps]
     return np.array([np.abs(q - expected).max() for q in found])
 
 
@@ -140,7 +140,7 @@ def test_the_leg_moves_as_in_mujoco(robot_of: ReadRobot, torque: Callable[[Array
     """Sticking and turning; halving MuJoCo's steps shows its own error, which falls with them in proportion."""
     samples = np.linspace(0, 1, 101)
     config = {"rotors": LEG_ROTORS}
-    q, v = rolled(mechanism(robot_of(LEG), config, LEG_JOINTS), *START, of_time(torque), samples)
+    q, v = run_rollouts(mechanism(robot_of(LEG), config, LEG_JOINTS), *START, torque_of_time(torque), samples)
     turns = [np.count_nonzero(np.diff(np.sign(row[row != 0]))) for row in v[:, 0]]
     assert min(turns) >= 1
     assert sum(turns) >= 5
@@ -197,9 +197,9 @@ def test_rollouts_of_which_some_are_stiff_do_not_know_of_each_other(robot_of: Re
         ) -> Array:
             return pushes(t) - damping * v
 
-        together = np.array(rolled(leg, q0, v0, input_torque, samples))
+        together = np.array(run_rollouts(leg, q0, v0, input_torque, samples))
         for w in range(4):
-            one = np.array(rolled(leg, q0[:, w], v0[:, w], input_torque, samples))
+            one = np.array(run_rollouts(leg, q0[:, w], v0[:, w], input_torque, samples))
             np.testing.assert_allclose(one[:, :, 0], together[:, :, w], rtol=0, atol=1e-12)
 
 
@@ -221,8 +221,8 @@ class Calls:
 def test_a_light_joint_follows_its_damping(robot_of: ReadRobot, coulomb: float, tolerance: float) -> None:
     """Viscous friction of 1 N·m·s/rad: it moves by what friction leaves of the torque, its inertia being nothing."""
     machine = mechanism(robot_of(hinge(LIGHT)), {"friction": friction(["x1"], [1.0], [coulomb])})
-    calls = Calls(of_time(lambda t: np.sin(5 * t)[None]))
-    q, _ = rolled(machine, [0.0], [0.0], calls, np.linspace(0, 1, 1001))
+    calls = Calls(torque_of_time(lambda t: np.sin(5 * t)[None]))
+    q, _ = run_rollouts(machine, [0.0], [0.0], calls, np.linspace(0, 1, 1001))
     assert calls.count < 10_000
     t = np.linspace(0, 1, 100_001)
     left = np.sign(np.sin(5 * t)) * np.maximum(np.abs(np.sin(5 * t)) - coulomb, 0)
@@ -239,7 +239,7 @@ def test_a_light_joint_follows_its_controller(robot_of: ReadRobot, kp: float, kd
         return np.asarray(kp * (np.sin(5 * t) - q) + kd * (5 * np.cos(5 * t) - v))
 
     samples, calls = np.linspace(0, 1, 1001), Calls(input_torque)
-    q, _ = rolled(machine, [0.0], [0.0], calls, samples)
+    q, _ = run_rollouts(machine, [0.0], [0.0], calls, samples)
     assert calls.count < 10_000
     found = solve_ivp(
         lambda t, q: (kp * (np.sin(5 * t) - q) + 5 * kd * np.cos(5 * t)) / (kd + b), (0, 1), [0.0], t_eval=samples,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from forward import alone, friction, mechanism, sliders
+from forward import friction, mechanism, sliders, torque_of_one_state
 from numpy.typing import NDArray
 from robots import chain, link
 from scipy.integrate import solve_ivp
@@ -177,7 +177,7 @@ def test_a_long_window_is_one_motion(robot_of: ReadRobot, kp: float) -> None:
     def input_torque(now: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return kp * (wanted(now)[None] - q) if kp else force(now)[None]
 
-    torque = alone(input_torque)
+    torque = torque_of_one_state(input_torque)
     witness = StickSlip(
         lambda q, v: (np.array([[M]]), np.zeros(1)),
         lambda now, q, v: torque(now, q, v) - B * v - K * q,

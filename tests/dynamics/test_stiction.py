@@ -16,10 +16,10 @@ from forward import (
     friction,
     hinge,
     mechanism,
-    of_time,
-    rolled,
+    run_rollouts,
     sliders,
-    undriven,
+    torque_of_time,
+    zero_torque,
 )
 from mujoco_robots import Tree
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ def test_a_joint_on_a_slope_stays(robot_of: ReadRobot, share: float) -> None:
     m, length, c = 2.0, 0.3, 5.0
     machine = mechanism(robot_of(hinge(0.01, m, length)), {"friction": friction(["x1"], [0], [c])})
     angle = np.arcsin(share * c / (m * G * length))
-    still(*rolled(machine, [angle], [0], undriven, np.linspace(0, 10, 51)))
+    still(*run_rollouts(machine, [angle], [0], zero_torque, np.linspace(0, 10, 51)))
 
 
 @pytest.mark.parametrize("seconds", [2, pytest.param(10, marks=pytest.mark.slow)])
@@ -68,7 +68,7 @@ def test_two_hundred_joints_stay_where_friction_holds_them(robot_of: ReadRobot, 
     share = np.linspace(-1.2, 1.2, 200)
     assert not (np.abs(np.abs(share) - 1) < 1e-4).any()
     angle = np.arcsin(share * c / (m * G * length))
-    q, v = rolled(machine, angle[None], np.zeros((1, 200)), undriven, np.linspace(0, seconds, 11))
+    q, v = run_rollouts(machine, angle[None], np.zeros((1, 200)), zero_torque, np.linspace(0, seconds, 11))
     held = np.abs(share) < 1
     still(q[:, held], v[:, held])
     assert (q[0, ~held, 1] * share[~held] < angle[~held] * share[~held] - 1e-6).all()  # down
@@ -98,7 +98,7 @@ def coupling(q: Array, v: Array) -> Array:
 
 
 def test_a_joint_stays_while_others_shake_it(robot_of: ReadRobot) -> None:
-    q, v = rolled(leg(robot_of), [0.3, 0.2, -1.0], [0, 0, 0], of_time(vigorous), np.linspace(0, 10, 1001))
+    q, v = run_rollouts(leg(robot_of), [0.3, 0.2, -1.0], [0, 0, 0], torque_of_time(vigorous), np.linspace(0, 10, 1001))
     still(q[0], v[0])
     assert np.ptp(q[1:], axis=-1).min() > 0.5
     load = np.abs(coupling(q[:, 0], v[:, 0]))
@@ -110,7 +110,7 @@ def test_in_many_rollouts_joints_stay_while_others_shake_them(robot_of: ReadRobo
     q0 = np.array([[0.0], [0.2], [-1.0]]) + rng.uniform(-0.3, 0.3, (3, count))
     late = rng.uniform(0, 1, count)
     input_torque = lambda t, q, v, rollout_ids: vigorous(t + late[rollout_ids])  # noqa: E731
-    q, v = rolled(leg(robot_of), q0, np.zeros((3, count)), input_torque, np.linspace(0, 0.5, 11))
+    q, v = run_rollouts(leg(robot_of), q0, np.zeros((3, count)), input_torque, np.linspace(0, 0.5, 11))
     still(q[0], v[0])
     assert np.ptp(q[1:], axis=-1).min() > 0.01
 
@@ -119,7 +119,7 @@ def test_beyond_its_friction_a_mass_slides(robot_of: ReadRobot) -> None:
     m, c, slope = 3.0, 4.0, 0.3
     a = G * np.sin(slope) - c / m
     samples = np.linspace(0, 2, 21)
-    q, v = rolled(slider(robot_of, c, m, slope), [0], [0], undriven, samples)
+    q, v = run_rollouts(slider(robot_of, c, m, slope), [0], [0], zero_torque, samples)
     np.testing.assert_allclose(q[0, 0], a * samples**2 / 2, rtol=0, atol=1e-12)
     np.testing.assert_allclose(v[0, 0], a * samples, rtol=0, atol=1e-12)
 
@@ -130,7 +130,7 @@ def test_a_mass_shot_uphill_stops_where_and_when_it_must(robot_of: ReadRobot, c:
     m, slope, v0 = 3.0, 0.3, -1.7
     pull, samples = G * np.sin(slope), np.linspace(0, 2, 400)
     stop = -v0 / (pull + c / m)
-    q, v = rolled(slider(robot_of, c, m, slope), [0], [v0], undriven, samples)
+    q, v = run_rollouts(slider(robot_of, c, m, slope), [0], [v0], zero_torque, samples)
     up, down = np.minimum(samples, stop), np.maximum(samples - stop, 0)
     back = max(pull - c / m, 0)
     expected = v0 * up + (pull + c / m) * up**2 / 2 + back * down**2 / 2
@@ -146,8 +146,8 @@ def test_a_mass_breaks_away_in_the_moment_it_must(robot_of: ReadRobot, rate: flo
     way, size = np.sign(rate), abs(rate)
     t0 = (c / size) ** (1 / power)
     t = t0 + np.array([-1e-3, 1e-3, 0.05, 0.1, 0.2])
-    force = of_time(lambda t: rate * t[None] ** power)
-    q, v = rolled(slider(robot_of, c, m), [0], [0], force, np.concatenate([[0.0], t]))
+    force = torque_of_time(lambda t: rate * t[None] ** power)
+    q, v = run_rollouts(slider(robot_of, c, m), [0], [0], force, np.concatenate([[0.0], t]))
     p, t = power + 1, np.maximum(t, t0)
     speed = size * (t**p - t0**p) / p - c * (t - t0)
     gone = size * ((t ** (p + 1) - t0 ** (p + 1)) / (p + 1) - t0**p * (t - t0)) / p - c * (t - t0) ** 2 / 2
@@ -178,8 +178,8 @@ def swung(t: float) -> float:
 def test_a_mass_swung_to_and_fro(robot_of: ReadRobot, every: float) -> None:
     """It breaks away, moves, stops and rests, and the same the other way, with nothing in between."""
     samples = np.arange(0, 6 * HALF, every)
-    force = of_time(lambda t: FORCE * np.sin(RATE * t)[None])
-    q, v = rolled(slider(robot_of, LEVEL_OF_MASS, MASS), [0], [0], force, samples)
+    force = torque_of_time(lambda t: FORCE * np.sin(RATE * t)[None])
+    q, v = run_rollouts(slider(robot_of, LEVEL_OF_MASS, MASS), [0], [0], force, samples)
     expected = [sum((-1) ** k * swung(t - k * HALF) for k in range(6)) for t in samples]
     np.testing.assert_allclose(q[0, 0], expected, rtol=0, atol=1e-8)
     assert turns(v[0, 0]) == [0, 1, 0, -1] * 3 + [0]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from forward import alone, friction, mechanism, of_time, rolled, sliders, undriven
+from forward import friction, mechanism, run_rollouts, sliders, torque_of_one_state, torque_of_time, zero_torque
 from mujoco_robots import Tree
 from numpy.typing import NDArray
 from robots import random_rotors, random_urdf
@@ -38,7 +38,7 @@ def test_two_joints_stop_at_the_same_time(robot_of: ReadRobot, carried: bool, ap
     """Both after a second, or one a little later; the mass pulls its carriage along."""
     machine = pair(robot_of, (1.0, 1.0), (3.0, 2.0) if carried else (1.0, 1.0), carried)
     samples = np.linspace(0, 2, 41)
-    q, v = rolled(machine, [0, 0], [1.0, 1.0 + apart], undriven, samples)
+    q, v = run_rollouts(machine, [0, 0], [1.0, 1.0 + apart], zero_torque, samples)
     t = np.minimum(samples, 1.0)
     np.testing.assert_allclose(q[0, 0], t - t**2 / 2, rtol=0, atol=abs(apart) + 1e-12)
     np.testing.assert_allclose(q[1, 0], t - t**2 / 2, rtol=0, atol=2 * abs(apart) + 1e-12)
@@ -50,9 +50,11 @@ def test_two_joints_stop_at_the_same_time(robot_of: ReadRobot, carried: bool, ap
 def test_what_lets_go_unloads_the_other(robot_of: ReadRobot, c: tuple[float, float], at_once: bool) -> None:
     """A force on the mass alone is more than the carriage's friction; but the mass slips first, and spares it."""
     force = (lambda t: 10 + 0 * t) if at_once else (lambda t: 10 * t)
-    input_torque = of_time(lambda t: np.stack([force(t), force(t)]))  # in both coordinates: the mass is on the carriage
+    input_torque = torque_of_time(
+        lambda t: np.stack([force(t), force(t)])
+    )  # in both coordinates: the mass is on the carriage
     samples = np.linspace(0, 2, 41)
-    q, v = rolled(pair(robot_of, (1.0, 2.0), c), [0, 0], [0, 0], input_torque, samples)
+    q, v = run_rollouts(pair(robot_of, (1.0, 2.0), c), [0, 0], [0, 0], input_torque, samples)
     assert np.abs(q[0]).max() < 1e-12
     assert np.abs(v[0]).max() < 1e-12
     t0 = 0.0 if at_once else 0.2
@@ -66,9 +68,9 @@ def test_what_lets_go_takes_the_other_along(robot_of: ReadRobot) -> None:
 
     As one, (10 t − 1) / 3 is their acceleration, and 10 t − 2 a, which is less than 4 until then, holds the mass.
     """
-    input_torque = of_time(lambda t: np.stack([10 * t, 10 * t]))  # on the mass
+    input_torque = torque_of_time(lambda t: np.stack([10 * t, 10 * t]))  # on the mass
     samples = np.linspace(0, 2, 81)
-    q, _ = rolled(pair(robot_of, (1.0, 2.0), (1.0, 4.0)), [0, 0], [0, 0], input_torque, samples)
+    q, _ = run_rollouts(pair(robot_of, (1.0, 2.0), (1.0, 4.0)), [0, 0], [0, 0], input_torque, samples)
     as_one, slipping = np.clip(samples - 0.1, 0, 0.9), np.maximum(samples - 1, 0)
     carriage = 10 / 3 * as_one**3 / 6 + 10 / 3 * 0.9**2 / 2 * slipping + 3 * slipping**2 / 2
     np.testing.assert_allclose(q[0, 0], carriage, rtol=0, atol=1e-9)
@@ -76,9 +78,9 @@ def test_what_lets_go_takes_the_other_along(robot_of: ReadRobot) -> None:
 
 
 def test_a_level_of_zero_is_no_friction(robot_of: ReadRobot) -> None:
-    input_torque = of_time(lambda t: np.stack([np.sin(5 * t), np.sin(5 * t)]))
+    input_torque = torque_of_time(lambda t: np.stack([np.sin(5 * t), np.sin(5 * t)]))
     samples = np.linspace(0, 3, 31)
-    q, _ = rolled(pair(robot_of, (1.0, 1.0), (0.0, 0.9), carried=False), [0, 0], [0, 0], input_torque, samples)
+    q, _ = run_rollouts(pair(robot_of, (1.0, 1.0), (0.0, 0.9), carried=False), [0, 0], [0, 0], input_torque, samples)
     np.testing.assert_allclose(q[0, 0], samples / 5 - np.sin(5 * samples) / 25, rtol=0, atol=1e-9)
     np.testing.assert_allclose(q[1, 0, :3], 0, rtol=0, atol=0)
 
@@ -89,7 +91,7 @@ def test_where_friction_is_nothing_any_load_moves(robot_of: ReadRobot, force: fl
     machine = mechanism(robot_of(sliders(1.0)), {"friction": friction(["x1"], [0], [2.0])})
     machine.dry_friction_terms.append((StribeckFriction(machine.model, 0, 0.0, {"velocity": 1.0}), -3.0))
     samples = np.linspace(0, 5, 11)
-    q, _ = rolled(machine, [0], [0], of_time(lambda t: force + 0 * t[None]), samples)
+    q, _ = run_rollouts(machine, [0], [0], torque_of_time(lambda t: force + 0 * t[None]), samples)
 
     def slope(t: float, x: Array) -> Array:
         return np.array([x[1], abs(force) - max(2 - 3 * np.exp(-(x[1] ** 2)), 0)])
@@ -102,8 +104,8 @@ def test_where_friction_is_nothing_any_load_moves(robot_of: ReadRobot, force: fl
 def test_at_rest_without_load_or_at_the_limit_nothing_moves(robot_of: ReadRobot, force: float) -> None:
     """The load is exactly what friction can hold, on both."""
     machine = pair(robot_of, (1.0, 3.0), (2.0, 2.0), carried=False)
-    load = of_time(lambda t: np.full((2, len(t)), force))
-    q, _ = rolled(machine, [0.3, -0.2], [0, 0], load, np.linspace(0, 3, 11))
+    load = torque_of_time(lambda t: np.full((2, len(t)), force))
+    q, _ = run_rollouts(machine, [0.3, -0.2], [0, 0], load, np.linspace(0, 3, 11))
     np.testing.assert_allclose(q[:, 0], np.repeat([[0.3], [-0.2]], 11, axis=1), rtol=0, atol=1e-9)
 
 
@@ -123,7 +125,7 @@ def belt(robot_of: ReadRobot, count: int) -> tuple[Mechanism, StickSlip, Callabl
     def input_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return -springs @ (q + 0.3 * t)
 
-    torque = alone(input_torque)
+    torque = torque_of_one_state(input_torque)
     witness = StickSlip(
         lambda q, v: (np.diag(masses), np.zeros(count)),
         lambda t, q, v: torque(t, q, v) - 0.1 * v,
@@ -141,7 +143,7 @@ def test_the_period_of_stick_and_slip(robot_of: ReadRobot) -> None:
     periods = np.diff(slips[1:])
     assert len(periods) >= 8
     np.testing.assert_allclose(periods, periods[0], rtol=1e-8)
-    q, v = rolled(machine, [0.0], [0.0], input_torque, samples)
+    q, v = run_rollouts(machine, [0.0], [0.0], input_torque, samples)
     np.testing.assert_allclose(q[:, 0], expected, rtol=0, atol=1e-5)
     # Carried, the mass rests on the belt where it was caught; a period later it rests that much further back.
     rests = q[0, 0, np.flatnonzero((v[0, 0, 1:] == 0) & (v[0, 0, :-1] != 0)) + 1]
@@ -154,7 +156,7 @@ def test_coupled_stick_and_slip(robot_of: ReadRobot) -> None:
     expected, speeds = witness.run(np.array([0.0, 0.05]), np.zeros(2), samples)
     assert len({s for _, _, s in witness.changes}) > 1
     assert len(witness.changes) > 12
-    q, v = rolled(machine, [0.0, 0.05], [0, 0], input_torque, samples)
+    q, v = run_rollouts(machine, [0.0, 0.05], [0, 0], input_torque, samples)
     np.testing.assert_allclose(q[:, 0], expected, rtol=0, atol=1e-5)
     assert np.count_nonzero((v[:, 0] == 0) != (np.abs(speeds) < 1e-9)) <= 3
 
@@ -188,11 +190,11 @@ def test_random_machines_move_as_scipy_moves_them(robot_of: ReadRobot, seed: int
     def input_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return np.sum(size[..., None] * np.sin(rate[..., None] * t + phase[..., None]), axis=1) - springs * q
 
-    torque, samples = alone(input_torque), np.linspace(0, 1, 51)
+    torque, samples = torque_of_one_state(input_torque), np.linspace(0, 1, 51)
     witness = StickSlip(tree, lambda t, q, v: torque(t, q, v) - b * v, lambda v: c)
     expected, _ = witness.run(q0, v0, samples)
     assert len(witness.changes) > 1
-    q, _ = rolled(machine, q0, v0, input_torque, samples)
+    q, _ = run_rollouts(machine, q0, v0, input_torque, samples)
     np.testing.assert_allclose(q[:, 0], expected, rtol=0, atol=1e-5)
 
 

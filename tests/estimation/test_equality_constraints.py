@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from legs import Robots, copies, fit, free, legs, of_body, told
+from legs import Robots, copies, fit, legs, no_constraints, of_body, uncertainty_with
 from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, synthetic
@@ -67,7 +67,7 @@ def test_the_true_masses_do_not_stand_in_the_way_of_the_truth(arm: Callable[...,
 
 def test_an_exact_total_is_met_to_the_last_digit(arm: Callable[..., Synthetic]) -> None:
     s = arm(known={"total_mass": 5.5})
-    ours, plain = fit(s, s.noisy(1.0), kind="full"), fit(s, s.noisy(1.0), free(s), kind="full")
+    ours, plain = fit(s, s.noisy(1.0), kind="full"), fit(s, s.noisy(1.0), no_constraints(s), kind="full")
     assert ours.theta[MASSES].sum() == pytest.approx(5.5, rel=1e-12)
     assert abs(plain.theta[MASSES].sum() - 5.5) > 0.1
 
@@ -153,7 +153,7 @@ def test_a_copys_mass_is_its_originals(robot_of: Robots) -> None:
     s = legs(robot_of, ("FL", "FR"), mirror=copies(("FL", "FR")), known={"mass": {"FR_link2": 0.95}})
     theta = fit(s, s.noisy(0.3), kind="ellipsoid").theta
     assert theta[of_body(s, "FL_link2")][0] == pytest.approx(0.95, rel=1e-12)
-    found = told(s, s.equalities)
+    found = uncertainty_with(s, s.equalities)
     for leg in ("FL", "FR"):
         assert found.standard_error[of_body(s, f"{leg}_link2")][0] == 0
         assert found.identifiable[of_body(s, f"{leg}_link2")][0]
@@ -172,7 +172,7 @@ def seen_columns(s: Synthetic) -> tuple[Array, NDArray[np.intp]]:
 def test_with_an_exact_mass_the_errors_are_those_without_its_column(slides: Callable[..., Synthetic]) -> None:
     s = slides(known={"mass": {"link2": 1.0}})
     X, seen = seen_columns(s)
-    found, plain = told(s, s.equalities, 0.7), told(s, free(s), 0.7)
+    found, plain = uncertainty_with(s, s.equalities, 0.7), uncertainty_with(s, no_constraints(s), 0.7)
     expected = 0.7 * np.sqrt(np.diag(covariance(np.delete(X, 1, axis=1))))
     np.testing.assert_allclose(found.standard_error[np.delete(seen, 1)], expected, rtol=1e-8)
     assert found.standard_error[MASSES[1]] < 1e-12
@@ -189,7 +189,7 @@ def test_with_an_exact_total_one_mass_is_the_total_less_the_others(slides: Calla
     C = covariance(reduced)
     third = C[0, 0] + C[1, 1] + 2 * C[0, 1]
     expected = np.sqrt(np.insert(np.diag(C), 2, third))
-    np.testing.assert_allclose(told(s, s.equalities).standard_error[seen], expected, rtol=1e-8)
+    np.testing.assert_allclose(uncertainty_with(s, s.equalities).standard_error[seen], expected, rtol=1e-8)
 
 
 def test_a_soft_mass_is_one_more_measurement(slides: Callable[..., Synthetic]) -> None:
@@ -198,7 +198,7 @@ def test_a_soft_mass_is_one_more_measurement(slides: Callable[..., Synthetic]) -
     row = np.zeros((1, X.shape[1]))
     row[0, 1] = 1 / 0.02
     expected = np.sqrt(np.diag(covariance(np.vstack([X / 3.0, row]))))
-    np.testing.assert_allclose(told(s, s.equalities, 3.0).standard_error[seen], expected, rtol=1e-8)
+    np.testing.assert_allclose(uncertainty_with(s, s.equalities, 3.0).standard_error[seen], expected, rtol=1e-8)
     assert expected[1] < 0.02
 
 
@@ -206,7 +206,7 @@ def test_a_mass_that_no_torque_shows_is_determined_where_it_is_known(arm: Callab
     """Exactly, or as far as it is."""
     known = {"mass": {"link1": 1.0, "link2": {"value": 1.0, "standard_error": 0.05}}}
     s = arm(known=known)
-    found, plain = told(s, s.equalities), told(s, free(s))
+    found, plain = uncertainty_with(s, s.equalities), uncertainty_with(s, no_constraints(s))
     assert not plain.identifiable[MASSES].any()
     np.testing.assert_array_equal(found.identifiable[MASSES], [True, True, False])
     np.testing.assert_allclose(found.standard_error[MASSES[:2]], [0, 0.05], rtol=1e-6, atol=1e-12)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from legs import LEGS, LENGTH, Robots, copies, fit, free, image, legs, of_body, of_joint, told
+from legs import LEGS, LENGTH, Robots, copies, fit, image, legs, no_constraints, of_body, of_joint, uncertainty_with
 from numpy.typing import NDArray
 from reference import Reference
 from robots import body
@@ -24,7 +24,7 @@ def test_mirrored_legs_are_recovered_from_torque_without_noise(robot_of: Robots,
     s = legs(robot_of, names, mirror=copies(names))
     ours = fit(s, s.tau)
     np.testing.assert_allclose(s.Y @ ours.theta, s.tau, rtol=0, atol=1e-6 * np.abs(s.tau).max())
-    seen = told(s, s.equalities).identifiable
+    seen = uncertainty_with(s, s.equalities).identifiable
     assert 0.3 < seen.mean() < 1
     np.testing.assert_allclose(ours.theta[seen], s.theta[seen], rtol=1e-3, atol=1e-5)
 
@@ -59,7 +59,7 @@ def test_in_pinocchio_a_mirrored_leg_takes_the_same_torque(robot_of: Robots) -> 
 def test_n_legs_are_n_times_the_data(robot_of: Robots, names: tuple[str, ...], ratio: float) -> None:
     """Where all legs move alike, standard errors shrink by the root of their number."""
     s = legs(robot_of, names, alike=True, mirror=copies(names))
-    alone, together = told(s, free(s)), told(s, s.equalities)
+    alone, together = uncertainty_with(s, no_constraints(s)), uncertainty_with(s, s.equalities)
     np.testing.assert_array_equal(alone.identifiable, together.identifiable)
     shared = together.identifiable & np.array([c.name != "offset" for c in s.linear.coefficients])
     np.testing.assert_allclose(alone.standard_error[shared] / together.standard_error[shared], ratio, rtol=1e-6)
@@ -72,7 +72,7 @@ def test_what_one_leg_shows_is_known_of_its_copy(robot_of: Robots) -> None:
     still = s.Y.copy()
     still[LENGTH:] = 0
     s = replace(s, Y=still)
-    alone, together = told(s, free(s)), told(s, s.equalities)
+    alone, together = uncertainty_with(s, no_constraints(s)), uncertainty_with(s, s.equalities)
     left, right = of_body(s, "FL_link2"), of_body(s, "FR_link2")
     assert not alone.identifiable[right].any()
     assert together.identifiable[left].any()
@@ -86,7 +86,9 @@ def test_mirrored_legs_are_found_more_exactly(robot_of: Robots) -> None:
     s = legs(robot_of, names, count=60, mirror=copies(names))
     for seed in range(4):
         tau = s.noisy(0.5, seed)
-        errors = [np.square(s.Y @ (fit(s, tau, known).theta - s.theta)).sum() for known in (s.equalities, free(s))]
+        errors = [
+            np.square(s.Y @ (fit(s, tau, known).theta - s.theta)).sum() for known in (s.equalities, no_constraints(s))
+        ]
         assert errors[0] < 0.6 * errors[1]
 
 

@@ -30,7 +30,7 @@ Row = list[str]
 
 @dataclass(frozen=True)
 class Result:
-    """What a command left: exit code, standard output and standard error."""
+    """Result of a command: exit code, standard output and standard error."""
 
     code: int
     out: str

@@ -47,7 +47,7 @@ def rounded(name: str, step: float) -> Callable[[Signals], None]:
     return coarse
 
 
-def held(name: str, every: int) -> Callable[[Signals], None]:
+def held_samples(name: str, every: int) -> Callable[[Signals], None]:
     def slow(s: Signals) -> None:
         s[name][:, 1] = np.repeat(s[name][::every, 1], every)[: len(s["t"])]
 

@@ -1,4 +1,4 @@
-"""A planar arm whose torque is Pinocchio's, to which is added what acts on it somewhere, or now and then."""
+"""A planar arm with the torque of Pinocchio and additional torques in some states, or at some times."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ URDF = "".join(
 )
 
 
-def quiet(stage: str, share: float) -> None:
-    """Progress that nobody looks at."""
+def silent(stage: str, share: float) -> None:
+    """Ignore the progress."""
 
 
 @cache
@@ -74,8 +74,8 @@ def experiment_of(folder: Path, *hidden: Hidden, rows: Any = slice(None), **conf
     return prepare(read_robot(folder / "arm.urdf"), parse_config(told, ""), logs, holdout=0.3)
 
 
-def on(joint: int, torque: Callable[..., Array]) -> Hidden:
-    """A torque of t, q, v, tau of a joint, on it alone."""
+def torque_on_joint(joint: int, torque: Callable[..., Array]) -> Hidden:
+    """A torque on one joint, as a function of its t, q, v and tau."""
 
     def hidden(t: Array, q: Array, v: Array, tau: Array) -> Array:
         found = np.zeros_like(q)
@@ -85,7 +85,7 @@ def on(joint: int, torque: Callable[..., Array]) -> Hidden:
     return hidden
 
 
-nothing = on(0, lambda t, q, v, tau: 0 * t)
+nothing = torque_on_joint(0, lambda t, q, v, tau: 0 * t)
 
 
 def after_reversals(t: Array, q: Array, v: Array, tau: Array) -> Array:
@@ -99,14 +99,14 @@ def noisy(bound: Callable[..., NDArray[np.bool_]]) -> Hidden:
     """Disturbances on the first joint, within the band, where the state is in a region."""
     t = motion()[0]
     rough = np.interp(t, t[::20], np.random.default_rng(3).normal(size=len(t[::20])))
-    return on(0, lambda t, q, v, tau: rough * bound(t, q, v, tau))
+    return torque_on_joint(0, lambda t, q, v, tau: rough * bound(t, q, v, tau))
 
 
 WRENCH = [6.0, 0.0, 4.0, 0.0, 1.5, 0.0]
 
 
 def contact(*windows: tuple[float, float]) -> Hidden:
-    """What the joints need while a wrench acts on the second link, by Pinocchio's Jacobian."""
+    """Torque of a wrench on the second link, by Pinocchio's Jacobian."""
     model = pin.buildModelFromXML(URDF)
     data, frame = model.createData(), model.getFrameId("lower")
 

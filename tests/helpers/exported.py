@@ -1,4 +1,4 @@
-"""Exported models in the simulators that they are for."""
+"""Exported models in their simulators."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def state(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
     return rng.uniform(-2, 2, n), rng.uniform(-5, 5, n)
 
 
-def parts(export: Export, what: str) -> list[Part]:
-    """What of a kind is not carried."""
+def unsupported_parts(export: Export, what: str) -> list[Part]:
+    """Parts of a kind that an exported model does not have."""
     return [part for part in export.not_carried if part.what == what]
 
 
@@ -130,6 +130,6 @@ class InMujoco:
         return self.G.T @ M @ self.G, self.G.T @ self.data.qfrc_bias
 
     def acceleration(self, q: Array, v: Array, tau: Array) -> Array:
-        """What MuJoCo makes of torque and all that it knows, shape (nv,)."""
+        """MuJoCo's acceleration under a torque and all its own forces, shape (nv,)."""
         self.set(q, v, tau)
         return np.asarray(self.data.qacc[self.dofs])

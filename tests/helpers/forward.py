@@ -34,7 +34,7 @@ NO_FRICTION = {"viscous": False, "coulomb": False}
 
 
 def mechanism(robot: Robot, config: Mapping[str, Any], names: Sequence[str] | None = None) -> Mechanism:
-    """What a robot with a configuration is before any data."""
+    """The mechanism of a robot with a configuration, with prior coefficients."""
     parsed = parse_config(dict(config), "")
     model = build_model(robot, parsed, names or actuated(robot))
     linear = LinearModel(model.names, build_effects(model, parsed))
@@ -48,7 +48,7 @@ def friction(names: Sequence[str], viscous: Sequence[float], coulomb: Sequence[f
     }
 
 
-def rolled(
+def run_rollouts(
     mechanism: Mechanism, q: Array, v: Array, input_torque: InputTorqueFunction, samples: Array, **options: float
 ) -> tuple[Array, Array]:
     """Positions and velocities of rollouts from states (nv, W), or (nv,) of one, at common times; (nv, W, N) each."""
@@ -62,23 +62,23 @@ def rolled(
     return np.moveaxis(both[:, 0], 0, -1), np.moveaxis(both[:, 1], 0, -1)
 
 
-def undriven(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
-    """No torque."""
+def zero_torque(t: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
+    """Zero torque at all times."""
     return np.zeros_like(q)
 
 
-def of_time(torque: Callable[[Array], Array]) -> InputTorqueFunction:
-    """The torque of time alone, shape (nv, N) at times (N,)."""
+def torque_of_time(torque: Callable[[Array], Array]) -> InputTorqueFunction:
+    """Input torque that is a function of time only, shape (nv, N) at times (N,)."""
     return lambda t, q, v, rollout_ids: torque(t)
 
 
-def alone(input_torque: InputTorqueFunction) -> Callable[[float, Array, Array], Array]:
-    """The same torque for one state, shape (nv,)."""
+def torque_of_one_state(input_torque: InputTorqueFunction) -> Callable[[float, Array, Array], Array]:
+    """An input torque for a single state, shape (nv,)."""
     return lambda t, q, v: input_torque(np.array([t]), q[:, None], v[:, None], np.zeros(1, dtype=np.intp))[:, 0]
 
 
 def sliders(*masses: float, slope: float = 0.0, carried: bool = False) -> str:
-    """Masses on rails along x, each of its own or each upon the one before; the rails fall by a slope [rad]."""
+    """Masses on rails along x, independent or each on the one before; the rails fall by a slope [rad]."""
     parts = ['<robot name="sliders"><link name="m0"/>']
     for i, mass in enumerate(masses, start=1):
         tilt = slope if i == 1 or not carried else 0.0

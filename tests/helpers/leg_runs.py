@@ -1,4 +1,4 @@
-"""The paper's leg in MuJoCo, run in closed loop along a commanded motion and read by realistic sensors.
+"""The paper's leg in MuJoCo, in closed loop along a commanded motion, with realistic sensors.
 
 An independent witness: nothing of idtool takes part but its `Log`. The leg's true bodies and friction are those of
 sample_logs/truth.yaml (`TRUTH`), or drawn anew (`draw_truth`); what its designer believed is in sample_logs/leg.*.
@@ -45,7 +45,7 @@ _SMOOTH = 0.01  # rad/s over which the friction feed-forward changes its sign
 
 @dataclass(frozen=True)
 class LegSensors:
-    """What the drives read. The defaults are those of the sample logs.
+    """Sensors of the drives. The defaults are those of the sample logs.
 
     Attributes
     ----------
@@ -63,11 +63,11 @@ class LegSensors:
         Standard deviation of white noise on the logged torque [N m].
     coloured_noise, coloured_time
         Standard deviation [N m] and correlation time [s] of first-order autoregressive noise on top of it.
-    felt
-        Share of the torque errors' variance that the leg feels: the drive delivers so much less than it logs, and the
-        motion answers. The rest is on the log only. With none, the motion is the same for every seed.
+    acting_share
+        Share of the torque errors' variance that acts on the leg: the drive delivers less torque than it logs, which
+        changes the motion. The rest is on the log only. With 0, the motion is the same for every seed.
     logs_velocity
-        Whether the log has v.
+        True if the log has v.
     """
 
     position_step: float = PAPER.SENSORS.position_step
@@ -77,11 +77,11 @@ class LegSensors:
     torque_noise: float = PAPER.SENSORS.torque_noise
     coloured_noise: float = 0.0
     coloured_time: float = 0.2
-    felt: float = 0.0
+    acting_share: float = 0.0
     logs_velocity: bool = True
 
     def torque_errors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-        """What is added to the torque [N m]."""
+        """Errors of the measured torque [N m]."""
         white = self.torque_noise * rng.normal(size=shape)
         if not self.coloured_noise:
             return white
@@ -129,7 +129,7 @@ GENTLE = Controller(kp=(75.0, 75.0, 37.5), kd=(3.0, 3.0, 1.5))  # for encoders o
 
 @dataclass(frozen=True)
 class LegRun:
-    """A log, and what truly happened: `two_mass.Run`, its a, tau and friction means over each sample's millisecond."""
+    """A log and the true motion, a `two_mass.Run` with a, tau and friction averaged over each sample's millisecond."""
 
     log: Log
     true: Run
@@ -178,10 +178,12 @@ def track_leg(
     rng = np.random.default_rng(seed)
     command = Motion(qcmd, vcmd, acmd)
     fed = _feedforward(controller, command)
-    missing = np.sqrt(sensors.felt) * sensors.torque_errors(rng, qcmd.shape) if sensors.felt else np.zeros_like(qcmd)
+    missing = np.zeros_like(qcmd)
+    if sensors.acting_share:
+        missing = np.sqrt(sensors.acting_share) * sensors.torque_errors(rng, qcmd.shape)
     plant = rigid(truth) if gears == "rigid" else elastic(truth)
     run, read = _loop(plant, truth, command, (fed, missing), controller, sensors, rng)
-    error = missing + np.sqrt(1 - sensors.felt) * sensors.torque_errors(rng, qcmd.shape)
+    error = missing + np.sqrt(1 - sensors.acting_share) * sensors.torque_errors(rng, qcmd.shape)
     signals = {"q": read[0], "v": read[1], "tau": run.tau + error}
     if not sensors.logs_velocity:
         del signals["v"]
@@ -217,9 +219,9 @@ def _loop(
     sensors: LegSensors,
     rng: np.random.Generator,
 ) -> tuple[Run, Array]:
-    """What happens, and q and v as read, (2, N, 3). Each sample is read in the middle of its torque's millisecond.
+    """True motion, and measured q and v, (2, N, 3). Each sample is in the middle of its torque's millisecond.
 
-    ``torques`` are the feed-forward and what the drives deliver too little.
+    ``torques`` are the feed-forward, and the torque by which the drives fall short.
     """
     fed, missing = torques
     model, data, steps = plant.model, mujoco.MjData(plant.model), plant.steps
@@ -276,7 +278,7 @@ class _Reader:
 
 
 def _feedforward(controller: Controller, command: Motion) -> Array:
-    """Torque that the prior thinks it takes, (N, 3)."""
+    """Torque of the prior model, shape (N, 3)."""
     if controller.feedforward == "none":
         return np.zeros_like(command.q)
     prior = prior_truth()

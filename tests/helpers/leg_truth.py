@@ -1,4 +1,4 @@
-"""What the leg of sample_logs truly is: its bodies and friction of truth.yaml, of its URDF, or drawn anew.
+"""True bodies and friction of the leg of sample_logs: from truth.yaml, from its URDF, or drawn at random.
 
 Importing this file puts sample_logs first on the path, whose scripts it uses.
 """
@@ -33,7 +33,7 @@ GEAR_RATIO = 10.604
 
 
 class _Experiment(Protocol):
-    """What `true_theta` needs of an idtool Experiment, or of a Fit's."""
+    """The part of an idtool Experiment that `true_theta` needs."""
 
     @property
     def equation(self) -> Any: ...
@@ -41,7 +41,7 @@ class _Experiment(Protocol):
 
 @dataclass(frozen=True)
 class Truth:
-    """What the leg truly is.
+    """True bodies and friction of the leg.
 
     Attributes
     ----------
@@ -50,7 +50,9 @@ class Truth:
     friction
         Viscous and Coulomb coefficient of every joint.
     stribeck
-        By how much Coulomb friction is larger at rest [N m], per joint; and the speed over which that is lost [rad/s].
+        Excess of the breakaway friction over Coulomb friction, by joint [N m].
+    stribeck_velocity
+        Speed over which this excess decays [rad/s].
     """
 
     bodies: Mapping[str, Body]
@@ -75,7 +77,7 @@ TRUTH = _read_truth()
 
 
 def prior_truth() -> Truth:
-    """A leg that is exactly what its URDF and configuration say."""
+    """The leg of the URDF and the configuration."""
     bodies = prior_links(URDF, list(CONFIG["bounding_ellipsoids"]))
     bodies |= {name: Body.from_config(rotor["inertial"]) for name, rotor in CONFIG["rotors"].items()}
     spec = mujoco.MjSpec.from_file(str(URDF))
@@ -98,14 +100,14 @@ def true_theta(experiment: _Experiment, truth: Truth = TRUTH) -> Array:
     Parameters
     ----------
     experiment
-        An idtool Experiment, or what has its ``equation``; fitted to the leg with leg.yaml's rotors.
+        An idtool Experiment with the leg and the rotors of leg.yaml.
     truth
-        The leg that was run.
+        The true leg.
 
     Raises
     ------
     KeyError
-        If a coefficient belongs to an effect that the leg has not.
+        If a coefficient belongs to an effect that the leg does not have.
     """
     names = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
     values = {(body, name): x for body in truth.bodies for name, x in zip(names, truth.parameters(body), strict=True)}

@@ -100,13 +100,13 @@ def legs(robot_of: Robots, names: Sequence[str], count: int = 200, alike: bool =
 
 
 def of_body(s: Synthetic, name: str) -> slice:
-    """A body's coefficients."""
+    """Indices of a body's coefficients."""
     first = PI_SIZE * [b.name for b in s.model.bodies].index(name)
     return slice(first, first + PI_SIZE)
 
 
 def of_joint(s: Synthetic, name: str, term: str) -> int:
-    """A friction term's coefficient."""
+    """Index of a friction term's coefficient."""
     (found,) = [k for k, c in enumerate(s.linear.coefficients) if (c.owner, c.name) == (name, term)]
     return found
 
@@ -124,11 +124,11 @@ def fit(
     return estimate(s.linear, bodies, s.reduction(tau), [choose_set(b, kind) for b in bodies], prior, equalities)
 
 
-def free(s: Synthetic) -> EqualityConstraints:
-    """Nothing known."""
+def no_constraints(s: Synthetic) -> EqualityConstraints:
+    """No equality constraints."""
     return EqualityConstraints.none(len(s.theta))
 
 
-def told(s: Synthetic, equalities: EqualityConstraints, sigma: float = 1.0) -> Uncertainty:
-    """What the data say of the coefficients with what is known."""
+def uncertainty_with(s: Synthetic, equalities: EqualityConstraints, sigma: float = 1.0) -> Uncertainty:
+    """Uncertainty of the coefficients under equality constraints."""
     return least_squares_uncertainty(s.linear, s.reduction(s.tau), np.full(len(s.Y), sigma), equalities)

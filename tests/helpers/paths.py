@@ -1,4 +1,4 @@
-"""Where the project's files are, and logs of real robots, which are no part of it."""
+"""Paths of the project's files, and of logs of real robots, which are not part of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounding shapes anywhere, places in them, bodies of point masses, and what a shape's pieces make of these."""
+"""Random bounding shapes, points in them, bodies of point masses, and the margins of a shape's inequalities."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ one_piece = st.sampled_from(("box", "cylinder"))
 
 
 def random_shape(rng: np.random.Generator, kind: str) -> Shape:
-    """A shape anywhere, turned any way, some ten centimetres large."""
+    """A shape at a random pose, some ten centimetres large."""
     a, b, c = rng.uniform(0.03, 0.4, 3).tolist()
     x, y, z = rng.normal(size=3).tolist()
     place, rpy = (x, y, z), (float(rng.uniform(-3, 3)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3, 3)))
@@ -41,7 +41,7 @@ def random_shape(rng: np.random.Generator, kind: str) -> Shape:
     return Hull.around(rng.normal(size=(rng.integers(4, 60), 3)) * [a, b, c] + place)
 
 
-def turned(shape: Box | Cylinder | Capsule, local: Array) -> Array:
+def to_body_frame(shape: Box | Cylinder | Capsule, local: Array) -> Array:
     """Points of a shape's own frame in the body's."""
     return np.asarray(local @ Rotation.from_euler("xyz", shape.rpy).as_matrix().T + shape.center)
 
@@ -52,17 +52,17 @@ def on_ball(rng: np.random.Generator, count: int, dimension: int) -> Array:
 
 
 def inside(rng: np.random.Generator, shape: Shape, count: int, reach: float = 1.0) -> Array:
-    """Places in a shape, half of them on its surface or at ``reach`` times it; shape (count, 3)."""
+    """Points in a shape, half of them on its surface, scaled by ``reach``; shape (count, 3)."""
     share = np.where(np.arange(count) % 2 == 0, 1.0, rng.random(count))[:, None] * reach
     if isinstance(shape, Box):
         x = rng.uniform(-1, 1, (count, 3))
-        return turned(shape, share * x / np.abs(x).max(axis=1, keepdims=True) * np.divide(shape.sides, 2))
+        return to_body_frame(shape, share * x / np.abs(x).max(axis=1, keepdims=True) * np.divide(shape.sides, 2))
     if isinstance(shape, Cylinder):
         height = rng.choice([-1, 1, rng.uniform(-1, 1)], (count, 1)) * shape.length / 2
-        return turned(shape, np.column_stack([on_ball(rng, count, 2) * shape.radius * share, height]))
+        return to_body_frame(shape, np.column_stack([on_ball(rng, count, 2) * shape.radius * share, height]))
     if isinstance(shape, Capsule):
         spine = np.column_stack([np.zeros((count, 2)), rng.uniform(-0.5, 0.5, count) * shape.length])
-        return turned(shape, spine + on_ball(rng, count, 3) * shape.radius * share)
+        return to_body_frame(shape, spine + on_ball(rng, count, 3) * shape.radius * share)
     assert isinstance(shape, Hull)
     corners = np.array(shape.vertices)
     x = rng.dirichlet(np.full(len(corners), 0.3), count) @ corners
@@ -70,13 +70,13 @@ def inside(rng: np.random.Generator, shape: Shape, count: int, reach: float = 1.
 
 
 def body(masses: Array, places: Array) -> Array:
-    """The pi of point masses."""
+    """Parameters pi of a body of point masses."""
     lifted = np.column_stack([places, np.ones(len(masses))])
     return from_pseudo_inertia(lifted.T @ (lifted * masses[:, None]))
 
 
 def margins(piece: Piece, pi: Array, length: float) -> list[float]:
-    """Of a piece whose unknowns are pi itself."""
+    """Margins of the inequalities of a piece whose unknowns are pi itself."""
     np.testing.assert_array_equal(piece.basis, np.eye(10))
     return [inequality.margin(pi, pi[0], length, piece.powers) for inequality in piece.inequalities]
 
@@ -103,14 +103,14 @@ class Problem:
         self.problem = cp.Problem(cp.Minimize(self.cost @ pi), demands)
 
     def least(self, W: Array) -> float:
-        """Of Tr(J W)."""
+        """The least Tr(J W)."""
         self.cost.value = np.einsum("kij,ij->k", J_BASIS, W)
         tolerances = {"tol_gap_abs": 1e-7, "tol_gap_rel": 1e-7, "tol_feas": 1e-7}
         return float(self.problem.solve(solver="CLARABEL", **tolerances))
 
 
 class Largest:
-    """How large a body of a given centre and form may be, by what is demanded of bodies in a hull.
+    """Largest size of a body with a given centre of mass and shape that a condition on bodies in a hull admits.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ class Largest:
         self.problem = cp.Problem(cp.Maximize(share), demands)
 
     def size(self, com: Array, spread: Array) -> float:
-        """The most s with Sigma_C = s² spread of a body of 1 kg."""
+        """The largest s such that a body of 1 kg has Sigma_C = s² spread."""
         self.com.value, self.about_com.value, self.spread.value = com, np.outer(com, com), spread
         return float(np.sqrt(self.problem.solve(solver="CLARABEL")))
 
 
 def largest_on_grid(places: Array, com: Array, spread: Array) -> float:
-    """The same of masses at places, shape (n, 3): a linear programme; 0 where they have no such body."""
+    """The largest s of point masses at given points, shape (n, 3), by a linear program; 0 if there is no such body."""
     lifted = np.column_stack([places, np.ones(len(places))])
     moments = np.array([np.outer(x, x)[_UPPER] for x in lifted]).T
     centred, more = np.outer(np.append(com, 1), np.append(com, 1)), np.zeros((4, 4))

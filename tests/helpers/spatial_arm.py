@@ -1,4 +1,4 @@
-"""An arm in space with a tool, moved by MuJoCo from rest: what its sensors log, none of it from idtool.
+"""A spatial arm with a tool, moved by MuJoCo from rest, and the log of its sensors; made without idtool.
 
 Letters: q, v positions and velocities, tau the actuators' torque; shape (N, nv) in a log. Units: rad, s, N·m.
 """
@@ -76,7 +76,7 @@ def spec_of(text: str = ARM) -> Any:
 
 
 def reference(t: float, joints: int = 3) -> Array:
-    """Where the arm is to be: at rest to begin with, then through many angles and speeds."""
+    """Reference position of the arm: at rest at first, then many angles and speeds."""
     k = np.arange(joints)
     begun = min(max(t - 0.05, 0) / 0.5, 1)
     slow, fast = np.sin((0.9 + 0.35 * k) * t + 1.3 * k), np.sin((5.3 + 1.1 * k) * t + k)
@@ -189,7 +189,7 @@ def rolled_out(
     text: str = ARM,
     **config: Any,
 ) -> Array:
-    """How far idtool's motion under the logged torque is from the logged one from its start on, shape (N, nv) [rad]."""
+    """Distance of idtool's simulated motion under the logged torque from the logged one, shape (N, nv) [rad]."""
     urdf, csv = written(folder, {name: x[: round(seconds * RATE) + 1] for name, x in log.items()}, joints, 0.0, text)
     tried = experiment(urdf, csv, *entries, **config)
     mechanism = tried.equation.mechanism(tried.model, tried.equation.prior)

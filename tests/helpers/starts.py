@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 from commands import idtool
-from imposed import Log, imposed, with_noise
+from prescribed_motions import Log, prescribed_motion, with_noise
 from recordings import State
 from spatial_arm import ARM, JOINTS
 
@@ -23,7 +23,9 @@ TEMPLATES = ("log", "friction", "rotors", "effects", "bounding_ellipsoids", "con
 def arm(seconds: float = SECONDS, **changes: np.ndarray[Any, Any]) -> Log:
     """The arm of `spatial_arm` moved, with noise on its torque, and other signals in place of some or beside them."""
     return (
-        with_noise({**imposed(seconds), **changes}, NOISE) if "tau" not in changes else {**imposed(seconds), **changes}
+        with_noise({**prescribed_motion(seconds), **changes}, NOISE)
+        if "tau" not in changes
+        else {**prescribed_motion(seconds), **changes}
     )
 
 

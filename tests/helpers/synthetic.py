@@ -1,4 +1,4 @@
-"""Data that idtool had no part in: Pinocchio's rows of random trees, whose bodies are in truth points of mass.
+"""Data made without idtool: Pinocchio's regressor rows of random trees, whose true bodies are point masses.
 
 Letters: nv joints, n samples, p coefficients; Y (nv, n, p) rows, tau (nv, n) torque [N·m or N], theta (p,) the truth.
 """
@@ -48,7 +48,7 @@ class Synthetic:
 
     @property
     def equalities(self) -> EqualityConstraints:
-        """What the configuration knows beside the data."""
+        """The configuration's equality constraints."""
         return equality_constraints(self.config, self.model, self.linear)
 
     def noisy(self, share: float, seed: int = 0) -> Array:
@@ -90,7 +90,7 @@ def synthetic(
 
 
 def random_states(rng: np.random.Generator, count: int, nv: int) -> Array:
-    """Positions, velocities and accelerations that know nothing of each other, shape (3, count, nv)."""
+    """Independent random positions, velocities and accelerations, shape (3, count, nv)."""
     return np.asarray(rng.normal(size=(3, count, nv)) * np.array([1.0, 3.0, 20.0])[:, None, None])
 
 

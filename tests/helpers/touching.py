@@ -44,8 +44,8 @@ def checked(model: Model, locked_joints: dict[str, float] | None = None) -> Self
     return found
 
 
-def beside(text: str) -> str:
-    """A robot with another link at its base, which j4 swings about z at y = 3, with a sphere 1 m out."""
+def with_swinging_sphere(text: str) -> str:
+    """The robot with another link at its base, which j4 swings about z at y = 3, with a sphere at a distance of 1 m."""
     links = f'<link name="moved"/><link name="end">{solid(SPHERE.format(0.05))}</link>'
     joints = joint("j4", "revolute", "base", "moved", place(0, 3)) + joint("j5", "fixed", "moved", "end", place(1))
     return text.replace("</robot>", f"{links}{joints}</robot>")

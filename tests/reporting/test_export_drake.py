@@ -10,7 +10,18 @@ import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 import pytest
 from commands import LEG, SAMPLES
-from exported import EXACT, InMujoco, arm, balanced, mass_and_bias, model_of, parts, sample, state, with_couplings
+from exported import (
+    EXACT,
+    InMujoco,
+    arm,
+    balanced,
+    mass_and_bias,
+    model_of,
+    sample,
+    state,
+    unsupported_parts,
+    with_couplings,
+)
 from lxml import etree
 from numpy.typing import NDArray
 from reference import Reference
@@ -67,7 +78,7 @@ def test_a_rotor_across_its_carriers_axis_is_carried_exactly(rng: np.random.Gene
     urdf.write_text(text)
     rotors = {"a": balanced([0, 0, 1], {"j1": 7.0}, "l0"), "b": balanced([0, 1, 0], {"j2": -9.0}, "l1")}
     export = to_drake(model_of(urdf, rotors=rotors))
-    assert parts(export, "rotor") == []
+    assert unsupported_parts(export, "rotor") == []
     assert gears(export)["j2"] == ("j2", pytest.approx(1e-3), -9.0)
     found = InPinocchio(export, ["j1", "j2"])
     reference = Reference(text, ["j1", "j2"], {"gravity": [0, 0, -9.81], "rotors": rotors})
@@ -81,7 +92,7 @@ def test_what_is_lost_is_what_is_said(rng: np.random.Generator, robot: str) -> N
     urdf = SAMPLES / f"{robot}.urdf"
     config = sample(urdf)
     export = to_drake(model_of(urdf, **config))
-    (part,) = parts(export, "rotor")
+    (part,) = unsupported_parts(export, "rotor")
     found = InPinocchio(export, config["joints"])
     reference = Reference(urdf.read_text(), config["joints"], with_couplings(config))
     q, v = state(rng, 3)
@@ -181,7 +192,7 @@ def test_a_joint_may_be_called_after_its_type(urdf: Path) -> None:
 
 def test_a_follower_is_said_to_need_a_discrete_plant(urdf: Path) -> None:
     urdf.write_bytes(ODD)
-    assert [part.of for part in parts(to_drake(model_of(urdf)), "mimic")] == ["revolute"]
+    assert [part.of for part in unsupported_parts(to_drake(model_of(urdf)), "mimic")] == ["revolute"]
 
 
 def test_what_drake_has_no_place_for_is_said(urdf: Path) -> None:
@@ -202,7 +213,7 @@ def test_what_drake_has_no_place_for_is_said(urdf: Path) -> None:
 
 def test_a_joint_without_effort_has_no_actuator_in_drake(urdf: Path) -> None:
     urdf.write_text(LEG.read_text().replace('effort="230"', 'effort="0"'))
-    assert len(parts(to_drake(model_of(urdf, **sample(LEG))), "actuator")) == 3
+    assert len(unsupported_parts(to_drake(model_of(urdf, **sample(LEG))), "actuator")) == 3
 
 
 def read_robot_of(export: Export, path: Path) -> Any:

@@ -9,7 +9,18 @@ import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 import pytest
 from commands import SAMPLES
-from exported import EXACT, InMujoco, arm, balanced, mass_and_bias, model_of, parts, sample, state, with_couplings
+from exported import (
+    EXACT,
+    InMujoco,
+    arm,
+    balanced,
+    mass_and_bias,
+    model_of,
+    sample,
+    state,
+    unsupported_parts,
+    with_couplings,
+)
 from reference import Reference
 from robots import actuated, random_rotor, random_urdf
 
@@ -65,7 +76,7 @@ def test_rotors_on_parallel_and_perpendicular_axes_are_carried_exactly(rng: np.r
     urdf = SAMPLES / f"{robot}.urdf"
     config = sample(urdf)
     export = to_mujoco(model_of(urdf, **config))
-    assert parts(export, "rotor") == []
+    assert unsupported_parts(export, "rotor") == []
     reference = Reference(urdf.read_text(), config["joints"], with_couplings(config))
     found = InMujoco(export, config["joints"])
     for _ in range(5):
@@ -92,7 +103,7 @@ def test_rotors_as_bodies_are_carried_exactly(urdf: Path, seed: int) -> None:
     identified = model_of(urdf, **config)
     export = to_mujoco(identified, rotor_bodies=True)
     assert export.not_carried == ()
-    assert len(parts(to_mujoco(identified), "rotor")) >= 2
+    assert len(unsupported_parts(to_mujoco(identified), "rotor")) >= 2
     reference = Reference(text, names, config)
     rows = {name: reference.tree.joints[reference.index[name]].idx_v for name in reference.index if name not in names}
     places = {name: 0.0 if name in rotors else reference.offset[row] for name, row in rows.items()}
@@ -146,7 +157,7 @@ def test_a_coupling_that_changes_with_the_pose_is_said_with_its_size(rng: np.ran
     urdf.write_text(text)
     config = {"gravity": [0, 0, -9.81], "rotors": {"r": balanced([0, 0, 1], {"j3": 10.0}, "l2")}}
     export = to_mujoco(model_of(urdf, **config))
-    (part,) = parts(export, "rotor")
+    (part,) = unsupported_parts(export, "rotor")
     assert (part.of, part.unit) == ("r", "kg·m²")
     assert part.value == pytest.approx(1e-3 * 10, rel=0.05)
     found, reference = InMujoco(export, ["j1", "j2", "j3"]), Reference(text, ["j1", "j2", "j3"], config)
@@ -162,7 +173,7 @@ def test_a_coupling_across_branches_is_said_with_its_size(rng: np.random.Generat
     urdf.write_text(text)
     config = {"gravity": [0, 0, -9.81], "rotors": {"r": balanced([0, 1, 0], {"j2": 5.0, "j3": -4.0}, "l1")}}
     export = to_mujoco(model_of(urdf, **config))
-    (part,) = parts(export, "rotor")
+    (part,) = unsupported_parts(export, "rotor")
     names = ["j1", "j2", "j3"]
     q, v = state(rng, 3)
     lost = InMujoco(export, names).mass_and_bias(q, v)[0] - mass_and_bias(Reference(text, names, config), q, v)[0]
@@ -177,7 +188,7 @@ def test_a_rotor_may_have_no_inertia_but_about_its_axis(rng: np.random.Generator
     rotor["inertial"]["inertia"] = [0, 0, 0, 0, 0, 1e-4]
     config = {"gravity": [0, 0, -9.81], "rotors": {"r": rotor}}
     export = to_mujoco(model_of(urdf, **config))
-    assert parts(export, "rotor") == []
+    assert unsupported_parts(export, "rotor") == []
     q, v = state(rng, 2)
     found, reference = InMujoco(export, ["j1", "j2"]), Reference(text, ["j1", "j2"], config)
     for ours, theirs in zip(found.mass_and_bias(q, v), mass_and_bias(reference, q, v), strict=True):
@@ -195,7 +206,7 @@ def test_an_unbalance_is_said_as_torque_under_gravity(rng: np.random.Generator, 
     rotor["inertial"]["com"] = [0.001, 0.0, 0.0]
     config = {"gravity": [0, 0, -9.81], "rotors": {"r": rotor}}
     export = to_mujoco(model_of(urdf, **config))
-    (torque,) = [part for part in parts(export, "rotor") if part.unit == "N·m"]
+    (torque,) = [part for part in unsupported_parts(export, "rotor") if part.unit == "N·m"]
     found, reference = InMujoco(export, ["j1"]), Reference(text, ["j1"], config)
     still = np.zeros(1)
     lost = [

@@ -12,7 +12,7 @@ from paths import REAL
 from reference import Reference
 from robots import actuated, joint, origin, random_urdf
 from sentences import sentences
-from touching import BOX, LOWER, SPHERE, UPPER, Build, arm, beside, checked, place, solid
+from touching import BOX, LOWER, SPHERE, UPPER, Build, arm, checked, place, solid, with_swinging_sphere
 
 from idtool.common.exceptions import ModelError
 from idtool.robot import collision
@@ -198,7 +198,7 @@ def test_a_joint_held_still_is_where_the_configuration_says(build: Build, kind: 
     assert checked(model, still).clearance(np.zeros((1, 3))) == pytest.approx(np.full(3, away - 0.1), abs=1e-5)
     straight = checked(build(text, ["j1"])).clearance(np.zeros((1, 1)))
     assert straight == pytest.approx([0.7], abs=1e-5)
-    model = build(beside(arm("", "", solid(SPHERE.format(0.05)), kind)), ["j4"], locked_joints=still)
+    model = build(with_swinging_sphere(arm("", "", solid(SPHERE.format(0.05)), kind)), ["j4"], locked_joints=still)
     tip = planar(np.array([0.0, 0.4]), (UPPER, LOWER))[-1] if kind == "revolute" else np.array([1.2, 0])
     apart = np.linalg.norm(tip - [np.cos(1.5), 3 - np.sin(1.5)]) - 0.1
     pair, distance, _ = checked(model, still).nearest(np.array([[-1.5]]))
@@ -208,7 +208,7 @@ def test_a_joint_held_still_is_where_the_configuration_says(build: Build, kind: 
 def test_a_held_joint_holds_those_that_follow_it(build: Build) -> None:
     text, follows = arm("", "", solid(SPHERE.format(0.05))), '<mimic joint="j1" multiplier="2" offset="0.1"/>'
     still = {"j1": 0.3}
-    model = build(beside(text.replace(place(UPPER), place(UPPER) + follows)), ["j4"], locked_joints=still)
+    model = build(with_swinging_sphere(text.replace(place(UPPER), place(UPPER) + follows)), ["j4"], locked_joints=still)
     tip = planar(np.array([0.3, 0.7]), (UPPER, LOWER))[-1]
     apart = np.linalg.norm(tip - [1, 3]) - 0.1
     assert checked(model, still).clearance(np.zeros((1, 1))) == pytest.approx([apart], abs=1e-5)

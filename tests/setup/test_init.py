@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import LEG, SAMPLES, TRAIN, VALIDATE, config_with, fitted, idtool
-from imposed import with_torque
+from prescribed_motions import with_torque
 from recordings import State, ros2, write_mcap
 from spatial_arm import ARM, JOINTS
 from starts import arm, as_csv, as_states, filled, init, robot

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import refuse
-from imposed import Log, silent
+from prescribed_motions import Log, silent
 from recordings import State, ros2, write_mcap
 from sentences import sentences, texts
 from spatial_arm import ARM, JOINTS

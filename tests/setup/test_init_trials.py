@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from imposed import silent
+from prescribed_motions import silent
 from sentences import sentences, texts
 
 from idtool.data.logs import Log, make_log

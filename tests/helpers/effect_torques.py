@@ -1,4 +1,4 @@
-"""Effects on two joints without weight or friction: entries, and the torque that they ask for."""
+"""Effects on two joints without weight or friction: entries, and their torque."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ def entry(effect: str, at: str = "elbow", **parameters: Any) -> dict[str, Any]:
 
 
 def effects_of(build: Build, *entries: dict[str, Any], text: str = TWO) -> tuple[Effect, ...]:
-    """What entries make of a robot without friction."""
+    """The effects of entries, for a robot without friction."""
     friction = {"viscous": False, "coulomb": False}
     config = {"friction": friction, "effects": list(entries)}
     return build_effects(build(text, JOINTS, **config), parse_config(config, ""))[1:]
 
 
-def moving(count: int = 500) -> Motion:
-    """Two joints, never slow, anywhere, with any torque."""
+def random_motion(count: int = 500) -> Motion:
+    """Random motion of two joints at random positions and torques, never slow."""
     q, a, tau = np.random.default_rng(1).normal(size=(3, 2, count))
     v = np.stack([np.linspace(0.3, 4, count), -np.linspace(4, 0.3, count)])
     return Motion(np.arange(count) * 1e-2, q, v, a, 5 * tau, 5 * tau, np.full(2, 1e-3), 1e-2)
 
 
 def torque(build: Build, motion: Motion, *entries: dict[str, Any]) -> Array:
-    """What the effects alone ask of the joints, shape (2, N)."""
+    """Torque of the effects alone, shape (2, N)."""
     linear = LinearModel(JOINTS, effects_of(build, *entries))
     return linear.torque(motion, linear.prior)

@@ -1,4 +1,4 @@
-"""Logs of a motion that is written out: sums of sines, and the torque that Pinocchio says they take.
+"""Logs of a prescribed motion: sums of sines, and the torque that they take according to Pinocchio.
 
 Letters: q, v, a positions, velocities, accelerations, tau torque; shape (N, nv) in a log. Units: rad, s, N·m.
 """
@@ -21,19 +21,19 @@ _HERTZ, _SIZE = (0.13, 2.6), 0.45  # of the slowest sine and the fastest; of the
 _SINES = 5
 
 
-def imposed(seconds: float, text: str = ARM, seed: int = 0, tree: pin.Model | None = None) -> Log:
-    """A robot of turning joints moves as told, and its motors give what that takes; t (N,), the others (N, nv).
+def prescribed_motion(seconds: float, text: str = ARM, seed: int = 0, tree: pin.Model | None = None) -> Log:
+    """A prescribed motion of a robot with revolute joints, and the torque that it takes: t (N,), the others (N, nv).
 
     Parameters
     ----------
     seconds
-        For how long.
+        Duration.
     text
         The URDF.
     seed
-        Of the sines' phases.
+        Seed of the sines' phases.
     tree
-        Other bodies than the URDF's.
+        Bodies in place of the URDF's.
     """
     tree = pin.buildModelFromXML(text) if tree is None else tree
     t = np.arange(round(seconds * RATE)) / RATE
@@ -57,19 +57,19 @@ def sines(t: Array, nv: int, seed: int = 0) -> tuple[Array, Array, Array]:
 
 
 def with_torque(log: Log, joint: int, extra: Array) -> Log:
-    """The same with more torque on a joint, shape (N,)."""
+    """The motion with additional torque on a joint, shape (N,)."""
     tau = log["tau"].copy()
     tau[:, joint] += extra
     return {**log, "tau": tau}
 
 
 def with_noise(log: Log, size: float, seed: int = 1) -> Log:
-    """The same with white noise on all torque [N·m]."""
+    """The motion with white noise on all torques [N·m]."""
     return {**log, "tau": log["tau"] + size * np.random.default_rng(seed).normal(size=log["tau"].shape)}
 
 
 def silent(stage: str, share: float) -> None:
-    """Told how far it has come, and says nothing."""
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True)
