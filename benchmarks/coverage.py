@@ -166,7 +166,7 @@ class Case:
 
 
 def silent(stage: str, share: float) -> None:
-    """No progress to show."""
+    """Ignore the progress."""
 
 
 def cached_log(case: Case, folder: Path) -> Path:

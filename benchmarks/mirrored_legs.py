@@ -30,7 +30,7 @@ PAIRS = (("FR", "FL"), ("RR", "RL"))
 
 
 def silent(stage: str, share: float) -> None:
-    """No progress to show."""
+    """Ignore the progress."""
 
 
 def fit_coefficients(experiment: Experiment) -> Array:

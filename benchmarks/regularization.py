@@ -93,7 +93,7 @@ LEG_LOGS = [leg_truth.SAMPLES / f"leg_{part}.mcap" for part in ("train", "valida
 
 
 def silent(stage: str, share: float) -> None:
-    """No progress to show."""
+    """Ignore the progress."""
 
 
 def is_number(weight: str) -> bool:

@@ -37,7 +37,7 @@ CONFIG = Path(__file__).parents[1] / "configs" / "go2.yaml"
 
 
 def silent(share: float) -> None:
-    """No progress to show."""
+    """Ignore the progress."""
 
 
 class PythonLoop:
