@@ -159,7 +159,7 @@ class Signals:
 
     def _choose_velocity(self, config: Config) -> Mask:
         missing = ~self.channels.measured
-        advice = "nothing to do; log the velocity too where positions are coarse"
+        advice = "log the velocity too where positions are coarse"
         notice = Notice("velocity_differentiated", "note", None, "no velocity logged, differentiated from q", advice)
         self._note(notice, missing)
         if config.velocity != "auto":
@@ -190,11 +190,11 @@ class Signals:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
         if late > _LAGS * self.log.dt:
             message = f"the measured velocity is up to {late * 1e3:.1f} ms late; the lag is undone"
-            self.notices.append(Notice("velocity_lag", "note", None, message, "nothing to do"))
+            self.notices.append(Notice("velocity_lag", "note", None, message))
         if self.channels.bias.any():
             off = float(np.abs(self.channels.bias).max())
             message = f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average; this is undone"
-            self._note(Notice("velocity_bias", "note", None, message, "nothing to do"), self.channels.bias != 0)
+            self._note(Notice("velocity_bias", "note", None, message), self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""
@@ -209,7 +209,7 @@ class Signals:
             )
         if len(kept) < len(ranges):
             message = f"{len(ranges) - len(kept)} stretches between gaps were too short for the filter"
-            advice = "nothing to do if they are few; else find out why samples are lost"
+            advice = "if they are many, find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
             if notice not in self.notices:
                 self.notices.append(notice)

@@ -208,6 +208,7 @@ def undone(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     faults = (
         Notice("velocity_lag", "note", "hip", "v lags", "idtool undoes it"),
         Notice("stale", "problem", "knee", "values repeat", "check the bus"),
+        Notice("time_jitter", "note", None, "stamps jitter"),
     )
     return replace(diagnosis, faults=faults)
 
@@ -215,9 +216,10 @@ def undone(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
 def test_a_fault_that_is_undone_is_a_note(undone: Diagnosis) -> None:
     report = diagnosis_report(undone, "refit")
     lines = said(lambda terminal: show_diagnosis(terminal, report, Path("out"), (), explain=False)).splitlines()
-    assert lines[:2] == [
+    assert lines[:3] == [
         "fault of the data: knee: stale: values repeat: check the bus",
         "note on the data: hip: velocity lag: v lags: idtool undoes it",
+        "note on the data: time jitter: stamps jitter",
     ]
     page = Page(diagnosis_page(undone, report, "idtool diagnose"))
     assert page.levels[:2] == ["bad", "note"]

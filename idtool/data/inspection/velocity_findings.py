@@ -81,7 +81,7 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     if abs(v.lag_ms) > max(1e3 * LATE * dt, LATE_ERRORS * v.lag_error_ms) and phase > LATE_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
         lag = f"v {relation} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
-        yield Notice("velocity_lag", "note", name, lag, "idtool undoes it, nothing is to be done")
+        yield Notice("velocity_lag", "note", name, lag, "idtool undoes it")
 
 
 def is_another_unit(gain: float) -> bool:
