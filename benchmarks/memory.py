@@ -38,7 +38,7 @@ def write_swinging_log(path: Path, minutes: int) -> None:
         q = (amplitude * np.sin(phase)).sum(axis=0)
         v = (amplitude * frequency * np.cos(phase)).sum(axis=0)
         a = -(amplitude * frequency**2 * np.sin(phase)).sum(axis=0)
-        motion = Motion(t=t, q=q, v=v, a=a, tau=q, logged=q, velocity_deadband=np.full(3, 1e-2), dt=1 / RATE)
+        motion = Motion(t=t, q=q, v=v, a=a, tau=q, logged_tau=q, velocity_deadband=np.full(3, 1e-2), dt=1 / RATE)
         tau = equation.torque(motion, equation.prior)
         q_noisy = q + 3e-5 * rng.normal(size=q.shape)
         v_noisy = v + 1e-2 * rng.normal(size=v.shape)

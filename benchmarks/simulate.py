@@ -93,7 +93,7 @@ class PythonLoop:
 
 def input_torque(signals: Signals, window: slice, dofs: list[int]) -> TorqueFunction:
     """The logged torque, or the controller's, as a function of the loop's state."""
-    dt, command = signals.log.dt, signals.command
+    dt, command = signals.log.dt, signals.controller
     name = "qcmd" if command.joints.all() else "tau"
     x = np.zeros((window.stop - window.start + 2, len(dofs)))
     x[:-2, dofs] = signals.channels.signal(name, window).T

@@ -13,7 +13,7 @@ from idtool.api.records import Progress, notice_lines, silent
 from idtool.common.names import stem
 from idtool.common.outputs import OutputError, write_all
 from idtool.common.safe_yaml import read_yaml
-from idtool.data.description import robot_and_logs
+from idtool.data.robot_source import read_robot_and_logs
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, TrialReport
 from idtool.setup import InitialConfig, make_initial_config
@@ -89,7 +89,7 @@ def init(
     known = None if config is None else Path(config)
     beside = default_configuration(Path(urdf))
     place = beside if file is None else Path(file)
-    robot, all_logs = robot_and_logs(Path(urdf), given)
+    robot, all_logs = read_robot_and_logs(Path(urdf), given)
     given_config = (read_yaml(known) if known else None) or {}
     draft = make_initial_config(robot, all_logs, given_config, known, progress or silent)
     result = InitResult(

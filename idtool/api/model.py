@@ -12,8 +12,8 @@ from typing import Any
 from idtool.api.log import Log
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import join_names, stem
-from idtool.data.description import robot_and_logs
 from idtool.data.logs import read_log
+from idtool.data.robot_source import read_robot_and_logs
 from idtool.dynamics.effects import friction_types
 from idtool.estimation.fit import Fit
 from idtool.reporting.fit_report import joint_dynamics, model_config
@@ -60,7 +60,7 @@ class Model:
     """
 
     def __init__(self, urdf: Source, config: Source | Mapping[str, Any] | None = None) -> None:
-        self._robot, _ = robot_and_logs(Path(urdf), ())
+        self._robot, _ = read_robot_and_logs(Path(urdf), ())
         self._config, self._origin = _settings(Path(urdf), config)
 
     @classmethod
@@ -82,7 +82,7 @@ class Model:
             As above.
         """
         model = cls.__new__(cls)
-        model._robot, every = robot_and_logs(urdf, logs)
+        model._robot, every = read_robot_and_logs(urdf, logs)
         model._config, model._origin = _settings(urdf, config)
         return model, every
 

@@ -230,7 +230,7 @@ def _window(experiment: Experiment, given: float | None) -> float | None:
     """How often to start again [s]; None: never."""
     if given is not None:
         return given or None
-    closed = experiment.runs[0].signals.command.joints.any()
+    closed = experiment.runs[0].signals.controller.joints.any()
     return None if closed else experiment.config.simulation.window
 
 

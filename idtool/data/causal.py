@@ -20,12 +20,12 @@ from scipy import signal
 
 from idtool.common.arrays import Array
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
-from idtool.data.signals import BATCH, WIDE, Batch, Motion, Signals
+from idtool.data.signals import BATCH_SAMPLES, WIDE_BAND_FACTOR, Batch, Motion, Signals
 
-_TAIL = 1e-14  # of the response's weight may be forgotten: rounding
-_EDGE = 0.02  # of it may be missing at the start of the data
-_PERIODS = 40.0  # of the cut-off that the slowest response lasts
-_AROUND = 1  # samples to either side that a column may look at
+_MAX_CUT_WEIGHT = 1e-14  # of the response's weight may be forgotten: rounding
+_MAX_MISSING_WEIGHT = 0.02  # of it may be missing at the start of the data
+_RESPONSE_PERIODS = 40.0  # of the cut-off that the slowest response lasts
+_COLUMN_REACH = 1  # samples to either side that a column may look at
 
 
 class CausalLowPass(LowPass):
@@ -49,12 +49,12 @@ class CausalLowPass(LowPass):
     def __init__(self, cutoff: float, order: int, dt: float, stride: int = 1) -> None:
         super().__init__(cutoff, order, dt, stride)
         self._sections: Array = np.tile(signal.butter(order, cutoff, fs=1 / dt, output="sos"), (2, 1))
-        impulse = np.zeros(int(np.ceil(_PERIODS / min(cutoff * dt, 0.5 - cutoff * dt))))
+        impulse = np.zeros(int(np.ceil(_RESPONSE_PERIODS / min(cutoff * dt, 0.5 - cutoff * dt))))
         impulse[0] = 1.0
         response = signal.sosfilt(self._sections, impulse)
         left = np.cumsum(np.abs(response)[::-1])[::-1]
-        self.reach = int(np.count_nonzero(left > _TAIL * left[0]))
-        self.edge = int(np.flatnonzero(np.abs(1 - np.cumsum(response)) > _EDGE)[-1]) + 1
+        self.reach = int(np.count_nonzero(left > _MAX_CUT_WEIGHT * left[0]))
+        self.edge = int(np.flatnonzero(np.abs(1 - np.cumsum(response)) > _MAX_MISSING_WEIGHT)[-1]) + 1
         self.delay = float(response @ np.arange(len(response))) * dt
 
     def __call__(self, x: Array, before: int, after: int) -> Array:
@@ -74,7 +74,7 @@ class CausalLowPass(LowPass):
         y = signal.sosfilt(self._sections, x[..., : x.shape[-1] - after], axis=-1)
         return np.asarray(y[..., before :: self.stride])
 
-    def settled(self, x: Array) -> Array:
+    def filter_from_constant(self, x: Array) -> Array:
         """All of a signal, shape (nv, N), taken as constant before its first sample; none is left out."""
         start = signal.sosfilt_zi(self._sections)[:, None, :] * x[None, :, :1]
         return np.asarray(signal.sosfilt(self._sections, x, axis=-1, zi=start)[0])
@@ -95,37 +95,37 @@ def causal_batches(signals: Signals, order: int, ranges: Sequence[slice] | None 
     ranges
         Parts of the signals' own; default: all of them.
     """
-    reader = _Reader(signals, order)
+    reader = _MotionReader(signals, order)
     low_pass = CausalLowPass(signals.band_hz, order, signals.log.dt, signals.low_pass.stride)
-    size = max(BATCH, 8 * low_pass.reach)
+    size = max(BATCH_SAMPLES, 8 * low_pass.reach)
     size += -size % low_pass.stride
     for whole in signals.ranges if ranges is None else ranges:
-        first, last = reader.within(whole)
+        first, last = reader.usable_range(whole)
         for start in range(first + low_pass.edge, last, size):
             stop = min(start + size, last)
             before = min(low_pass.reach, start - first)
-            yield Batch(reader.motion(slice(start - before, stop + _AROUND)), before, _AROUND, low_pass)
+            yield Batch(reader.motion(slice(start - before, stop + _COLUMN_REACH)), before, _COLUMN_REACH, low_pass)
 
 
-class _Reader:
-    """The motion at samples of the log, from samples up to `ahead` later."""
+class _MotionReader:
+    """The motion at samples of the log, from samples up to `lookahead` later."""
 
     def __init__(self, signals: Signals, order: int) -> None:
         log = signals.log
         self._signals = signals
-        self._channels, self._command = signals.channels, signals.command  # as they were judged, once
-        wide = WIDE * signals.band_hz
+        self._channels, self._command = signals.channels, signals.controller  # as they were judged, once
+        wide = WIDE_BAND_FACTOR * signals.band_hz
         self._wide = CausalLowPass(wide, order, log.dt) if wide < 0.4 / log.dt else None
         self._memory = self._wide.reach if self._wide else 0
         # Two differences, a velocity that is read later by its lag, a reading between two samples, a column's own.
         late = int(np.ceil(max(float(signals.lag.max()), 0.0) / log.dt))
-        self.ahead = 2 * DIFFERENCE_REACH + late + 1 + _AROUND
+        self.lookahead = 2 * DIFFERENCE_REACH + late + 1 + _COLUMN_REACH
 
-    def within(self, whole: slice) -> tuple[int, int]:
+    def usable_range(self, whole: slice) -> tuple[int, int]:
         """First and last of the samples of a range whose motion is there, the filter's start left out."""
         part = self._part(whole.start)
         first = self._first(part) + self._memory + 2 * DIFFERENCE_REACH
-        return max(whole.start, first), min(whole.stop, part.stop - self.ahead - _AROUND)
+        return max(whole.start, first), min(whole.stop, part.stop - self.lookahead - _COLUMN_REACH)
 
     def motion(self, part: slice) -> Motion:
         """Samples of the motion, all from one segment."""
@@ -133,11 +133,14 @@ class _Reader:
         outer = slice(part.start - 2 * r, part.stop + 2 * r)
         q = self._smooth(outer, "q")
         v = differentiate(q, self._signals.log.dt)
-        different = self._signals.differentiated[:, None]
+        different = self._signals.velocity_from_position[:, None]
         if not different.all():
             v = np.where(different, v, self._smooth(outer, "v")[:, r:-r])
         a = differentiate(v, self._signals.log.dt)
-        t = self._channels.times(slice(part.start + self.ahead, part.stop + self.ahead)) - self._signals.log.t[0]
+        t = (
+            self._channels.times(slice(part.start + self.lookahead, part.stop + self.lookahead))
+            - self._signals.log.t[0]
+        )
         tau, logged = self._smooth(part, "tau"), self._read("tau", part)
         return Motion(
             t, q[:, 2 * r : -2 * r], v[:, r:-r], a, tau, logged, self._signals.velocity_deadband, self._signals.log.dt
@@ -145,7 +148,7 @@ class _Reader:
 
     def _part(self, sample: int) -> slice:
         """The stretch that a sample lies in."""
-        (part,) = (s for s in self._channels.parts() if s.start <= sample < s.stop)
+        (part,) = (s for s in self._channels.stretches() if s.start <= sample < s.stop)
         return part
 
     def _first(self, part: slice) -> int:
@@ -158,7 +161,7 @@ class _Reader:
         if not self._wide:
             return self._read(name, part)
         start = max(part.start - self._memory, self._first(self._part(part.start)))
-        return self._wide.settled(self._read(name, slice(start, part.stop)))[:, part.start - start :]
+        return self._wide.filter_from_constant(self._read(name, slice(start, part.stop)))[:, part.start - start :]
 
     def _read(self, name: str, part: slice) -> Array:
         """A signal as it was logged, shape (nv, N); the controller's torque where none was."""

@@ -10,12 +10,12 @@ from scipy import signal
 
 from idtool.common.arrays import Array, Mask
 
-_EDGE = 0.02  # of a kernel's weight may be missing at an end of the data
-_TAIL = 1e-6  # of a kernel's weight may be cut off
-_OUTPUTS = 16  # filtered samples that one product gives, an even number; with more, more of it is zeros
+_MAX_MISSING_WEIGHT = 0.02  # of a kernel's weight may be missing at an end of the data
+_MAX_CUT_WEIGHT = 1e-6  # of a kernel's weight may be cut off
+_BLOCK_OUTPUTS = 16  # filtered samples that one product gives, an even number; with more, more of it is zeros
 # Maximally flat central difference, 4 samples to each side: within 1 % up to a fifth of the sampling rate.
-_DIFFERENCE = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-DIFFERENCE_REACH = len(_DIFFERENCE) // 2
+_DIFFERENCE_KERNEL = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+DIFFERENCE_REACH = len(_DIFFERENCE_KERNEL) // 2
 DELAY_REACH = 4  # samples before, and one less after, from which one in between follows
 
 
@@ -46,18 +46,18 @@ class LowPass:
         response = signal.sosfilt(sections, impulse)
         kernel = signal.correlate(response, response)
         weight = np.cumsum(np.abs(kernel[: len(impulse)]))
-        cut = int(np.searchsorted(weight, _TAIL * weight[-1]))
+        cut = int(np.searchsorted(weight, _MAX_CUT_WEIGHT * weight[-1]))
         kernel = kernel[cut : len(kernel) - cut]
         # Zeros make the kernel reach over whole blocks, so that a batch of whole blocks is filtered where it lies.
-        self.block = _OUTPUTS * stride
+        self.block = _BLOCK_OUTPUTS * stride
         self.kernel: Array = np.pad(kernel / kernel.sum(), -(len(kernel) // 2) % (self.block // 2))
         self.reach = len(self.kernel) // 2
-        taps = np.zeros((2 * self.reach + self.block, _OUTPUTS))
+        taps = np.zeros((2 * self.reach + self.block, _BLOCK_OUTPUTS))
         for i, column in enumerate(taps.T):
             column[i * stride : i * stride + len(self.kernel)] = self.kernel
-        self._taps: Array = taps.reshape(-1, self.block, _OUTPUTS)
+        self._taps: Array = taps.reshape(-1, self.block, _BLOCK_OUTPUTS)
         # Closer to an end than this, more than 2 % of the weight is missing and what comes out is not of the band.
-        beyond = np.abs(np.cumsum(self.kernel)[: self.reach]) > _EDGE
+        beyond = np.abs(np.cumsum(self.kernel)[: self.reach]) > _MAX_MISSING_WEIGHT
         self.edge = self.reach - int(np.argmax(beyond))
 
     @property
@@ -88,7 +88,7 @@ class LowPass:
         ones = np.pad(np.ones(x.shape[-1]), [short])
         return self._sums(padded)[..., kept] / self._sums(ones)[kept]
 
-    def share(self, mask: Mask, before: int, after: int) -> Array:
+    def masked_share(self, mask: Mask, before: int, after: int) -> Array:
         """How much of each filtered sample's weight, by magnitude, comes from some of the samples; shape (n,)."""
         weights = np.abs(self.kernel)
         shares = signal.oaconvolve(mask.astype(float), weights / weights.sum())[self.reach :]
@@ -106,11 +106,11 @@ class LowPass:
 
 def differentiate(x: Array, dt: float) -> Array:
     """Time derivative; 4 samples shorter at each end. Shape (nv, N) to (nv, N − 8)."""
-    windows = np.lib.stride_tricks.sliding_window_view(x, len(_DIFFERENCE), axis=-1)
-    return np.asarray(windows @ _DIFFERENCE / dt)
+    windows = np.lib.stride_tricks.sliding_window_view(x, len(_DIFFERENCE_KERNEL), axis=-1)
+    return np.asarray(windows @ _DIFFERENCE_KERNEL / dt)
 
 
-def delayed(x: Array, samples: float) -> Array:
+def delay_signal(x: Array, samples: float) -> Array:
     """Signal a share of a sample before; 4 samples shorter at the beginning and 3 at the end.
 
     By the polynomial of degree 7 through the nearest samples: to a fifth of the sampling rate within 1 %, where a
@@ -135,7 +135,7 @@ def delayed(x: Array, samples: float) -> Array:
     return np.asarray(windows @ factors.prod(axis=1))
 
 
-def noise_above(x: Array, low_pass: LowPass) -> Array:
+def noise_above_band(x: Array, low_pass: LowPass) -> Array:
     """Robust standard deviation of what lies above the band, shape (nv,)."""
     above = x - low_pass(x, 0, 0)
     return np.asarray(1.4826 * np.median(np.abs(above - np.median(above, axis=1, keepdims=True)), axis=1))

@@ -19,20 +19,20 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
-from idtool.data.command import Command
-from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above
+from idtool.data.controller import JointController
+from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above_band
 from idtool.data.logs.log import Log
 from idtool.data.logs.times import suspected_unit
 from idtool.robot.config import Config
 
-BATCH = 8192  # samples
-WIDE = 5.0  # the signals' own filter, in units of the band
+BATCH_SAMPLES = 8192  # samples
+WIDE_BAND_FACTOR = 5.0  # the signals' own filter, in units of the band
 _DEFAULT_CUTOFF = 40.0  # Hz
-_JITTERY = 0.1  # rms of the stamps' jitter, in samples, above which differentiating q is not trusted
-_LAGS = 0.25  # samples of lag of a measured velocity that are worth a word
-_QUIETER = 0.5  # a measured velocity is used where its noise is below this share of the differentiated one's
+_MAX_JITTER = 0.1  # rms of the stamps' jitter, in samples, above which differentiating q is not trusted
+_MIN_LAG = 0.25  # samples of lag of a measured velocity that are worth a word
+_MAX_NOISE_RATIO = 0.5  # a measured velocity is used where its noise is below this share of the differentiated one's
 _MIN_DEADBAND = 3e-3  # rad/s or m/s
-_SIGN_WIDTH = 1.25  # tanh(v / (1.25 sigma)) is nearest to the mean of the true v's sign under noise of sigma
+_DEADBAND_FACTOR = 1.25  # tanh(v / (1.25 sigma)) is nearest to the mean of the true v's sign under noise of sigma
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Motion:
         Position, velocity and acceleration, shape (nv, N).
     tau
         Torque at the joint output, shape (nv, N).
-    logged
+    logged_tau
         The same as it was logged, where the others have been through the signals' filter; shape (nv, N).
     velocity_deadband
         Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
@@ -56,7 +56,7 @@ class Motion:
     motor_minus_link
         By joint with a compliant transmission: q, v and a of the motor less those of the link, which are above;
         shape (3, N).
-    torques
+    delayed_torques
         The torque if the commands were later by other delays, as `Signals.batches` was asked for; shape (K, nv, N).
     """
 
@@ -65,11 +65,11 @@ class Motion:
     v: Array
     a: Array
     tau: Array
-    logged: Array
+    logged_tau: Array
     velocity_deadband: Array
     dt: float
     motor_minus_link: Mapping[int, Array] = field(default_factory=dict)
-    torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    delayed_torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
     @property
     def is_log(self) -> bool:
@@ -84,7 +84,7 @@ class Batch:
     Attributes
     ----------
     motion
-        ``before`` + N + ``after`` samples.
+        ``before`` + N + ``delayed_ranges`` samples.
     before, after
         Surroundings, there only for the filter.
     low_pass
@@ -111,13 +111,13 @@ class Signals:
 
     Attributes
     ----------
-    channels, command
+    channels, controller
         The signals on an even clock, and the controller.
     band_hz
         The low-pass's cut-off [Hz].
-    low_pass, every_sample
+    low_pass, full_rate_low_pass
         It, decimating to its band and keeping every sample.
-    differentiated
+    velocity_from_position
         Per joint, whether v comes from q; else it is the measured one, its lag undone.
     lag
         Per joint, how late the measured velocity is [s].
@@ -145,40 +145,40 @@ class Signals:
         # Twice the band is sampled four times: what would alias is 48 dB down.
         stride = max(1, int(rate / (4 * self.band_hz)))
         self.low_pass = LowPass(self.band_hz, config.filter.order, log.dt, stride)
-        self.every_sample = LowPass(self.band_hz, config.filter.order, log.dt)
-        wide = WIDE * self.band_hz
+        self.full_rate_low_pass = LowPass(self.band_hz, config.filter.order, log.dt)
+        wide = WIDE_BAND_FACTOR * self.band_hz
         self._wide = LowPass(wide, config.filter.order, log.dt) if wide < 0.4 * rate else None
         self.channels = Channels(log, joints)
-        self.command = Command.of(log, self.joints, config.controller)
+        self.controller = JointController.from_log(log, self.joints, config.controller)
         self._margin = (self._wide.reach if self._wide else 0) + 2 * DIFFERENCE_REACH
         self.lag = self.channels.lag
-        self.differentiated = self._choose_velocity(config)
+        self.velocity_from_position = self._choose_velocity(config)
         self.ranges = self._ranges()
         self._note_velocity_errors()
         self.velocity_deadband = self._measure_deadband()
 
     def _choose_velocity(self, config: Config) -> Mask:
-        missing = ~self.channels.measured
+        missing = ~self.channels.has_velocity
         advice = "log the velocity too where positions are coarse"
         notice = Notice("velocity_differentiated", "note", None, "no velocity logged, differentiated from q", advice)
         self._note(notice, missing)
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
-        strange = self.channels.measured & ~self.channels.trusted
+        strange = self.channels.has_velocity & ~self.channels.has_consistent_velocity
         message = "logged velocity is not the derivative of q; q is differentiated instead"
         advice = "compare the unit, sign and order of the velocities with those of the positions"
         self._note(Notice("velocity_unrelated", "warning", None, message, advice), strange)
-        if self.channels.jitter > _JITTERY:
+        if self.channels.jitter > _MAX_JITTER:
             message = f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
             advice = "stamp samples when they are taken, not when they are written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | strange)
-        part = self.channels.longest(self._ranges())
+        part = self.channels.longest_stretch(self._ranges())
         noise = []
         for differentiated in (True, False):
-            self.differentiated = missing | differentiated
-            noise.append(noise_above(self._kinematics(part)[1], self.every_sample))
-        return np.asarray(missing | strange | (noise[1] > _QUIETER * noise[0]))
+            self.velocity_from_position = missing | differentiated
+            noise.append(noise_above_band(self._kinematics(part)[1], self.full_rate_low_pass))
+        return np.asarray(missing | strange | (noise[1] > _MAX_NOISE_RATIO * noise[0]))
 
     def _note(self, notice: Notice, which: Mask) -> None:
         """Add a notice about some of the joints, if any, with their names."""
@@ -187,8 +187,8 @@ class Signals:
             self.notices.append(replace(notice, message=f"{notice.message}: {join_names(names)}"))
 
     def _note_velocity_errors(self) -> None:
-        late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
-        if late > _LAGS * self.log.dt:
+        late = float(np.where(self.velocity_from_position, 0.0, np.abs(self.lag)).max())
+        if late > _MIN_LAG * self.log.dt:
             message = f"the measured velocity is up to {late * 1e3:.1f} ms late; the lag is undone"
             self.notices.append(Notice("velocity_lag", "note", None, message))
         if self.channels.bias.any():
@@ -198,8 +198,8 @@ class Signals:
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""
-        first = self._margin + int(np.ceil(self.command.delay / self.log.dt))
-        ranges = [slice(s.start + first, s.stop - self._margin) for s in self.channels.parts()]
+        first = self._margin + int(np.ceil(self.controller.delay / self.log.dt))
+        ranges = [slice(s.start + first, s.stop - self._margin) for s in self.channels.stretches()]
         kept = [r for r in ranges if r.stop > r.start]
         if not kept:
             raise LogError(
@@ -216,12 +216,12 @@ class Signals:
         return kept
 
     def _measure_deadband(self) -> Array:
-        v = self._kinematics(self.channels.longest(self.ranges))[1]
-        return np.asarray(np.maximum(_MIN_DEADBAND, _SIGN_WIDTH * noise_above(v, self.every_sample)))
+        v = self._kinematics(self.channels.longest_stretch(self.ranges))[1]
+        return np.asarray(np.maximum(_MIN_DEADBAND, _DEADBAND_FACTOR * noise_above_band(v, self.full_rate_low_pass)))
 
-    def after(self, delay: float, parts: Sequence[slice]) -> list[slice]:
+    def delayed_ranges(self, delay: float, parts: Sequence[slice]) -> list[slice]:
         """What is left of parts of `ranges` where commands are to be so late [s]: less at each stretch's beginning."""
-        lost = int(np.ceil(delay / self.log.dt)) - int(np.ceil(self.command.delay / self.log.dt))
+        lost = int(np.ceil(delay / self.log.dt)) - int(np.ceil(self.controller.delay / self.log.dt))
         begun = [(known.start + max(lost, 0), known.stop) for known in self.ranges]
         pairs = [(max(part.start, start), min(part.stop, stop)) for part in parts for start, stop in begun]
         return [slice(start, stop) for start, stop in pairs if stop > start]
@@ -240,8 +240,8 @@ class Signals:
         delays
             Of commands, for which the motion has the torque too [s]; none longer than `ranges` leave out.
         """
-        low_pass = self.every_sample if every_sample else self.low_pass
-        size = max(BATCH, 8 * low_pass.reach)
+        low_pass = self.full_rate_low_pass if every_sample else self.low_pass
+        size = max(BATCH_SAMPLES, 8 * low_pass.reach)
         size += -size % low_pass.block
         _keep_freed_memory()
         for whole in self.ranges if ranges is None else ranges:
@@ -264,18 +264,18 @@ class Signals:
     def _motion(self, part: slice, delays: Sequence[float]) -> Motion:
         t = self.channels.times(part) - self.log.t[0]
         q, v, a = self._kinematics(part)
-        (tau, *others), logged = self._torques(part, (self.command.delay, *delays))
+        (tau, *others), logged = self._torques(part, (self.controller.delay, *delays))
         torques = np.array(others).reshape(-1, *tau.shape)
-        return Motion(t, q, v, a, tau, logged, self.velocity_deadband, self.log.dt, torques=torques)
+        return Motion(t, q, v, a, tau, logged, self.velocity_deadband, self.log.dt, delayed_torques=torques)
 
     def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
         r = DIFFERENCE_REACH
         outer = slice(part.start - self._margin, part.stop + self._margin)
         q = self._smooth(self.channels.signal("q", outer))
         v = differentiate(q, self.log.dt)
-        if not self.differentiated.all():
+        if not self.velocity_from_position.all():
             measured = self._smooth(self.channels.velocity(outer))[:, r:-r]
-            v = np.where(self.differentiated[:, None], v, measured)
+            v = np.where(self.velocity_from_position[:, None], v, measured)
         return q[:, 2 * r : -2 * r], v[:, r:-r], differentiate(v, self.log.dt)
 
     def _smooth(self, x: Array) -> Array:
@@ -288,13 +288,13 @@ class Signals:
         """
         m = self._wide.reach if self._wide else 0
         outer = slice(part.start - m, part.stop + m)
-        by_command = self.command.joints
+        by_command = self.controller.joints
         if by_command.all():
-            tau = self.command.torques(self.channels, outer, delays)
+            tau = self.controller.torques(self.channels, outer, delays)
         else:
             tau = np.repeat(self.channels.signal("tau", outer)[None], len(delays), axis=0)
             if by_command.any():
-                tau[:, by_command] = self.command.torques(self.channels, outer, delays)[:, by_command]
+                tau[:, by_command] = self.controller.torques(self.channels, outer, delays)[:, by_command]
         return self._smooth(tau), tau[0, :, m : m + part.stop - part.start]
 
 

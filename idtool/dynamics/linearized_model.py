@@ -166,7 +166,7 @@ class LinearizedModel:
             v=m.v[:, ::stride],
             a=m.a[:, ::stride],
             tau=m.tau[:, ::stride],
-            logged=m.logged[:, ::stride],
+            logged_tau=m.logged_tau[:, ::stride],
             dt=m.dt * stride,
         )
 

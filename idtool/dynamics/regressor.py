@@ -122,8 +122,8 @@ class LinearModel:
 
     def delayed_torques(self, motion: Motion) -> Array:
         """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
-        out = np.empty_like(motion.torques)
-        for k, tau in enumerate(motion.torques):
+        out = np.empty_like(motion.delayed_torques)
+        for k, tau in enumerate(motion.delayed_torques):
             true = self._true_motion(replace(motion, tau=tau))
             out[k] = self._identified_torque(true)
         return out
@@ -192,7 +192,7 @@ class LinearModel:
             if reach:
                 reversals = _reversals(batch.motion.v[joint])
                 invalid = ndimage.binary_dilation(invalid | reversals, iterations=reach)
-            weight = batch.low_pass.share(invalid, batch.before, batch.after)
+            weight = batch.low_pass.masked_share(invalid, batch.before, batch.after)
             limit = _CLEAN_WEIGHT
             if not reach:
                 limit = max(limit, float(np.median(weight)))

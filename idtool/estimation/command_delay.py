@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar, nnls
 from idtool.common.arrays import Array, Indices
 from idtool.common.linear_algebra import svd
 from idtool.common.notice import Notice
-from idtool.data.command import MAX_DELAY
+from idtool.data.controller import MAX_DELAY
 from idtool.data.signals import Signals
 from idtool.dynamics.effects import friction_types
 from idtool.dynamics.regressor import LinearModel
@@ -166,8 +166,8 @@ def with_delay(
 
 def _with_known_delay(run: Run, config: Config, delay: float) -> Run:
     """A run under a configuration with a delay [s] where there was none."""
-    train = tuple(run.signals.after(delay, run.train))
-    held_out = tuple(run.signals.after(delay, run.held_out))
+    train = tuple(run.signals.delayed_ranges(delay, run.train))
+    held_out = tuple(run.signals.delayed_ranges(delay, run.held_out))
     return Run(Signals(run.signals.log, run.signals.joints, config), train, held_out)
 
 
@@ -192,7 +192,7 @@ def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | 
 def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, tuple[Blocks, ...], _Lags] | None:
     """The fitted delay, and the data with the torque at many delays."""
     controller = experiment.config.controller
-    by_command = np.any([run.signals.command.joints for run in experiment.runs if run.train], axis=0)
+    by_command = np.any([run.signals.controller.joints for run in experiment.runs if run.train], axis=0)
     if controller is None or not by_command.any():
         return None
     equation, equalities, given = experiment.equation, experiment.equalities, controller.known_delay
@@ -228,7 +228,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
 
 def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> Rows:
     """Columns of the torque equation and then the torque at each of the delays, batch after batch."""
-    parts = run.signals.after(MAX_DELAY, run.train)
+    parts = run.signals.delayed_ranges(MAX_DELAY, run.train)
     batches = run.signals.batches(parts, delays=lags.delays)
     for batch in tracked(batches, parts, progress, f"fitting the delay to {run.signals.log.path.name}"):
         columns, kept = equation.filtered_rows(batch)

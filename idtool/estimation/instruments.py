@@ -90,7 +90,7 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
         log = _simulated_log(experiment, run, theta, progress)
     else:
         kind = "smoothed"
-        motion = signals.channels.signal("q", signals.channels.longest(signals.channels.parts()))
+        motion = signals.channels.signal("q", signals.channels.longest_stretch(signals.channels.stretches()))
         cutoff = np.array([smoothing(q, signals.log.dt, signals.band_hz) for q in motion])
         log = _smoothed_log(signals, cutoff)
     config = experiment.config.model_copy(update={"velocity": "differentiated"})  # without noise as good as measured
@@ -163,13 +163,13 @@ def _smoothed_log(signals: Signals, cutoff: Array) -> Log:
                 row[:] = signal.sosfiltfilt(sections, row)
         return x
 
-    return _even_log(signals, channels.parts(), [name for name in signals.log.signals if name != "v"], read)
+    return _even_log(signals, channels.stretches(), [name for name in signals.log.signals if name != "v"], read)
 
 
 def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Log:
     """The model under the logged command, from the measured state at the beginning of each stretch."""
     log, signals = run.signals.log, run.signals
-    if not signals.command.joints.all():
+    if not signals.controller.joints.all():
         signals = Signals(under_controller(log), signals.joints, experiment.config)
     mechanism = experiment.equation.mechanism(experiment.model, theta)
     simulated: dict[tuple[str, int], Array] = {}  # by signal and first sample
@@ -193,7 +193,7 @@ def _simulated_windows(run: Run) -> list[slice]:
     windows = []
     for part in run.train:
         usable = next(s for s in run.signals.ranges if s.start <= part.start < s.stop)
-        stretch = next(s for s in run.signals.channels.parts() if s.start <= part.start < s.stop)
+        stretch = next(s for s in run.signals.channels.stretches() if s.start <= part.start < s.stop)
         windows.append(slice(stretch.start, part.stop + stretch.stop - usable.stop))
     return windows
 

@@ -102,7 +102,7 @@ def _motion(samples: MotionSamples, t: Array, velocity_deadband: Array) -> Motio
     """Samples of a design as the torque equation takes them, without measured torque."""
     zero = np.zeros_like(samples.q)
     dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
-    return Motion(t, *samples, tau=zero, logged=zero, velocity_deadband=velocity_deadband, dt=dt)
+    return Motion(t, *samples, tau=zero, logged_tau=zero, velocity_deadband=velocity_deadband, dt=dt)
 
 
 def make_design_task(

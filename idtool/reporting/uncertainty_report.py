@@ -78,7 +78,7 @@ def controller_report(fit: Fit) -> ControllerDelay | None:
     """The entry ``controller`` of report.json; None where no torque comes from a command."""
     experiment, found = fit.experiment, fit.delay
     controller = experiment.config.controller
-    if controller is None or not any(run.signals.command.joints.any() for run in experiment.runs):
+    if controller is None or not any(run.signals.controller.joints.any() for run in experiment.runs):
         return None
     given = controller.known_delay if found is None else found.given
     taken = controller.known_delay

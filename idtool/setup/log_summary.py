@@ -11,7 +11,7 @@ import numpy as np
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
-from idtool.data.inspection.channel_findings import BAND
+from idtool.data.inspection.channel_findings import BAND_FACTOR
 from idtool.data.logs import Log
 from idtool.data.signals import default_cutoff
 from idtool.estimation.dataset.experiment import Progress
@@ -117,7 +117,7 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
     moving = tuple(name for name in joints if _moves(name, logs))
     motion = float(np.median([_motion_band(log, moving) for log in logs]))
     commanded = tuple(name for name in joints if any(_is_commanded(name, log) for log in logs))
-    bands = _BAND_OF_COMMANDED if commanded else BAND
+    bands = _BAND_OF_COMMANDED if commanded else BAND_FACTOR
     return LogSummary(
         logs=tuple(log.log for log in logs),
         identifiable=identifiable,

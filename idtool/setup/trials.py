@@ -293,5 +293,5 @@ def _rms(joints: Sequence[str], verdict: TrialScore) -> dict[str, float]:
 
 
 def _differentiated(experiment: Experiment) -> tuple[str, ...]:
-    flags = np.any([run.signals.differentiated for run in experiment.runs], axis=0)
+    flags = np.any([run.signals.velocity_from_position for run in experiment.runs], axis=0)
     return tuple(name for name, flag in zip(experiment.equation.joints, flags, strict=True) if flag)

@@ -115,7 +115,7 @@ def test_batches_of_any_size_give_what_the_whole_gives(monkeypatch: pytest.Monke
     signals = signals_of(make(clock(12)), **config)
     results = []
     for batch in (size, 1 << 30):
-        monkeypatch.setattr(module, "BATCH", batch)
+        monkeypatch.setattr(module, "BATCH_SAMPLES", batch)
         results.append((*seen(signals), len(list(batches(signals)))))
     (t, part, count), (whole_t, whole, one) = results
     assert one == 1 < count

@@ -16,9 +16,9 @@ from recordings import Channel, bag, ros2, states, write_mcap
 from robots import chain, link
 
 from idtool.common.exceptions import LogError, ModelError
-from idtool.data.description import robot_and_logs
 from idtool.data.logs import read_log
 from idtool.data.logs.payloads import text_decoder_for
+from idtool.data.robot_source import read_robot_and_logs
 from idtool.robot.geometry import link_geometry
 from idtool.robot.urdf.reading import read_robot
 
@@ -27,7 +27,7 @@ from idtool.robot.urdf.reading import read_robot
 @pytest.mark.parametrize("topic", ["/robot_description", "/arm/robot_description", "robot_description"])
 def test_a_bag_tells_its_robot(tmp_path: Path, encoding: str, topic: str) -> None:
     path = recorded(tmp_path, described(TEXT, topic=topic, encoding=encoding))
-    robot, logs = robot_and_logs(path, [])
+    robot, logs = read_robot_and_logs(path, [])
     assert same(robot, read_robot(LEG))
     assert logs == [path]
     assert robot.path == path / topic.lstrip("/")
@@ -38,12 +38,12 @@ def test_a_bag_tells_its_robot(tmp_path: Path, encoding: str, topic: str) -> Non
 def test_big_endian(tmp_path: Path) -> None:
     payload = b"\0\0\0\0" + (len(TEXT.encode()) + 1).to_bytes(4, "big") + TEXT.encode() + b"\0"
     path = recorded(tmp_path, replace(described(TEXT), payloads=[payload]))
-    assert same(robot_and_logs(path, [])[0], read_robot(LEG))
+    assert same(read_robot_and_logs(path, [])[0], read_robot(LEG))
 
 
 def test_a_urdf_that_is_given_goes_first(tmp_path: Path) -> None:
     path = recorded(tmp_path, described(OTHER))
-    robot, logs = robot_and_logs(LEG, [path])
+    robot, logs = read_robot_and_logs(LEG, [path])
     assert (robot.path, logs) == (LEG, [path])
     assert same(robot, read_robot(LEG))
 
@@ -51,7 +51,7 @@ def test_a_urdf_that_is_given_goes_first(tmp_path: Path) -> None:
 def test_the_robot_may_be_in_another_log(tmp_path: Path) -> None:
     first, second = recorded(tmp_path), recorded(tmp_path, described(TEXT), name="run2.mcap")
     (tmp_path / "run3.csv").write_text("t,q_hip\n0,0\n1,1\n")
-    robot, logs = robot_and_logs(first, [tmp_path / "run3.csv", second])
+    robot, logs = read_robot_and_logs(first, [tmp_path / "run3.csv", second])
     assert robot.path == second / "robot_description"
     assert logs == [first, tmp_path / "run3.csv", second]
 
@@ -60,7 +60,7 @@ def test_a_rosbag2_folder_tells_its_robot(tmp_path: Path) -> None:
     items = states(60)
     folder = bag(tmp_path / "run", items[:30], items[30:])
     write_mcap(folder / "run_1.mcap", ros2(items[30:]), described(TEXT))
-    assert same(robot_and_logs(folder, [])[0], read_robot(LEG))
+    assert same(read_robot_and_logs(folder, [])[0], read_robot(LEG))
     assert len(read_log(folder)) == 60
 
 
@@ -68,7 +68,7 @@ def test_a_description_that_is_repeated(tmp_path: Path) -> None:
     path = recorded(
         tmp_path, described("", TEXT, TEXT + "\n", " " + TEXT), described(TEXT, topic="/a/robot_description")
     )
-    assert same(robot_and_logs(path, [path])[0], read_robot(LEG))
+    assert same(read_robot_and_logs(path, [path])[0], read_robot(LEG))
 
 
 def test_a_channel_is_told_by_its_number_in_its_file(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_a_channel_is_told_by_its_number_in_its_file(tmp_path: Path) -> None:
     folder = bag(tmp_path / "run", items[:30], items[30:])
     write_mcap(folder / "run_0.mcap", described(TEXT), ros2(items[:30]))
     write_mcap(folder / "run_1.mcap", described("no robot", topic="/chatter"), ros2(items[30:]), described(TEXT))
-    assert same(robot_and_logs(folder, [])[0], read_robot(LEG))
+    assert same(read_robot_and_logs(folder, [])[0], read_robot(LEG))
 
 
 IMU = Channel("/imu", [1], [b"x" * 40], schema=("sensor_msgs/msg/Imu", "ros2msg", b"float64 x"))
@@ -140,13 +140,13 @@ def test_two_bags_of_different_robots(tmp_path: Path) -> None:
         "run2.mcap: topic /robot_description has another robot description than topic /robot_description of run1.mcap"
     )
     with pytest.raises(LogError, match=said):
-        robot_and_logs(first, [second])
+        read_robot_and_logs(first, [second])
 
 
 def test_a_description_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("idtool.robot.urdf.reading._MAX_BYTES", 1 << 10)
     with pytest.raises(ModelError, match="is larger than"):
-        robot_and_logs(recorded(tmp_path, described(TEXT)), [])
+        read_robot_and_logs(recorded(tmp_path, described(TEXT)), [])
 
 
 def test_a_description_is_read_in_its_own_size() -> None:
@@ -176,7 +176,7 @@ def test_packages_are_looked_for_in_the_search_paths(tmp_path: Path, monkeypatch
         visuals += f'<collision><geometry><mesh filename="package://{package}/box.stl"/></geometry></collision>'
     text = chain(link(1)).replace('<link name="l1"/>', f'<link name="l1">{visuals}</link>')
     (tmp_path / "bags").mkdir()
-    robot, _ = robot_and_logs(recorded(tmp_path / "bags", described(text)), [])
+    robot, _ = read_robot_and_logs(recorded(tmp_path / "bags", described(text)), [])
     found = link_geometry(robot, "l1")
     assert (found.unreadable, len(found.parts_read)) == ((), 2)
     np.testing.assert_allclose(np.abs(found.points).max(axis=0), [0.1, 0.2, 0.3])

@@ -80,7 +80,7 @@ def test_batches_of_any_size_give_what_the_whole_gives(monkeypatch: pytest.Monke
     signals = signals_of(log(clock(12)), **config)
     results = []
     for batch in (size, 1 << 30):
-        monkeypatch.setattr(module, "BATCH", batch)
+        monkeypatch.setattr(module, "BATCH_SAMPLES", batch)
         results.append((joined(signals, everything), filtered(signals, everything), len(list(signals.batches()))))
     (motion, band, count), (whole_motion, whole_band, one) = results
     assert one == 1 < count
@@ -124,7 +124,7 @@ def test_every_sample_of_a_segment_but_the_derivatives_margin_is_used_once() -> 
     ]
     used = joined(signals, lambda m: m.t)
     assert (np.diff(used) > 0).all()
-    edge = signals.every_sample.edge
+    edge = signals.full_rate_low_pass.edge
     assert len(used) == sum(r.stop - r.start - 2 * edge for r in signals.ranges)
 
 

@@ -48,7 +48,7 @@ def test_the_torque_is_the_controllers_on_the_late_command(delay: float, vcmd: b
     log = swinging(t, tau=None, qcmd=command(t), vcmd=command(t, 1) if vcmd else None)
     signals = signals_of(log, controller={"kp": KP, "kd": KD, "delay": delay})
     torque = expected(signals, delay)
-    np.testing.assert_allclose(joined(signals, lambda m: m.logged), torque, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(joined(signals, lambda m: m.logged_tau), torque, rtol=0, atol=1e-9)
     np.testing.assert_allclose(
         joined(signals, lambda m: m.tau), torque, rtol=0, atol=1e-4
     )  # its filter passes 2.5 bands
@@ -60,7 +60,7 @@ def test_a_joint_without_derivative_gain_needs_none() -> None:
     t = clock(2)
     signals = signals_of(swinging(t, tau=None, qcmd=command(t)), controller={"kp": KP, "kd": {"knee": 0.4}})
     torque = expected(signals, 0.0, kd={"knee": 0.4})
-    np.testing.assert_allclose(joined(signals, lambda m: m.logged), torque, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(joined(signals, lambda m: m.logged_tau), torque, rtol=0, atol=1e-9)
 
 
 def test_without_a_measured_velocity_the_controllers_is_differentiated() -> None:
@@ -68,7 +68,7 @@ def test_without_a_measured_velocity_the_controllers_is_differentiated() -> None
     log = swinging(t, tau=None, v=None, qcmd=command(t))
     signals = signals_of(log, controller={"kp": KP, "kd": KD})
     torque = expected(signals, 0.0, v=swing(t, 1))
-    np.testing.assert_allclose(joined(signals, lambda m: m.logged), torque, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(joined(signals, lambda m: m.logged_tau), torque, rtol=0, atol=1e-6)
 
 
 def test_the_controller_acts_on_the_velocity_as_it_was_logged() -> None:
@@ -77,7 +77,7 @@ def test_the_controller_acts_on_the_velocity_as_it_was_logged() -> None:
     log = swinging(t, tau=None, v=swing(t - 0.004, 1), qcmd=command(t))
     signals = signals_of(log, controller={"kp": KP, "kd": KD}, velocity="measured")
     np.testing.assert_allclose(signals.lag, 0.004, atol=1e-4)
-    np.testing.assert_allclose(joined(signals, lambda m: m.logged), expected(signals, 0.0), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(joined(signals, lambda m: m.logged_tau), expected(signals, 0.0), rtol=0, atol=1e-9)
     np.testing.assert_allclose(joined(signals, lambda m: m.v), swing(joined(signals, lambda m: m.t), 1).T, atol=1e-3)
 
 
@@ -90,7 +90,7 @@ def test_a_velocity_that_is_off_on_average_moves_neither_the_motion_nor_the_torq
         for v in (right, right + off)
     )
     np.testing.assert_allclose(biased.channels.bias, off, atol=1e-4)
-    for of in (lambda m: m.logged, lambda m: m.v):
+    for of in (lambda m: m.logged_tau, lambda m: m.v):
         np.testing.assert_allclose(joined(biased, of), joined(true, of), rtol=0, atol=2e-4)
     assert any(
         "off by up to 0.03 rad/s (m/s) on average; this is undone: hip, knee" in warning
@@ -105,7 +105,7 @@ def test_a_measured_torque_goes_before_the_controllers(delay: float) -> None:
     tau = np.stack([np.cos(t), np.full(len(t), np.nan)], axis=1)
     log = swinging(t, tau=tau, qcmd=command(t), vcmd=command(t, 1))
     signals = signals_of(log, controller={"kp": KP, "kd": KD, "delay": delay})
-    measured, commanded = joined(signals, lambda m: m.logged)
+    measured, commanded = joined(signals, lambda m: m.logged_tau)
     used = joined(signals, lambda m: m.t)
     np.testing.assert_array_equal(measured, np.cos(used))
     np.testing.assert_allclose(commanded, expected(signals, delay)[1], rtol=0, atol=1e-9)

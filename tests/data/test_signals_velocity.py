@@ -25,7 +25,7 @@ def test_of_two_velocities_the_quieter_is_used_joint_by_joint(rng: np.random.Gen
     q = swing(t) + noise(rng, swing(t), 1e-5)
     v = swing(t, 1) + noise(rng, swing(t), 1.0) * [1e-4, 1.0]
     signals = signals_of(swinging(t, q=q, v=v))
-    np.testing.assert_array_equal(signals.differentiated, [False, True])
+    np.testing.assert_array_equal(signals.velocity_from_position, [False, True])
     error = joined(signals, lambda m: m.v) - swing(joined(signals, lambda m: m.t), 1).T
     assert error[0].std() < 1e-4
     assert error[1].std() < 1e-2
@@ -37,7 +37,7 @@ def test_the_configuration_decides_where_it_says(rng: np.random.Generator, veloc
     q = swing(t) + noise(rng, swing(t), 1e-5)
     v = swing(t, 1) + noise(rng, swing(t), 1.0) * [1e-4, 1.0]
     signals = signals_of(swinging(t, q=q, v=v), velocity=velocity)
-    np.testing.assert_array_equal(signals.differentiated, [differentiated] * 2)
+    np.testing.assert_array_equal(signals.velocity_from_position, [differentiated] * 2)
 
 
 @pytest.mark.parametrize("velocity", ["auto", "measured"])
@@ -45,11 +45,11 @@ def test_a_missing_velocity_is_differentiated_and_said(velocity: str) -> None:
     t = clock(4)
     v = np.stack([swing(t, 1)[:, 0], np.full(len(t), np.nan)], axis=1)
     signals = signals_of(swinging(t, v=v), velocity=velocity)
-    assert signals.differentiated[1]
+    assert signals.velocity_from_position[1]
     assert "no velocity logged, differentiated from q: knee" in sentences(signals.notices)
     np.testing.assert_allclose(joined(signals, lambda m: m.v), swing(joined(signals, lambda m: m.t), 1).T, atol=1e-6)
     both = signals_of(swinging(t, v=None), velocity=velocity)
-    assert both.differentiated.all()
+    assert both.velocity_from_position.all()
     assert "no velocity logged, differentiated from q: hip, knee" in sentences(both.notices)
 
 
@@ -124,7 +124,7 @@ def test_where_stamps_jitter_much_the_measured_velocity_is_used_and_said(rng: np
     log, _ = jittering(rng, 0.4, true=True)
     log.signals["v"][:] += noise(rng, log.signals["v"], 0.1)
     signals = signals_of(log)
-    assert not signals.differentiated.any()
+    assert not signals.velocity_from_position.any()
     assert any(
         "jitter by" in warning and "measured velocity is used" in warning for warning in sentences(signals.notices)
     )
@@ -135,7 +135,7 @@ def test_a_velocity_that_belongs_to_something_else_is_not_used(rng: np.random.Ge
     t = clock(10)
     for strange in (swing(t, 1) * 180 / np.pi, swing(t, 1)[:, ::-1], noise(rng, swing(t), 1.0)):
         signals = signals_of(swinging(t, v=strange))
-        assert signals.differentiated.all()
+        assert signals.velocity_from_position.all()
         assert "logged velocity is not the derivative of q; q is differentiated instead: hip, knee" in sentences(
             signals.notices
         )

@@ -55,7 +55,9 @@ def torque(M: Array, h: Array, a: Array) -> Array:
 def columns_torque(machine: Mechanism, q: Array, v: Array, a: Array) -> Array:
     """Y pi, shape (nv, W)."""
     nothing, still = np.zeros_like(q), np.full(len(q), 1e-6)
-    motion = Motion(t=np.arange(float(W)), q=q, v=v, a=a, tau=nothing, logged=nothing, velocity_deadband=still, dt=1.0)
+    motion = Motion(
+        t=np.arange(float(W)), q=q, v=v, a=a, tau=nothing, logged_tau=nothing, velocity_deadband=still, dt=1.0
+    )
     return LinearModel(machine.model.names, (RigidBodies(machine.model),)).torque(motion, machine.pi.ravel())
 
 

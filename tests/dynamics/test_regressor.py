@@ -30,7 +30,7 @@ def moving(q: Array, v: Array, a: Array) -> Motion:
     nothing = np.zeros_like(q)
     still = np.full(len(q), 1e-6)
     return Motion(
-        t=np.arange(float(q.shape[1])), q=q, v=v, a=a, tau=nothing, logged=nothing, velocity_deadband=still, dt=1.0
+        t=np.arange(float(q.shape[1])), q=q, v=v, a=a, tau=nothing, logged_tau=nothing, velocity_deadband=still, dt=1.0
     )
 
 

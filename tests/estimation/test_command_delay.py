@@ -18,8 +18,8 @@ from scipy.interpolate import make_interp_spline
 from sentences import sentences
 
 import idtool
-from idtool.data.command import MAX_DELAY
-from idtool.data.filters import delayed
+from idtool.data.controller import MAX_DELAY
+from idtool.data.filters import delay_signal
 from idtool.data.logs import Log, make_log, read_log
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, prepare
@@ -122,7 +122,7 @@ def fitted(**controller: Any) -> Fit:
 
 def test_the_fit_has_the_delay_that_it_finds() -> None:
     result = fitted()
-    delay = result.experiment.runs[0].signals.command.delay
+    delay = result.experiment.runs[0].signals.controller.delay
     assert delay == pytest.approx(7.5 * MS, abs=0.05 * MS)
     for joint in JOINTS:
         report = fit_report(result).to_json()["friction"][joint]
@@ -229,6 +229,6 @@ def test_a_signal_between_its_samples() -> None:
     for share in (0.0, 0.3, 0.5, 0.99):
         for power in range(8):
             x = (n / 40) ** power
-            np.testing.assert_allclose(delayed(x, share), ((inner - share) / 40) ** power, rtol=0, atol=1e-12)
-        wave = delayed(np.exp(0.4j * np.pi * n).real, share)
+            np.testing.assert_allclose(delay_signal(x, share), ((inner - share) / 40) ** power, rtol=0, atol=1e-12)
+        wave = delay_signal(np.exp(0.4j * np.pi * n).real, share)
         np.testing.assert_allclose(wave, np.cos(0.4 * np.pi * (inner - share)), rtol=0, atol=0.01)

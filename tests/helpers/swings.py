@@ -59,4 +59,4 @@ def filtered(signals: Signals, of: Callable[[Motion], Array]) -> Array:
 
 def everything(motion: Motion) -> Array:
     """All of a motion as rows, (1 + 5 nv, N)."""
-    return np.vstack([motion.t, motion.q, motion.v, motion.a, motion.tau, motion.logged])
+    return np.vstack([motion.t, motion.q, motion.v, motion.a, motion.tau, motion.logged_tau])

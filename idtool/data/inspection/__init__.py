@@ -16,7 +16,6 @@ from idtool.data.inspection.clock import clock_deviation, fresh_rows, gaps, jitt
 from idtool.data.inspection.findings import all_findings
 from idtool.data.inspection.joint import inspect_joint
 from idtool.data.inspection.jumps import position_jumps
-from idtool.data.inspection.measures import quantisation, span
 from idtool.data.inspection.records import (
     FAULT_KINDS,
     FaultKind,
@@ -30,6 +29,7 @@ from idtool.data.inspection.records import (
     Velocity,
     data_fault,
 )
+from idtool.data.inspection.signal_statistics import column_statistics, quantisation
 from idtool.data.inspection.velocity import velocity_lag
 from idtool.data.logs.log import Log
 
@@ -56,7 +56,7 @@ _MAX_SAMPLES = 1 << 17  # samples that statistics are taken from
 _STRETCH_SAMPLES = 1 << 14  # samples
 _MIN_STRETCH = 64  # samples of a stretch, where there are longer ones
 _LISTED_GAPS = 5
-_SHORT = 0.5  # s
+_SHORT_SEGMENT = 0.5  # s
 
 
 def inspect_log(log: Log) -> Inspection:
@@ -78,7 +78,7 @@ def inspect_log(log: Log) -> Inspection:
 
 def _inspect(log: Log) -> Inspection:
     stretches = _stretches(log.segments)
-    spans = {name: span(x) for name, x in log.signals.items()}
+    spans = {name: column_statistics(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
     jumps = position_jumps(log, stretches)
     joints: dict[str, InspectedJoint] = {}
@@ -125,7 +125,7 @@ def _stretches(segments: tuple[slice, ...]) -> list[slice]:
 def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:
     step = np.diff(log.t[np.isfinite(log.t)])
     lost = gaps(log)
-    short = sum(s.stop - s.start for s in log.segments if (s.stop - s.start) * log.dt < _SHORT)
+    short = sum(s.stop - s.start for s in log.segments if (s.stop - s.start) * log.dt < _SHORT_SEGMENT)
     resolution = quantisation(log.t[stretches[0]])
     instants = None
     if "v" in log.signals:

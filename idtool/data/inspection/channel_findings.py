@@ -8,14 +8,14 @@ import numpy as np
 
 from idtool.common.notice import Notice
 from idtool.data.inspection.records import Frozen, InspectedJoint, Signal
-from idtool.data.inspection.sentences import counted
+from idtool.data.inspection.text import count_text
 
-STUCK = 0.005  # share of samples while moving: fewer may gather at a turning point
-REPEATS = 0.02  # share of the samples while a channel changes: fewer are not worth a word
-STALE = 0.05  # the same: less makes a channel late by a twentieth of a sample in the mean, which is no matter
-STALE_AND_STUCK = 0.3  # the same of a channel at its extremes, on the way to which it may repeat values
-COARSE = 0.02  # rounding noise over the signal's rms
-BAND = 5.0  # times the velocity's band: about what a fit's filter lets through
+MAX_STUCK_SHARE = 0.005  # share of samples while moving: fewer may gather at a turning point
+MIN_STALE_SHARE = 0.02  # share of the samples while a channel changes: fewer are not worth a word
+MAX_STALE_SHARE = 0.05  # the same: less makes a channel late by a twentieth of a sample in the mean, which is no matter
+MAX_STALE_SHARE_IF_STUCK = 0.3  # the same of a channel at its extremes, on the way to which it may repeat values
+MAX_ROUNDING_NOISE = 0.02  # rounding noise over the signal's rms
+BAND_FACTOR = 5.0  # times the velocity's band: about what a fit's filter lets through
 
 
 def missing_channels(name: str, joint: InspectedJoint) -> Iterator[Notice]:
@@ -48,7 +48,7 @@ def channel_findings(name: str, joint: InspectedJoint, frozen: Mapping[str, Froz
     """
     for signal, figures in joint.signals.items():
         if figures.not_finite:
-            number = f"{counted(figures.not_finite, 'sample')} of {signal} not finite"
+            number = f"{count_text(figures.not_finite, 'sample')} of {signal} not finite"
             meaning = "the rows are left out, and each run of them splits the log"
             yield Notice("not_finite", "warning", name, number, meaning)
         if joint.moves:
@@ -72,14 +72,14 @@ def _stale_or_clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator
     """A channel that is read too seldom sits at its extremes too, so that is asked first."""
     figures = joint.signals[signal]
     repeats = figures.stale or 0.0
-    stuck = figures.stuck > STUCK
+    stuck = figures.stuck > MAX_STUCK_SHARE
     share = f"{repeats:.1%} of {signal}'s samples repeat the one before while it changes"
     meaning = "the channel is read too seldom, and is late by half its period; check the bus"
-    if repeats > (STALE_AND_STUCK if stuck else STALE):
+    if repeats > (MAX_STALE_SHARE_IF_STUCK if stuck else MAX_STALE_SHARE):
         yield Notice("stale", "warning", name, share, meaning)
     elif stuck:
         yield from _clipped(name, signal, joint)
-    elif repeats > REPEATS:
+    elif repeats > MIN_STALE_SHARE:
         yield Notice("few_samples_stale", "note", name, share, meaning)
 
 
@@ -108,7 +108,7 @@ def _frozen(name: str, signal: str, frozen: Frozen) -> Notice:
 
 def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterator[Notice]:
     noise = _rounding_noise(signal, joint, dt)
-    if noise > COARSE:
+    if noise > MAX_ROUNDING_NOISE:
         disturbed = "velocity" if signal == "q" else signal
         step = joint.signals[signal].step
         instead = {
@@ -131,6 +131,6 @@ def _rounding_noise(signal: str, joint: InspectedJoint, dt: float) -> float:
     if signal in ("v", "tau"):
         return float(figures.step / np.sqrt(12) / figures.rms)
     if signal == "q" and joint.speed_rms > 0:
-        band = min(BAND * (joint.band_hz or 0.0), 0.5 / dt)
+        band = min(BAND_FACTOR * (joint.band_hz or 0.0), 0.5 / dt)
         return float(figures.step * 2 * np.pi * np.sqrt(dt * band**3 / 18) / joint.speed_rms)
     return 0.0

@@ -14,10 +14,10 @@ from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.records import Gap, Sampling
 from idtool.data.logs.log import Log
 
-_AROUND = 9  # stamps to either side of a gap
+_GAP_STAMPS = 9  # stamps to either side of a gap
 _MIN_STEPS = 200  # steps that tell the time, for a statement
-_UNCERTAIN = 0.1  # standard error of a step, in samples, above which it does not tell the time
-_SKIP = 1.6  # steps longer than this skip a sample
+_MAX_STEP_ERROR = 0.1  # standard error of a step, in samples, above which it does not tell the time
+_SKIPPING_STEP = 1.6  # steps longer than this skip a sample
 
 
 def jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
@@ -59,9 +59,9 @@ def gaps(log: Log) -> tuple[Gap, ...]:
     lost_time = []
     for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
         # several stamps to either side, extrapolated to the gap: a single one may be off
-        k = np.arange(_AROUND)
-        last = log.t[before][: -_AROUND - 1 : -1]
-        following = log.t[after][:_AROUND]
+        k = np.arange(_GAP_STAMPS)
+        last = log.t[before][: -_GAP_STAMPS - 1 : -1]
+        following = log.t[after][:_GAP_STAMPS]
         end = float(np.median(last + log.dt * k[: len(last)]))
         start = float(np.median(following - log.dt * k[: len(following)]))
         lost = start - end - log.dt * (after.start - before.stop + 1)
@@ -130,13 +130,13 @@ def sampling(stretches: Sequence[tuple[Array, Array, Array]], dt: float) -> Samp
     if not parts:
         return None
     steps, error, stamps = np.concatenate(parts, axis=1)
-    certain = error < _UNCERTAIN
+    certain = error < _MAX_STEP_ERROR
     if certain.sum() < _MIN_STEPS:
         return None
     noise = 2 * float(np.mean(error[certain] ** 2))
     steps[~certain] = np.nan
     return Sampling(
-        skipped=float(np.mean(steps[certain] > _SKIP)),
+        skipped=float(np.mean(steps[certain] > _SKIPPING_STEP)),
         jitter_ms=1e3 * dt * _instant_jitter(steps, noise),
         stamp_error_ms=1e3 * dt * _instant_jitter(steps - stamps, noise),
     )

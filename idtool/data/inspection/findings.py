@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 
 from idtool.common.notice import SEVERITIES, Notice
 from idtool.data.inspection import time_findings
-from idtool.data.inspection.channel_findings import STALE, STUCK, channel_findings, missing_channels
+from idtool.data.inspection.channel_findings import MAX_STALE_SHARE, MAX_STUCK_SHARE, channel_findings, missing_channels
 from idtool.data.inspection.frozen import frozen_channels
-from idtool.data.inspection.motion_findings import motion_findings, torque_source
+from idtool.data.inspection.motion_findings import commanded_torque, motion_findings
 from idtool.data.inspection.records import Frozen, InspectedJoint, Stamps
 from idtool.data.inspection.velocity_findings import (
     exchanged_velocities,
@@ -53,7 +53,7 @@ def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str,
     for name, joint in joints.items():
         findings += missing_channels(name, joint)
         findings += motion_findings(name, joint, frozen[name].get("q"), log.dt)
-        findings += torque_source(name, joint)
+        findings += commanded_torque(name, joint)
         if name in exchanged:
             findings.append(exchanged_velocity(name, exchanged[name]))
         elif in_seconds and joint.velocity is not None and not _is_spoilt(joint, frozen[name]):
@@ -66,7 +66,7 @@ def _is_spoilt(joint: InspectedJoint, frozen: Mapping[str, Frozen]) -> bool:
     """True if q or v repeats values: the lag and gain of v then come from that defect."""
     for signal in ("q", "v"):
         figures = joint.signals[signal]
-        if signal in frozen or figures.stuck > STUCK or (figures.stale or 0.0) > STALE:
+        if signal in frozen or figures.stuck > MAX_STUCK_SHARE or (figures.stale or 0.0) > MAX_STALE_SHARE:
             return True
     return False
 

@@ -11,22 +11,24 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.data.inspection.channel_findings import STALE
+from idtool.data.inspection.channel_findings import MAX_STALE_SHARE
 from idtool.data.inspection.records import Frozen, InspectedJoint, Signal
 from idtool.data.logs.log import Log
 
-LEAST = 0.1  # s in all: less is too short for a filter to carry any further
-STRETCH = 0.03  # s that one stretch lasts at least: less is a hiccup of a bus
-STRETCH_SAMPLES = 10  # the same in samples, where the rate is low
-MOSTLY = 0.5  # share of a block in such stretches above which the channel is slow, or made of steps, and not frozen
-BY_CHANCE = 0.01  # share of repeats elsewhere below which many in a row are no chance
-NOISY = 1e-4  # noise over deviation above which a channel cannot repeat a value at all
-LEAP = 8.0  # usual changes by which a channel that was frozen catches up: one that rests or turns goes on slowly
-MOVES = 0.1  # of the joint's rms speed: below it, an encoder may well repeat a value
+MIN_DURATION = 0.1  # s in all: less is too short for a filter to carry any further
+MIN_STRETCH_DURATION = 0.03  # s that one stretch lasts at least: less is a hiccup of a bus
+MIN_STRETCH_SAMPLES = 10  # the same in samples, where the rate is low
+MAX_FROZEN_SHARE = (
+    0.5  # share of a block in such stretches above which the channel is slow, or made of steps, and not frozen
+)
+MAX_REPEAT_SHARE = 0.01  # share of repeats elsewhere below which many in a row are no chance
+MIN_RELATIVE_NOISE = 1e-4  # noise over deviation above which a channel cannot repeat a value at all
+LEAP_FACTOR = 8.0  # usual changes by which a channel that was frozen catches up: one that rests or turns goes on slowly
+MIN_RELATIVE_SPEED = 0.1  # of the joint's rms speed: below it, an encoder may well repeat a value
 
 _CHANNELS = ("q", "v", "tau")
 _BLOCK = 1 << 16  # samples looked at together
-_EVERY = 5  # samples from one reading of q to the next for the distance, so that noise adds little to it
+_READING_STRIDE = 5  # samples from one reading of q to the next for the distance, so that noise adds little to it
 
 
 def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, dict[str, Frozen]]:
@@ -39,14 +41,14 @@ def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str,
     joints
         Its joints, inspected.
     """
-    shortest = int(np.ceil(max(STRETCH / log.dt, STRETCH_SAMPLES)))
+    shortest = int(np.ceil(max(MIN_STRETCH_DURATION / log.dt, MIN_STRETCH_SAMPLES)))
     first_stamp = log.t[np.argmax(np.isfinite(log.t))]
     frozen: dict[str, dict[str, Frozen]] = {name: {} for name in joints}
     for signal in _CHANNELS:
         stretches = _stretches(log, joints, signal, shortest)
         for name, runs in stretches.items():
             seconds = float(sum(stop - start for start, stop in runs) * log.dt)
-            if seconds > LEAST:
+            if seconds > MIN_DURATION:
                 frozen[name][signal] = Frozen(len(runs), seconds, float(log.t[runs[0][0]] - first_stamp))
     return frozen
 
@@ -74,7 +76,7 @@ def _stretches(
 def _may_freeze(joint: InspectedJoint, signal: str) -> bool:
     """True if a joint has a channel that changes and is not stale throughout."""
     figures = joint.signals.get(signal)
-    return joint.moves and figures is not None and not figures.constant and (figures.stale or 0.0) <= STALE
+    return joint.moves and figures is not None and not figures.constant and (figures.stale or 0.0) <= MAX_STALE_SHARE
 
 
 def _blocks(segments: Sequence[slice], shortest: int) -> Iterator[slice]:
@@ -96,7 +98,7 @@ def _frozen_runs(
     """
     x = np.ascontiguousarray(log.signals[signal][block, i])
     runs = _equal_runs(x, shortest)
-    if not len(runs) or (runs[:, 1] - runs[:, 0]).sum() > MOSTLY * len(x):
+    if not len(runs) or (runs[:, 1] - runs[:, 0]).sum() > MAX_FROZEN_SHARE * len(x):
         return
     change = np.abs(np.diff(x))
     outside = np.ones(len(change), dtype=bool)
@@ -108,7 +110,7 @@ def _frozen_runs(
     lowest, highest = x.min(), x.max()
     for start, stop in runs.tolist():
         leaps = stop < len(x) and change[stop - 1] > leap
-        moves = distance[stop - 1] - distance[start] > MOVES * (stop - start)
+        moves = distance[stop - 1] - distance[start] > MIN_RELATIVE_SPEED * (stop - start)
         if lowest < x[start] < highest and ((leaps and signal == "q") or (moves and (noisy or leaps))):
             yield start, stop
 
@@ -123,13 +125,13 @@ def _equal_runs(x: Array, shortest: int) -> Indices:
 
 def _is_noisy(x: Array, changes: Array, figures: Signal) -> bool:
     """True if a channel is too noisy to repeat values, judged by its changes outside all long runs."""
-    return bool(figures.noise > NOISY * np.std(x) and np.mean(changes == 0) < BY_CHANCE)
+    return bool(figures.noise > MIN_RELATIVE_NOISE * np.std(x) and np.mean(changes == 0) < MAX_REPEAT_SHARE)
 
 
 def _leap(changes: Array, figures: Signal) -> float:
     """Change from one sample to the next that tells a channel that was frozen, by the changes outside all long runs."""
     changing = changes[changes > 0]
-    return max(LEAP * float(np.median(changing)), 4 * (figures.step or 0.0)) if len(changing) else np.inf
+    return max(LEAP_FACTOR * float(np.median(changing)), 4 * (figures.step or 0.0)) if len(changing) else np.inf
 
 
 def _distance(log: Log, block: slice, i: int, joint: InspectedJoint, by: str) -> Array:
@@ -140,6 +142,6 @@ def _distance(log: Log, block: slice, i: int, joint: InspectedJoint, by: str) ->
             return np.zeros(block.stop - block.start)
         return np.asarray(np.cumsum(np.abs(log.signals["v"][block, i])) * log.dt / usual)
     q = log.signals["q"][block, i]
-    readings = np.arange(0, len(q), _EVERY)
+    readings = np.arange(0, len(q), _READING_STRIDE)
     covered = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q[readings])))])
     return np.asarray(np.interp(np.arange(len(q)), readings, covered / usual))

@@ -13,23 +13,30 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.jumps import Jumps
-from idtool.data.inspection.measures import Span, noise_level, power_band, quantisation, stale_share, stuck_share
 from idtool.data.inspection.records import InspectedJoint, Signal, Velocity
+from idtool.data.inspection.signal_statistics import (
+    ColumnStatistics,
+    noise_level,
+    power_band,
+    quantisation,
+    stale_share,
+    stuck_share,
+)
 from idtool.data.inspection.torque import torque_source
 from idtool.data.inspection.velocity import Agreement, velocity_agreement
 from idtool.data.logs.log import SIGNALS, Log
 
-_THINNED = 1 << 15  # samples that quantisation is read from
-_MOVES = 10.0  # range of q over its noise or resolution
-_STANDSTILL = 0.02  # of the fastest motion
-_SMOOTH = 0.05  # s over which the speed is averaged to tell standstill
-_CLOCK = 50  # samples over which the stamps are smoothed into a rate
-_BEYOND = 1.02  # speed over the v that is stuck
-_GOES_ON = 0.1  # speed at the extremes of q, over the rms speed: a joint that rests there is slower
+_MAX_QUANTISATION_SAMPLES = 1 << 15  # samples that quantisation is read from
+_MIN_RELATIVE_TRAVEL = 10.0  # range of q over its noise or resolution
+_STANDSTILL_SPEED = 0.02  # of the fastest motion
+_SPEED_WINDOW = 0.05  # s over which the speed is averaged to tell standstill
+_CLOCK_WIDTH = 50  # samples over which the stamps are smoothed into a rate
+_MIN_CLIPPED_SPEED = 1.02  # speed over the v that is stuck
+_MIN_SPEED_AT_EXTREMES = 0.1  # speed at the extremes of q, over the rms speed: a joint that rests there is slower
 
 
 def inspect_joint(
-    log: Log, i: int, spans: Mapping[str, Span], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
+    log: Log, i: int, spans: Mapping[str, ColumnStatistics], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
 ) -> tuple[InspectedJoint, Mask]:
     """Inspect joint ``i``.
 
@@ -56,23 +63,23 @@ def inspect_joint(
     names = [name for name in SIGNALS if log.has(name, log.joints[i])]
     runs = {name: [np.ascontiguousarray(log.signals[name][s, i]) for s in stretches] for name in names}
     changing = {name for name in names if spans[name].low[i] < spans[name].high[i]}
-    steps = {name: quantisation(_thinned(runs[name])) for name in names}
-    noise = {name: float(np.median([noise_level(x) for x in _long(runs[name])])) for name in names}
+    steps = {name: quantisation(_subsampled(runs[name])) for name in names}
+    noise = {name: float(np.median([noise_level(x) for x in _long_runs(runs[name])])) for name in names}
     finest = max(steps.get("q") or 0.0, noise.get("q", 0.0))
-    moves = "q" in changing and bool(spans["q"].high[i] - spans["q"].low[i] > _MOVES * finest)
+    moves = "q" in changing and bool(spans["q"].high[i] - spans["q"].low[i] > _MIN_RELATIVE_TRAVEL * finest)
     source, derivatives = ("v", 0) if "v" in changing else ("q", 1)
     speed = _speed(runs[source], derivatives, log.dt) if source in runs else np.zeros(len(fresh))
     speed_rms = float(np.sqrt(np.mean(speed**2)))
-    moving = moves & (speed > _STANDSTILL * np.percentile(speed, 99.5))
+    moving = moves & (speed > _STANDSTILL_SPEED * np.percentile(speed, 99.5))
     signals = {}
     for name in names:
         low, high, rms, bad = (float(figure[i]) for figure in spans[name])
         x, m = np.concatenate(runs[name])[fresh], moving[fresh]
         stale = stale_share(x, m, steps[name], noise[name])
         stuck = stuck_share(x[m], low, high, steps[name])
-        if name == "v" and stuck and not _exceeds(runs, low, high, log.dt):
+        if name == "v" and stuck and not _moves_faster_than_extremes_of_v(runs, low, high, log.dt):
             stuck = 0.0
-        if name == "q" and stuck and "v" in changing and not _goes_on(runs, low, high, speed_rms):
+        if name == "q" and stuck and "v" in changing and not _moves_at_extremes_of_q(runs, low, high, speed_rms):
             stuck = 0.0
         signals[name] = Signal(low, high, rms, int(bad), steps[name], noise[name], stale, stuck)
     joint = InspectedJoint(
@@ -89,12 +96,12 @@ def inspect_joint(
     return joint, moving
 
 
-def _thinned(runs: Sequence[Array]) -> Array:
-    every = -(-sum(len(x) for x in runs) // _THINNED)
+def _subsampled(runs: Sequence[Array]) -> Array:
+    every = -(-sum(len(x) for x in runs) // _MAX_QUANTISATION_SAMPLES)
     return np.concatenate([x[::every] for x in runs])
 
 
-def _long(runs: Sequence[Array]) -> list[Array]:
+def _long_runs(runs: Sequence[Array]) -> list[Array]:
     """The runs that are not much shorter than the longest: short ones tell little of a spectrum."""
     longest = max(len(x) for x in runs)
     return [x for x in runs if len(x) > longest // 8]
@@ -102,24 +109,24 @@ def _long(runs: Sequence[Array]) -> list[Array]:
 
 def _speed(runs: Sequence[Array], derivatives: int, dt: float) -> Array:
     """Smoothed speed, from the velocity, or from the position and one derivative, shape (M,)."""
-    width = max(int(_SMOOTH / dt), 1)
+    width = max(int(_SPEED_WINDOW / dt), 1)
     return np.concatenate([np.abs(uniform_filter1d(np.gradient(x) / dt if derivatives else x, width)) for x in runs])
 
 
-def _exceeds(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: float) -> bool:
+def _moves_faster_than_extremes_of_v(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: float) -> bool:
     """Whether the derivative of q goes on where v is at an extreme; else v is just constant there."""
     v = np.concatenate(runs["v"])
-    speed = np.concatenate([uniform_filter1d(np.gradient(x) / dt, max(int(_SMOOTH / dt), 1)) for x in runs["q"]])
+    speed = np.concatenate([uniform_filter1d(np.gradient(x) / dt, max(int(_SPEED_WINDOW / dt), 1)) for x in runs["q"]])
     at = (v <= low) | (v >= high)
-    return bool(np.median(np.abs(speed[at])) > _BEYOND * np.median(np.abs(v[at])))
+    return bool(np.median(np.abs(speed[at])) > _MIN_CLIPPED_SPEED * np.median(np.abs(v[at])))
 
 
-def _goes_on(runs: Mapping[str, Sequence[Array]], low: float, high: float, speed_rms: float) -> bool:
+def _moves_at_extremes_of_q(runs: Mapping[str, Sequence[Array]], low: float, high: float, speed_rms: float) -> bool:
     """True if v goes on where q is at an extreme; otherwise the joint rests there, as at an end stop."""
     q = np.concatenate(runs["q"])
     v = np.concatenate(runs["v"])
     at = (q <= low) | (q >= high)
-    return bool(np.median(np.abs(v[at])) > _GOES_ON * speed_rms) if at.any() else False
+    return bool(np.median(np.abs(v[at])) > _MIN_SPEED_AT_EXTREMES * speed_rms) if at.any() else False
 
 
 def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence[slice]) -> Velocity | None:
@@ -128,7 +135,7 @@ def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence
     power = []
     for q, v, stretch in zip(runs["q"], runs["v"], stretches, strict=True):
         # where samples were lost without a gap the stamps show it; smoothed, they give the rate
-        rate = gaussian_filter1d(np.gradient(log.t[stretch]) / log.dt, _CLOCK)
+        rate = gaussian_filter1d(np.gradient(log.t[stretch]) / log.dt, _CLOCK_WIDTH)
         agreement = velocity_agreement(q, v * rate, log.dt)
         if not np.isnan(agreement.agreement):
             agreements.append(agreement)

@@ -8,11 +8,11 @@ import numpy as np
 
 from idtool.common.notice import Notice
 from idtool.data.inspection.records import Frozen, InspectedJoint
-from idtool.data.inspection.sentences import counted
+from idtool.data.inspection.text import count_text
 
-STANDSTILL = 0.5  # share of the time
-TURNS = 8 * np.pi  # rad: four turns are degrees, or a wheel
-FAST = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
+MAX_STANDSTILL = 0.5  # share of the time
+MAX_TRAVEL = 8 * np.pi  # rad: four turns are degrees, or a wheel
+MAX_RELATIVE_BAND = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
 
 
 def motion_findings(name: str, joint: InspectedJoint, frozen: Frozen | None, dt: float) -> Iterator[Notice]:
@@ -33,17 +33,17 @@ def motion_findings(name: str, joint: InspectedJoint, frozen: Frozen | None, dt:
         meaning = "its friction and inertia can't be seen; leave it out of `joints`, and lock it in `locked_joints`"
         yield Notice("joint_at_rest", "warning", name, "the joint does not move", meaning)
         return
-    if joint.standstill > STANDSTILL:
+    if joint.standstill > MAX_STANDSTILL:
         share = f"the joint stands still {joint.standstill:.0%} of the time"
         meaning = "samples at rest tell gravity within static friction, and little else"
         yield Notice("often_at_rest", "note", name, share, meaning)
     yield from _jumps(name, joint, frozen)
-    if joint.band_hz is not None and joint.band_hz > FAST / dt:
+    if joint.band_hz is not None and joint.band_hz > MAX_RELATIVE_BAND / dt:
         band = f"99 % of the velocity's power reaches up to {joint.band_hz:.3g} Hz, at {1 / dt:.4g} samples a second"
         meaning = "accelerations are not to be trusted up there: log faster, or lower `filter.cutoff_hz`"
         yield Notice("motion_too_fast", "warning", name, band, meaning)
     q = joint.signals["q"]
-    if q.maximum - q.minimum > TURNS:
+    if q.maximum - q.minimum > MAX_TRAVEL:
         travel = f"q spans {q.maximum - q.minimum:.4g}"
         meaning = "a wheel, or degrees: then set `log.scale` of q to 0.0174533"
         yield Notice("many_turns", "note", name, travel, meaning)
@@ -55,13 +55,13 @@ def _jumps(name: str, joint: InspectedJoint, frozen: Frozen | None) -> Iterator[
     if jumps > 0:
         meaning = "velocity and acceleration are wrong around each jump; unwrap q, or cut the log there"
         if joint.wraps:
-            number = f"{counted(jumps, 'jump')} of q by about a full turn"
+            number = f"{count_text(jumps, 'jump')} of q by about a full turn"
             yield Notice("wrapped_position", "problem", name, number, meaning)
         else:
-            yield Notice("position_jumps", "problem", name, f"{counted(jumps, 'jump')} of q", meaning)
+            yield Notice("position_jumps", "problem", name, f"{count_text(jumps, 'jump')} of q", meaning)
 
 
-def torque_source(name: str, joint: InspectedJoint) -> Iterator[Notice]:
+def commanded_torque(name: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A torque that looks commanded."""
     if joint.torque and joint.torque.kind == "commanded":
         meaning = "what the drive made of the command is not in it: expect a `time_delay` and a `torque_gain`"

@@ -6,16 +6,20 @@ from collections.abc import Iterator
 
 from idtool.common.notice import Notice, Severity
 from idtool.data.inspection.records import Stamps
-from idtool.data.inspection.sentences import counted
+from idtool.data.inspection.text import count_text
 
-JITTER = 0.1  # samples that a step is off: differencing neighbouring positions is then wrong by a tenth of the velocity
-HICCUP = 0.005  # share of samples repeated or lost without a gap: fewer are not worth a word
-REPEATED = 0.05  # share of the samples: the rate is wrong by as much, which the stamps and v show to a fit
-SKIPPED = 0.01  # share of the steps: the rate is wrong by as much, an acceleration by twice that, and no stamp shows it
-DUPLICATES = 0.1  # share of the samples: as many stamps are made up
-LOST = 0.01  # share of the time: less is the ordinary end of a part, which costs a fit nothing
-SHORT = 0.05  # share of samples in segments too short for a filter to settle in
-TOO_SHORT = 0.5  # the same, from which on hardly anything remains
+MAX_JITTER = (
+    0.1  # samples that a step is off: differencing neighbouring positions is then wrong by a tenth of the velocity
+)
+MIN_SHARE = 0.005  # share of samples repeated or lost without a gap: fewer are not worth a word
+MAX_REPEATED_SHARE = 0.05  # share of the samples: the rate is wrong by as much, which the stamps and v show to a fit
+MAX_SKIPPED_SHARE = (
+    0.01  # share of the steps: the rate is wrong by as much, an acceleration by twice that, and no stamp shows it
+)
+MAX_DUPLICATE_SHARE = 0.1  # share of the samples: as many stamps are made up
+MAX_LOST_SHARE = 0.01  # share of the time: less is the ordinary end of a part, which costs a fit nothing
+MIN_SHORT_SHARE = 0.05  # share of samples in segments too short for a filter to settle in
+MAX_SHORT_SHARE = 0.5  # the same, from which on hardly anything remains
 
 _DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit takes the logged v where it is less so"
 
@@ -26,11 +30,11 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     The steps from stamp to stamp count: a clock that drifts does a fit no harm.
     """
     off = _unevenness(dt, stamps)
-    if stamps.step_jitter > JITTER:
+    if stamps.step_jitter > MAX_JITTER:
         deviation = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
-    elif off > JITTER:
+    elif off > MAX_JITTER:
         deviation = f"by the joints' motion the samples were taken {off:.2g} samples rms off the stamps' even clock"
         advice = f"the stamps were rounded or made up; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
@@ -41,13 +45,13 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
 
     Where the stamps stray they may show the loss, so that it is no fault beside the jitter.
     """
-    if stamps.sampling is None or _unevenness(dt, stamps) > JITTER:
+    if stamps.sampling is None or _unevenness(dt, stamps) > MAX_JITTER:
         return
     net = stamps.sampling.skipped - stamps.repeated
-    if net > HICCUP:
+    if net > MIN_SHARE:
         share = f"by the joints' motion {stamps.sampling.skipped:.1%} of the steps took the time of two samples or more"
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
-        if net > SKIPPED and stamps.step_jitter <= JITTER:
+        if net > MAX_SKIPPED_SHARE and stamps.step_jitter <= MAX_JITTER:
             yield Notice("dropped_samples", "warning", None, share, meaning)
         else:
             yield Notice("few_samples_dropped", "note", None, share, meaning)
@@ -60,10 +64,10 @@ def _unevenness(dt: float, stamps: Stamps) -> float:
 
 def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
-    if stamps.repeated > HICCUP:
+    if stamps.repeated > MIN_SHARE:
         share = f"{stamps.repeated:.1%} of the samples repeat the one before in every joint"
         meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
-        if stamps.repeated > REPEATED:
+        if stamps.repeated > MAX_REPEATED_SHARE:
             yield Notice("stale", "warning", None, share, meaning)
         else:
             yield Notice("few_samples_stale", "note", None, share, meaning)
@@ -74,11 +78,11 @@ def gaps(duration: float, stamps: Stamps) -> Iterator[Notice]:
     if stamps.gaps:
         longest = stamps.longest_gaps[0]
         extent = (
-            f"{counted(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
+            f"{count_text(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
             f"{longest.start:.3f} s into the log"
         )
         meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
-        if stamps.lost > LOST * duration:
+        if stamps.lost > MAX_LOST_SHARE * duration:
             yield Notice("dropped_samples", "warning", None, extent, meaning)
         else:
             yield Notice("small_gaps", "note", None, extent, meaning)
@@ -86,10 +90,10 @@ def gaps(duration: float, stamps: Stamps) -> Iterator[Notice]:
 
 def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     """Segments too short to be of use; ``segments`` is the number of all."""
-    if segments < 2 or stamps.short < SHORT:
+    if segments < 2 or stamps.short < MIN_SHORT_SHARE:
         return
     extent = f"gaps and missing values cut the log in {segments}: {stamps.short:.0%} of it is in stretches below 0.5 s"
-    too_short = stamps.short > TOO_SHORT
+    too_short = stamps.short > MAX_SHORT_SHARE
     severity: Severity = "problem" if too_short else "warning"
     rest = "hardly anything is left to fit" if too_short else "they may be lost to a fit"
     meaning = f"shorter than a filter takes to settle, {rest}: fill in single missing values, or log without gaps"
@@ -102,11 +106,11 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
 def disordered_stamps(samples: int, stamps: Stamps) -> Iterator[Notice]:
     """Stamps that do not advance; ``samples`` is the number of all."""
     if stamps.duplicates:
-        severity: Severity = "warning" if stamps.duplicates > DUPLICATES * samples else "note"
-        number = f"{counted(stamps.duplicates, 'stamp')} equal to the one before"
+        severity: Severity = "warning" if stamps.duplicates > MAX_DUPLICATE_SHARE * samples else "note"
+        number = f"{count_text(stamps.duplicates, 'stamp')} equal to the one before"
         meaning = "a coarse clock, or rows written twice; name the sensor's own time in `log.columns` if it is logged"
         yield Notice("duplicate_stamps", severity, None, number, meaning)
     if stamps.backward:
-        number = f"{counted(stamps.backward, 'stamp')} earlier than the one before"
+        number = f"{count_text(stamps.backward, 'stamp')} earlier than the one before"
         meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
         yield Notice("backward_stamps", "warning", None, number, meaning)

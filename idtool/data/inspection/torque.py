@@ -14,17 +14,17 @@ from idtool.data.inspection.records import Signal, TorqueSource
 
 Runs = Mapping[str, Sequence[Array]]
 
-_LAW = 1e-3  # of tau's deviation: a control law's rounding leaves no more
+_MAX_LAW_RESIDUAL = 1e-3  # of tau's deviation: a control law's rounding leaves no more
 _DELAYS = (0, 1, 2)  # samples by which the law may act late
-_POOR = 1e-2  # an acceleration this close to a line in q and v makes any torque look like a law
-_NOISELESS = 1e-5  # of tau's deviation: no sensor is that quiet
-_SAME_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
-_OWN_NOISE = 0.7
-_DROWNED = 2.0  # fast changes over noise
-_REPEATED = 0.3  # share of repeated values
+_MIN_EXCITATION = 1e-2  # an acceleration this close to a line in q and v makes any torque look like a law
+_MIN_SENSOR_NOISE = 1e-5  # of tau's deviation: no sensor is that quiet
+_MIN_SHARED_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
+_MAX_SHARED_NOISE = 0.7
+_MAX_FAST_CHANGE = 2.0  # fast changes over noise
+_MAX_STALE_SHARE = 0.3  # share of repeated values
 _MIN_SAMPLES = 256  # samples of a stretch
 _WINDOW = 50  # samples
-_RESOLUTION = 1.5 / np.sqrt(12)  # noise below this many steps may be the rounding's
+_ROUNDING_NOISE = 1.5 / np.sqrt(12)  # noise below this many steps may be the rounding's
 
 
 def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
@@ -43,48 +43,48 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
     """
     if max(len(x) for x in runs["tau"]) < _MIN_SAMPLES:
         return TorqueSource("unknown", "no stretch without a gap is long enough to tell")
-    law = _law(runs, tau)
+    law = _control_law(runs, tau)
     if law is not None:
         return TorqueSource("commanded", law)
-    if (tau.stale or 0.0) > _REPEATED:
+    if (tau.stale or 0.0) > _MAX_STALE_SHARE:
         return TorqueSource("unknown", f"{tau.stale:.0%} of its values repeat: a slow sensor or a slow controller")
     spread = float(np.std(np.concatenate(runs["tau"])))
-    if tau.step is None and tau.noise < _NOISELESS * spread:
+    if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
         return TorqueSource("commanded", "it carries no noise, as only a computed torque can")
-    if tau.step is not None and tau.noise < _RESOLUTION * tau.step:
+    if tau.step is not None and tau.noise < _ROUNDING_NOISE * tau.step:
         return TorqueSource("unknown", f"it carries no noise beyond its resolution of {tau.step:.3g}")
     fast = 1.4826 * float(np.median(np.abs(np.concatenate([np.diff(x, 2) for x in runs["tau"]])))) / np.sqrt(6)
-    if fast > _DROWNED * tau.noise:
+    if fast > _MAX_FAST_CHANGE * tau.noise:
         return TorqueSource("unknown", "it changes too fast from sample to sample to show its noise")
     share = _shared_noise(runs)
-    if share > _SAME_NOISE:
+    if share > _MIN_SHARED_NOISE:
         return TorqueSource("commanded", f"{share:.0%} of its noise is that of q and v, as under feedback")
-    if share < _OWN_NOISE:
+    if share < _MAX_SHARED_NOISE:
         return TorqueSource("measured", f"it carries noise of its own, {tau.noise:.2g} rms")
     return TorqueSource("unknown", f"{share:.0%} of its noise is that of q and v")
 
 
-def _law(runs: Runs, tau: Signal) -> str | None:
+def _control_law(runs: Runs, tau: Signal) -> str | None:
     """The control law that tau follows to the last digit, in words; None if it follows none."""
     names = [name for name in ("q", "v", "qcmd", "vcmd") if name in runs]
-    if _poorly_excited(runs):
+    if _is_poorly_excited(runs):
         return None
     for delay in _DELAYS:
-        rows = _rows(runs, names, delay)
+        rows = _law_rows(runs, names, delay)
         free = (rows[:, -1] > tau.minimum) & (rows[:, -1] < tau.maximum)  # a law is cut off at the drive's limits
         columns, torque = rows[free, :-1], rows[free, -1]
         if len(torque) < _MIN_SAMPLES:
             return None
-        gains, rest = _line(columns, torque)
+        gains, rest = _fit_line(columns, torque)
         rounding = 0.4 * (tau.step or 0.0)
-        if rest < max(_LAW, min(rounding / torque.std(), 20 * _LAW)):
+        if rest < max(_MAX_LAW_RESIDUAL, min(rounding / torque.std(), 20 * _MAX_LAW_RESIDUAL)):
             terms = " ".join(f"{gain:+.4g} {name}" for gain, name in zip(gains, names, strict=True))
             late = f", {delay} samples late" if delay else ""
             return f"it equals {terms} + constant within {rest:.1g} of its deviation{late}"
     return None
 
 
-def _rows(runs: Runs, names: Sequence[str], delay: int) -> Array:
+def _law_rows(runs: Runs, names: Sequence[str], delay: int) -> Array:
     """The named signals, ``delay`` samples earlier, and tau, thinned to a bounded number of rows."""
     rows = [
         np.stack([*(x[: len(x) - delay] for x in columns), tau[delay:]], axis=1)
@@ -94,19 +94,19 @@ def _rows(runs: Runs, names: Sequence[str], delay: int) -> Array:
     return np.concatenate([r[::every] for r in rows])
 
 
-def _line(columns: Array, x: Array) -> tuple[Array, float]:
+def _fit_line(columns: Array, x: Array) -> tuple[Array, float]:
     """Gains of the best line in the columns and a constant, and the deviation from it over that of x."""
     centred = columns - columns.mean(axis=0)
     gains = np.linalg.lstsq(centred, x - x.mean(), rcond=None)[0]
     return gains, float(np.std(x - centred @ gains) / max(np.std(x), np.finfo(float).tiny))
 
 
-def _poorly_excited(runs: Runs) -> bool:
+def _is_poorly_excited(runs: Runs) -> bool:
     """Whether the acceleration is itself a line in q and v, as in a single sine."""
     q = np.concatenate([x[1:-1] for x in runs["q"]])
     v = np.concatenate([x[2:] - x[:-2] for x in runs["q"]])
     a = np.concatenate([np.diff(x, 2) for x in runs["q"]])
-    return _line(np.stack([q, v], axis=1), a)[1] < _POOR
+    return _fit_line(np.stack([q, v], axis=1), a)[1] < _MIN_EXCITATION
 
 
 def _shared_noise(runs: Runs) -> float:

@@ -17,7 +17,7 @@ from idtool.common.arrays import Array
 _MIN_SAMPLES = 64  # samples
 _MAX_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
 _SMOOTHING = 15  # bins over which spectra are averaged for the coherence
-_COHERENT = 0.5  # bins below this squared coherence have no say in the band; noise alone passes in 1 of 500
+_MIN_COHERENCE = 0.5  # bins below this squared coherence have no say in the band; noise alone passes in 1 of 500
 _BAND_POWER = 0.99
 _REACH = 5  # standard deviations at which the Gaussian is cut off
 
@@ -79,7 +79,7 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     """
     if len(q) < _MIN_SAMPLES or not (np.ptp(q) > 0 and np.ptp(v) > 0):
         return _UNKNOWN
-    lag, band = _coarse(q, v, dt)
+    lag, band = _coarse_lag_and_band(q, v, dt)
     if band == 0:
         return _UNRELATED
     sigma = max(1 / (2 * np.pi * band), dt)
@@ -109,7 +109,7 @@ def _gaussian(x: Array, sigma: float) -> Array:
     return np.asarray(kernel / kernel.sum())
 
 
-def _coarse(q: Array, v: Array, dt: float) -> tuple[float, float]:
+def _coarse_lag_and_band(q: Array, v: Array, dt: float) -> tuple[float, float]:
     """Lag [s] to the nearest sample, and upper edge [Hz] of the band in which q and v move together; 0: nowhere."""
     # both taken half-way between samples, so that they are in phase
     n = len(q) - 1
@@ -125,7 +125,7 @@ def _coarse(q: Array, v: Array, dt: float) -> tuple[float, float]:
     width = min(_SMOOTHING, len(f) // 2)
     turned = S * np.exp(2j * np.pi * f * lag)
     power = uniform_filter1d(np.abs(D) ** 2, width) * uniform_filter1d(np.abs(V) ** 2, width)
-    coherent = np.abs(uniform_filter1d(turned, width)) ** 2 > _COHERENT * power
+    coherent = np.abs(uniform_filter1d(turned, width)) ** 2 > _MIN_COHERENCE * power
     weight = np.cumsum(np.where(coherent, np.abs(S), 0.0))
     if weight[-1] == 0:
         return lag, 0.0

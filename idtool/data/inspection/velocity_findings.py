@@ -12,14 +12,16 @@ from idtool.data.inspection.records import InspectedJoint, Velocity
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import Log
 
-LATE = 0.25  # samples: less, no fit can see
-LATE_ERRORS = 3.0  # standard errors that a lag must exceed to count
-LATE_PHASE = 0.01  # rad at the band's edge: v is wrong by this share there
-DISAGREEMENT = 0.03  # of v's power: 17 % of its amplitude
-UNRELATED = 0.5  # of v's power
-ANOTHERS = 0.9  # share of v's power that another joint's position must explain: two joints seldom move so much alike
-GAIN = 0.03  # off 1: more than a clock is out
-WRONG_UNIT = 0.25  # of log |gain|: more than a calibration is out
+MIN_LAG = 0.25  # samples: less, no fit can see
+MIN_LAG_ERRORS = 3.0  # standard errors that a lag must exceed to count
+MIN_LAG_PHASE = 0.01  # rad at the band's edge: v is wrong by this share there
+MAX_DISAGREEMENT = 0.03  # of v's power: 17 % of its amplitude
+MIN_AGREEMENT = 0.5  # of v's power
+MIN_EXCHANGE_AGREEMENT = (
+    0.9  # share of v's power that another joint's position must explain: two joints seldom move so much alike
+)
+MAX_GAIN_ERROR = 0.03  # off 1: more than a clock is out
+MAX_LOG_GAIN = 0.25  # of log |gain|: more than a calibration is out
 
 _MAX_SAMPLES = 1 << 15  # samples
 
@@ -31,7 +33,7 @@ def exchanged_velocities(log: Log, joints: Mapping[str, InspectedJoint]) -> dict
     """
     unrelated = []
     for name, joint in joints.items():
-        if joint.velocity is not None and joint.velocity.agreement < UNRELATED:
+        if joint.velocity is not None and joint.velocity.agreement < MIN_AGREEMENT:
             unrelated.append(name)
     longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
     stretch = slice(longest.start, min(longest.stop, longest.start + _MAX_SAMPLES))
@@ -39,7 +41,7 @@ def exchanged_velocities(log: Log, joints: Mapping[str, InspectedJoint]) -> dict
     for name, other in itertools.permutations(unrelated, 2):
         q = np.ascontiguousarray(log.signals["q"][stretch, log.joints.index(name)])
         v = np.ascontiguousarray(log.signals["v"][stretch, log.joints.index(other)])
-        if name not in exchanged and velocity_agreement(q, v, log.dt).agreement > ANOTHERS:
+        if name not in exchanged and velocity_agreement(q, v, log.dt).agreement > MIN_EXCHANGE_AGREEMENT:
             exchanged[name] = other
     return exchanged
 
@@ -66,19 +68,19 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     dt
         Nominal sample time [s].
     """
-    if v.agreement < 1 - DISAGREEMENT or v.gain is None or v.lag_ms is None or v.lag_error_ms is None:
+    if v.agreement < 1 - MAX_DISAGREEMENT or v.gain is None or v.lag_ms is None or v.lag_error_ms is None:
         share = f"only {v.agreement:.0%} of v's power in the motion's band is that of the derivative of q"
         meaning = "another joint's v, or a broken one: set `velocity: differentiated`"
-        severity: Severity = "problem" if v.agreement < UNRELATED else "warning"
+        severity: Severity = "problem" if v.agreement < MIN_AGREEMENT else "warning"
         yield Notice("velocity_unrelated", severity, name, share, meaning)
         return
-    if abs(v.gain - 1) > GAIN:
+    if abs(v.gain - 1) > MAX_GAIN_ERROR:
         gain = f"v is {v.gain:.4g} times the derivative of q"
         meaning = "a unit, gear ratio or sign: put it right in `log.scale`, or set `velocity: differentiated`"
         severity = "problem" if v.gain < 0 or is_another_unit(v.gain) else "warning"
         yield Notice("velocity_gain", severity, name, gain, meaning)
     phase = 2e-3 * np.pi * band * abs(v.lag_ms)
-    if abs(v.lag_ms) > max(1e3 * LATE * dt, LATE_ERRORS * v.lag_error_ms) and phase > LATE_PHASE:
+    if abs(v.lag_ms) > max(1e3 * MIN_LAG * dt, MIN_LAG_ERRORS * v.lag_error_ms) and phase > MIN_LAG_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
         lag = f"v {relation} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
         yield Notice("velocity_lag", "note", name, lag, "idtool undoes it")
@@ -86,4 +88,4 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
 
 def is_another_unit(gain: float) -> bool:
     """Whether a gain, of whatever sign, is too far from 1 for a calibration that is off."""
-    return abs(np.log(abs(gain))) > WRONG_UNIT if gain else False
+    return abs(np.log(abs(gain))) > MAX_LOG_GAIN if gain else False

@@ -30,8 +30,8 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.inspection import FAULT_KINDS, Inspection, data_fault, inspect_log
-from idtool.data.inspection.channel_findings import STUCK
-from idtool.data.inspection.velocity_findings import DISAGREEMENT
+from idtool.data.inspection.channel_findings import MAX_STUCK_SHARE
+from idtool.data.inspection.velocity_findings import MAX_DISAGREEMENT
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
 from idtool.diagnosis.data_faults.channel_search import ChannelSearch
 from idtool.diagnosis.data_faults.torque_scale import clipped_torque, wrong_torque_unit
@@ -87,7 +87,7 @@ def _model_faults(
 ) -> Iterator[Notice]:
     """Faults that only the model shows."""
     model = experiment.model
-    commands = [run.signals.command for run in experiment.runs]
+    commands = [run.signals.controller for run in experiment.runs]
     computed = {name for j, name in enumerate(model.names) if any(command.joints[j] for command in commands)}
     limits = _position_ranges(model.names, inspections)
     search = ChannelSearch(fit, model.joints, limits, _velocity_gains(inspections), computed, progress)
@@ -96,7 +96,7 @@ def _model_faults(
     for j, name in enumerate(model.names):
         for inspection in inspections:
             tau = inspection.joints[name].signals.get("tau")
-            if tau is not None and not tau.constant and tau.stuck > STUCK:
+            if tau is not None and not tau.constant and tau.stuck > MAX_STUCK_SHARE:
                 yield from clipped_torque(fit, j, inspection.joints[name])
                 break
 
@@ -115,7 +115,7 @@ def _velocity_gains(inspections: Sequence[Inspection]) -> dict[str, float]:
     gains = {}
     for inspection in inspections:
         for name, joint in inspection.joints.items():
-            if joint.velocity and joint.velocity.gain and joint.velocity.agreement > 1 - DISAGREEMENT:
+            if joint.velocity and joint.velocity.gain and joint.velocity.agreement > 1 - MAX_DISAGREEMENT:
                 gains[name] = joint.velocity.gain
     return gains
 

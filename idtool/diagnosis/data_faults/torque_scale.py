@@ -121,7 +121,7 @@ def clipped_torque(fit: ChannelFit, j: int, joint: InspectedJoint) -> Iterator[N
     tolerance = max(0.5 * (tau.step or 0.0), 1e-9 * (tau.maximum - tau.minimum))
     total: Factor | None = None
     for batch in fit.batches:
-        logged = batch.motion.logged[j]
+        logged = batch.motion.logged_tau[j]
         at_maximum = logged > tau.maximum - tolerance
         at_minimum = logged < tau.minimum + tolerance
         extreme = at_maximum.astype(float) - at_minimum

@@ -154,7 +154,7 @@ class JointElasticity(FixedJointEffect):
         """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
         dt = motion.dt
         carried = motion.tau[self.joint] - self._rotor_inertia[self.joint] @ motion.a - motor_friction
-        low_pass = _low_pass(_band(motion.logged[self.joint], dt), dt)
+        low_pass = _low_pass(_band(motion.logged_tau[self.joint], dt), dt)
         margin = 2 * DIFFERENCE_REACH
         padded = np.pad(carried, low_pass.reach + margin, mode="reflect", reflect_type="odd")
         q = low_pass(padded[None], low_pass.reach, low_pass.reach) / self.nonlinear_values["stiffness"]

@@ -37,7 +37,7 @@ class InputTorque:
     def __init__(self, signals: Signals, windows: Sequence[slice], mechanism: Mechanism) -> None:
         self._signals = signals
         self._mechanism = mechanism
-        command = signals.command
+        command = signals.controller
         by_command = command.joints[:, None]
         self._has_controller = bool(by_command.any())
         self._logged_torque = None
@@ -64,7 +64,7 @@ class InputTorque:
             tau_near = channels.signal("tau", near)
             rows = [np.interp(t + delay, t_near, row) for delay, row in zip(delays, tau_near, strict=True)]
             tau = np.stack(rows)
-        return np.where(self._signals.command.joints[:, None], 0.0, tau)
+        return np.where(self._signals.controller.joints[:, None], 0.0, tau)
 
     def _read_command(self, part: slice) -> Array:
         """The command times its gains, kp qcmd + kd vcmd, shape (nv, samples)."""

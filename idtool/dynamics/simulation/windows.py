@@ -18,7 +18,7 @@ _MIN_SAMPLES = 3  # to either side for that
 
 def gapless_range(signals: Signals, window: slice) -> slice:
     """Samples of the log without a gap that a window lies in."""
-    parts: list[slice] = signals.channels.parts()
+    parts: list[slice] = signals.channels.stretches()
     return next(part for part in parts if part.start <= window.start < part.stop)
 
 

@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.command import commanded
+from idtool.data.controller import without_constant_torque
 from idtool.data.logs import Log, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
@@ -96,7 +96,7 @@ class Experiment:
             message = "used for both fitting and validation, so its error says little"
             notices.append(Notice("validated_on_training_log", "warning", path.name, message))
         controller = self.config.controller
-        by_command = any(run.signals.command.joints.any() for run in self.runs)
+        by_command = any(run.signals.controller.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
             message = "auto, but nothing is fitted here: 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
@@ -145,7 +145,7 @@ class Experiment:
     def samples(self, held_out: bool) -> int:
         """Number of samples at the logged rate that are used for fitting or validation."""
         return sum(
-            max(part.stop - part.start - 2 * run.signals.every_sample.edge, 0)
+            max(part.stop - part.start - 2 * run.signals.full_rate_low_pass.edge, 0)
             for run in self.runs
             for part in run.parts(held_out)
         )
@@ -299,7 +299,7 @@ def _read(log: Path | Log, config: Config) -> Log:
     if not isinstance(log, Log):
         options = config.log
         log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
-    return commanded(log, config.controller)
+    return without_constant_torque(log, config.controller)
 
 
 def _check_signals(log: Log, joints: Sequence[str]) -> None:

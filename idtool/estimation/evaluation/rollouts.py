@@ -142,7 +142,7 @@ def evaluate_rollouts(
         Callback for the stage and its progress, from 0 to 1.
     """
     parts = [(run.signals, run.parts(held_out)) for run in experiment.runs]
-    closed = any(signals.command.joints.any() for signals, ranges in parts if ranges)
+    closed = any(signals.controller.joints.any() for signals, ranges in parts if ranges)
     window = None if closed else experiment.config.simulation.window
     jobs, available = _windows(parts, window, closed)
     errors = {name: RolloutError.none(len(experiment.model.joints)) for name in (*models, "baseline")}
@@ -208,7 +208,7 @@ class _MeasuredMotion:
 
     def _commanded_motion(self, signals: Signals, part: slice) -> tuple[Array, Array]:
         """The commanded motion; joints that have no command stay as they are."""
-        by_command = signals.command.joints[:, None]
+        by_command = signals.controller.joints[:, None]
         q, v = self._first_state(signals, part)
         q_command = signals.channels.signal("qcmd", part)
         if q_command.shape[1] > 1:
@@ -228,7 +228,7 @@ def _windows(
     jobs = [
         (signals, split_into_windows(signals, ranges, window, share_ends=True))
         for signals, ranges in parts
-        if ranges and signals.command.joints.any() == closed
+        if ranges and signals.controller.joints.any() == closed
     ]
     available = sum(len(windows) for _, windows in jobs)
     most = available if window is None else max(int(_LONGEST / window), 1)

@@ -135,7 +135,7 @@ def simulated_log(
     return SimulatedLog(
         log=_log_of(path, joints, rollouts),
         measured=np.concatenate([rollout.measured_q.T for rollout in rollouts]),
-        kind="closed_loop" if signals.command.joints.any() else "open_loop",
+        kind="closed_loop" if signals.controller.joints.any() else "open_loop",
         window=window,
         seconds=sum(rollout.q.shape[1] for rollout in rollouts) * signals.log.dt,
         position=_rmse(joints, [rollout.q - rollout.measured_q for rollout in rollouts]),
@@ -153,7 +153,7 @@ class _Rollout:
         self.q, self.v = q, v
         self.measured_q, self.measured_v = signals.channels.signal("q", part), signals.velocity(part)
         self.signals: dict[str, Array] = {"q": q, "v": v, "tau": tau}
-        driven = signals.command.joints[:, None]
+        driven = signals.controller.joints[:, None]
         for name in ("qcmd", "vcmd"):
             if driven.any() and name in signals.log.signals:
                 self.signals[name] = np.where(driven, signals.channels.signal(name, part), np.nan)

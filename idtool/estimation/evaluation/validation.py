@@ -101,7 +101,7 @@ def evaluate(
             for name, torque in predicted.items():
                 errors[name].samples += torque.shape[1]
                 errors[name].band += np.square(torque - measured).sum(axis=1)
-                errors[name].raw += np.square(torque - batch.motion.logged[:, inner]).sum(axis=1)
+                errors[name].raw += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
             moments += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
             residual = measured - next(iter(predicted.values()))

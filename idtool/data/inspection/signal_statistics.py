@@ -14,15 +14,15 @@ from idtool.common.arrays import Array, Mask
 _BLOCK = 1 << 14  # rows
 _MIN_SAMPLES = 100  # samples that a share is taken of
 _MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
-_ON_GRID = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
-_ON_GRID_SHARE = 0.95
-_FINEST = 1e-6  # of the range: a finer step is as good as none
-_PROBE = 512  # levels that are tried before all are
-_ABOVE_FLOOR = 10  # a single spectrum's bin of noise reaches ten times its median once in a thousand
-_DIVISORS = 16  # a signal that was scaled after quantisation may skip levels
+_GRID_TOLERANCE = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
+_MIN_GRID_SHARE = 0.95
+_MIN_RELATIVE_STEP = 1e-6  # of the range: a finer step is as good as none
+_PROBE_LEVELS = 512  # levels that are tried before all are
+_FLOOR_FACTOR = 10  # a single spectrum's bin of noise reaches ten times its median once in a thousand
+_MAX_DIVISOR = 16  # a signal that was scaled after quantisation may skip levels
 
 
-class Span(NamedTuple):
+class ColumnStatistics(NamedTuple):
     """Least and greatest value, root mean square and number of values that are not finite, each of shape (nj,)."""
 
     low: Array
@@ -31,8 +31,8 @@ class Span(NamedTuple):
     not_finite: NDArray[np.int64]
 
 
-def span(x: Array) -> Span:
-    """`Span` of every column of x, shape (N, nj), over its finite values, in one pass; NaN for a column of none."""
+def column_statistics(x: Array) -> ColumnStatistics:
+    """`ColumnStatistics` of x, shape (N, nj), over its finite values, in one pass; NaN for a column of none."""
     low, high = np.full(x.shape[1], np.nan), np.full(x.shape[1], np.nan)
     squares, bad = np.zeros(x.shape[1]), np.zeros(x.shape[1], dtype=np.int64)
     for start in range(0, len(x), _BLOCK):
@@ -44,7 +44,7 @@ def span(x: Array) -> Span:
         low = np.fmin(low, np.fmin.reduce(block, axis=0))
         high = np.fmax(high, np.fmax.reduce(block, axis=0))
         squares += np.nansum(block**2, axis=0)
-    return Span(low, high, np.sqrt(squares / np.maximum(len(x) - bad, 1)), bad)
+    return ColumnStatistics(low, high, np.sqrt(squares / np.maximum(len(x) - bad, 1)), bad)
 
 
 def quantisation(x: Array) -> float | None:
@@ -61,9 +61,9 @@ def quantisation(x: Array) -> float | None:
     span = float(levels[-1] - levels[0])
     smallest = float(np.percentile(steps, 5))
     guess = float(np.median(steps[steps <= 1.5 * smallest]))
-    for divisor in range(1, _DIVISORS + 1):
-        step = _refined_step(levels[:_PROBE], guess / divisor)
-        if step > _FINEST * span and _on_grid(levels[:_PROBE], step):
+    for divisor in range(1, _MAX_DIVISOR + 1):
+        step = _refined_step(levels[:_PROBE_LEVELS], guess / divisor)
+        if step > _MIN_RELATIVE_STEP * span and _on_grid(levels[:_PROBE_LEVELS], step):
             step = _refined_step(levels, step)
             if _on_grid(levels, step):
                 return step
@@ -91,7 +91,7 @@ def _refined_step(levels: Array, step: float) -> float:
 def _on_grid(levels: Array, step: float) -> bool:
     phase = (levels - levels[0]) / step
     phase -= np.angle(np.mean(np.exp(2j * np.pi * phase))) / (2 * np.pi)
-    return bool(np.mean(np.abs(phase - np.round(phase)) < _ON_GRID) > _ON_GRID_SHARE)
+    return bool(np.mean(np.abs(phase - np.round(phase)) < _GRID_TOLERANCE) > _MIN_GRID_SHARE)
 
 
 def noise_level(x: Array) -> float:
@@ -131,7 +131,7 @@ def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: 
     for x in pieces:
         if len(x) >= window:
             density += len(x) * welch(x, nperseg=window)[1]
-    density[density < _ABOVE_FLOOR * np.median(density[-(len(f) // 4) - 1 :])] = 0
+    density[density < _FLOOR_FACTOR * np.median(density[-(len(f) // 4) - 1 :])] = 0
     power = np.cumsum(density * f ** (2 * derivatives))
     return float(f[np.searchsorted(power, share * power[-1])]) if power[-1] > 0 else None
 

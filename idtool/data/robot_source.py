@@ -9,7 +9,7 @@ from idtool.data.logs import is_bag
 from idtool.robot.urdf.reading import Robot, parse_robot, read_robot
 
 
-def robot_and_logs(urdf: Path, logs: Sequence[Path]) -> tuple[Robot, list[Path]]:
+def read_robot_and_logs(urdf: Path, logs: Sequence[Path]) -> tuple[Robot, list[Path]]:
     """The robot and its logs.
 
     If ``urdf`` is a bag (an MCAP file or a rosbag2 folder), it is the first of the logs, and the robot is the one on

@@ -1,4 +1,4 @@
-"""`Command`: the torque of position-controlled joints, from what was commanded.
+"""`JointController`: the torque of position-controlled joints, from what was commanded.
 
 Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 """
@@ -15,7 +15,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
-from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delayed, differentiate
+from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delay_signal, differentiate
 from idtool.data.logs.log import Log
 from idtool.robot.config import Controller
 
@@ -23,7 +23,7 @@ MAX_DELAY = 0.05  # s: upper limit of the search
 
 
 @dataclass(frozen=True)
-class Command:
+class JointController:
     """The torque of a joint controller: kp (qcmd − q) + kd (vcmd − v), with a delayed command.
 
     Attributes
@@ -42,7 +42,7 @@ class Command:
     delay: float
 
     @classmethod
-    def of(cls, log: Log, joints: Sequence[str], controller: Controller | None) -> Command:
+    def from_log(cls, log: Log, joints: Sequence[str], controller: Controller | None) -> JointController:
         """The controller of the joints that have no torque."""
         without = np.array([not log.has("tau", name) for name in joints])
         for name in np.array(joints)[without]:
@@ -75,9 +75,9 @@ class Command:
         r = DIFFERENCE_REACH
         q = channels.signal("q", slice(part.start - r, part.stop + r))
         v = differentiate(q, channels.log.dt)
-        if channels.measured.any():  # as logged: the controller did not know how late it is
+        if channels.has_velocity.any():  # as logged: the controller did not know how late it is
             logged = channels.signal("v", part) - channels.bias[:, None]  # or kd × bias would pass for gravity
-            v = np.where(channels.measured[:, None], logged, v)
+            v = np.where(channels.has_velocity[:, None], logged, v)
         return np.asarray(self.kp * q[:, r:-r] + self.kd * v)
 
     def _commanded(self, channels: Channels, part: slice, delay: float) -> Array:
@@ -89,10 +89,10 @@ class Command:
         for name, gain in (("qcmd", self.kp), ("vcmd", self.kd)):
             if name in channels.log.signals:
                 total += gain * np.nan_to_num(channels.signal(name, near), nan=0.0)
-        return delayed(total, samples - whole)
+        return delay_signal(total, samples - whole)
 
 
-def commanded(log: Log, controller: Controller | None) -> Log:
+def without_constant_torque(log: Log, controller: Controller | None) -> Log:
     """The log without the torque of joints that have a command and gains and whose torque never changes.
 
     Drivers without a torque sensor publish zeros.
