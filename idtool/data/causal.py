@@ -1,4 +1,4 @@
-"""`Signals` without a look ahead: what an estimator that runs along with the robot has of the motion, and when.
+"""`Signals` without a look ahead: the motion as an estimator that runs along with the robot has it.
 
 The chain is that of `signals`, each of its filters run forwards twice in place of forwards and backwards: the same
 magnitude, and one delay for q, v, a and tau alike. The torque equation is linear in its columns, so the band's delay
@@ -38,7 +38,7 @@ class CausalLowPass(LowPass):
     Attributes
     ----------
     delay
-        Of slow signals [s].
+        Delay of slow signals [s].
 
     Parameters
     ----------
@@ -52,9 +52,10 @@ class CausalLowPass(LowPass):
         impulse = np.zeros(int(np.ceil(_RESPONSE_PERIODS / min(cutoff * dt, 0.5 - cutoff * dt))))
         impulse[0] = 1.0
         response = signal.sosfilt(self._sections, impulse)
-        left = np.cumsum(np.abs(response)[::-1])[::-1]
-        self.reach = int(np.count_nonzero(left > _MAX_CUT_WEIGHT * left[0]))
-        self.edge = int(np.flatnonzero(np.abs(1 - np.cumsum(response)) > _MAX_MISSING_WEIGHT)[-1]) + 1
+        remaining_weight = np.cumsum(np.abs(response)[::-1])[::-1]
+        self.reach = int(np.count_nonzero(remaining_weight > _MAX_CUT_WEIGHT * remaining_weight[0]))
+        missing_weight = np.abs(1 - np.cumsum(response))
+        self.edge = int(np.flatnonzero(missing_weight > _MAX_MISSING_WEIGHT)[-1]) + 1
         self.delay = float(response @ np.arange(len(response))) * dt
 
     def __call__(self, x: Array, before: int, after: int) -> Array:
@@ -75,7 +76,7 @@ class CausalLowPass(LowPass):
         return np.asarray(y[..., before :: self.stride])
 
     def filter_from_constant(self, x: Array) -> Array:
-        """All of a signal, shape (nv, N), taken as constant before its first sample; none is left out."""
+        """Filter all samples of a signal, shape (nv, N), taken as constant before the first one."""
         start = signal.sosfilt_zi(self._sections)[:, None, :] * x[None, :, :1]
         return np.asarray(signal.sosfilt(self._sections, x, axis=-1, zi=start)[0])
 
@@ -89,9 +90,9 @@ def causal_batches(signals: Signals, order: int, ranges: Sequence[slice] | None 
     Parameters
     ----------
     signals
-        The log and what was decided of it.
+        The signals of a log.
     order
-        Of one pass of the filters.
+        Order of one pass of the filters.
     ranges
         Parts of the signals' own; default: all of them.
     """
@@ -99,12 +100,13 @@ def causal_batches(signals: Signals, order: int, ranges: Sequence[slice] | None 
     low_pass = CausalLowPass(signals.band_hz, order, signals.log.dt, signals.low_pass.stride)
     size = max(BATCH_SAMPLES, 8 * low_pass.reach)
     size += -size % low_pass.stride
-    for whole in signals.ranges if ranges is None else ranges:
-        first, last = reader.usable_range(whole)
+    for samples in signals.ranges if ranges is None else ranges:
+        first, last = reader.usable_range(samples)
         for start in range(first + low_pass.edge, last, size):
             stop = min(start + size, last)
             before = min(low_pass.reach, start - first)
-            yield Batch(reader.motion(slice(start - before, stop + _COLUMN_REACH)), before, _COLUMN_REACH, low_pass)
+            motion = reader.motion(slice(start - before, stop + _COLUMN_REACH))
+            yield Batch(motion, before, _COLUMN_REACH, low_pass)
 
 
 class _MotionReader:
@@ -113,55 +115,61 @@ class _MotionReader:
     def __init__(self, signals: Signals, order: int) -> None:
         log = signals.log
         self._signals = signals
-        self._channels, self._command = signals.channels, signals.controller  # as they were judged, once
+        self._channels = signals.channels
+        self._controller = signals.controller
         wide = WIDE_BAND_FACTOR * signals.band_hz
         self._wide = CausalLowPass(wide, order, log.dt) if wide < 0.4 / log.dt else None
         self._memory = self._wide.reach if self._wide else 0
         # Two differences, a velocity that is read later by its lag, a reading between two samples, a column's own.
-        late = int(np.ceil(max(float(signals.lag.max()), 0.0) / log.dt))
-        self.lookahead = 2 * DIFFERENCE_REACH + late + 1 + _COLUMN_REACH
+        lag_samples = int(np.ceil(max(float(signals.lag.max()), 0.0) / log.dt))
+        self.lookahead = 2 * DIFFERENCE_REACH + lag_samples + 1 + _COLUMN_REACH
 
-    def usable_range(self, whole: slice) -> tuple[int, int]:
+    def usable_range(self, samples: slice) -> tuple[int, int]:
         """First and last of the samples of a range whose motion is there, the filter's start left out."""
-        part = self._part(whole.start)
-        first = self._first(part) + self._memory + 2 * DIFFERENCE_REACH
-        return max(whole.start, first), min(whole.stop, part.stop - self.lookahead - _COLUMN_REACH)
+        stretch = self._stretch_of(samples.start)
+        first = self._first_sample(stretch) + self._memory + 2 * DIFFERENCE_REACH
+        last = stretch.stop - self.lookahead - _COLUMN_REACH
+        return max(samples.start, first), min(samples.stop, last)
 
     def motion(self, part: slice) -> Motion:
         """Samples of the motion, all from one segment."""
+        dt = self._signals.log.dt
         r = DIFFERENCE_REACH
         outer = slice(part.start - 2 * r, part.stop + 2 * r)
         q = self._smooth(outer, "q")
-        v = differentiate(q, self._signals.log.dt)
-        different = self._signals.velocity_from_position[:, None]
-        if not different.all():
-            v = np.where(different, v, self._smooth(outer, "v")[:, r:-r])
-        a = differentiate(v, self._signals.log.dt)
-        t = (
-            self._channels.times(slice(part.start + self.lookahead, part.stop + self.lookahead))
-            - self._signals.log.t[0]
-        )
-        tau, logged = self._smooth(part, "tau"), self._read("tau", part)
+        v = differentiate(q, dt)
+        from_position = self._signals.velocity_from_position[:, None]
+        if not from_position.all():
+            v = np.where(from_position, v, self._smooth(outer, "v")[:, r:-r])
+        a = differentiate(v, dt)
+        availability = self._channels.times(slice(part.start + self.lookahead, part.stop + self.lookahead))
         return Motion(
-            t, q[:, 2 * r : -2 * r], v[:, r:-r], a, tau, logged, self._signals.velocity_deadband, self._signals.log.dt
+            t=availability - self._signals.log.t[0],
+            q=q[:, 2 * r : -2 * r],
+            v=v[:, r:-r],
+            a=a,
+            tau=self._smooth(part, "tau"),
+            logged_tau=self._read("tau", part),
+            velocity_deadband=self._signals.velocity_deadband,
+            dt=dt,
         )
 
-    def _part(self, sample: int) -> slice:
+    def _stretch_of(self, sample: int) -> slice:
         """The stretch that a sample lies in."""
-        (part,) = (s for s in self._channels.stretches() if s.start <= sample < s.stop)
-        return part
+        return next(s for s in self._channels.stretches() if s.start <= sample < s.stop)
 
-    def _first(self, part: slice) -> int:
+    def _first_sample(self, stretch: slice) -> int:
         """The first sample of a stretch that has every signal."""
-        late = int(np.ceil(self._command.delay / self._signals.log.dt)) + 1
-        return int(part.start) + late + DIFFERENCE_REACH
+        delay_samples = int(np.ceil(self._controller.delay / self._signals.log.dt)) + 1
+        return int(stretch.start) + delay_samples + DIFFERENCE_REACH
 
     def _smooth(self, part: slice, name: str) -> Array:
         """A signal through the wide filter, which starts as far before the part as it can remember."""
         if not self._wide:
             return self._read(name, part)
-        start = max(part.start - self._memory, self._first(self._part(part.start)))
-        return self._wide.filter_from_constant(self._read(name, slice(start, part.stop)))[:, part.start - start :]
+        start = max(part.start - self._memory, self._first_sample(self._stretch_of(part.start)))
+        x = self._read(name, slice(start, part.stop))
+        return self._wide.filter_from_constant(x)[:, part.start - start :]
 
     def _read(self, name: str, part: slice) -> Array:
         """A signal as it was logged, shape (nv, N); the controller's torque where none was."""
@@ -169,10 +177,10 @@ class _MotionReader:
             return self._channels.velocity(part)
         if name == "q":
             return self._channels.signal("q", part)
-        joints = self._command.joints
+        joints = self._controller.joints
         if joints.all():
-            return self._command.torque(self._channels, part)
+            return self._controller.torque(self._channels, part)
         tau = self._channels.signal("tau", part)
         if joints.any():
-            tau[joints] = self._command.torque(self._channels, part)[joints]
+            tau[joints] = self._controller.torque(self._channels, part)[joints]
         return tau

@@ -24,12 +24,12 @@ MAX_DELAY = 0.05  # s: upper limit of the search
 
 @dataclass(frozen=True)
 class JointController:
-    """The torque of a joint controller: kp (qcmd − q) + kd (vcmd − v), with a delayed command.
+    """Joint controller: tau = kp (qcmd − q) + kd (vcmd − v), with a delayed command.
 
     Attributes
     ----------
     joints
-        Which joints' torque it is, shape (nv,).
+        True for joints whose torque is the controller's, shape (nv,).
     kp, kd
         Gains, shape (nv, 1) [N·m/rad, N·m·s/rad].
     delay
@@ -44,8 +44,8 @@ class JointController:
     @classmethod
     def from_log(cls, log: Log, joints: Sequence[str], controller: Controller | None) -> JointController:
         """The controller of the joints that have no torque."""
-        without = np.array([not log.has("tau", name) for name in joints])
-        for name in np.array(joints)[without]:
+        lacks_torque = np.array([not log.has("tau", name) for name in joints])
+        for name in np.array(joints)[lacks_torque]:
             if not log.has("qcmd", name):
                 raise LogError(
                     log.path,
@@ -55,20 +55,21 @@ class JointController:
                 raise LogError(
                     log.path, f"joint {name} has no torque; set its gains controller.kp and kd in the configuration"
                 )
-        if controller is None or not without.any():
-            return cls(without, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
-        kp, kd = (np.array([[g.get(name, 0.0)] for name in joints]) for g in (controller.kp, controller.kd))
+        if controller is None or not lacks_torque.any():
+            return cls(lacks_torque, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
+        kp = np.array([[controller.kp.get(name, 0.0)] for name in joints])
+        kd = np.array([[controller.kd.get(name, 0.0)] for name in joints])
         delay = controller.known_delay
-        return cls(without, kp, kd, delay.value if delay else 0.0)
+        return cls(lacks_torque, kp, kd, delay.value if delay else 0.0)
 
     def torque(self, channels: Channels, part: slice) -> Array:
         """The torque at samples of the log, shape (nv, N)."""
         return np.asarray(self.torques(channels, part, (self.delay,))[0])
 
     def torques(self, channels: Channels, part: slice, delays: Sequence[float]) -> Array:
-        """The torque at samples of the log if the delay were another [s], shape (delays, nv, N)."""
+        """The torque at samples of the log for each of some delays [s], shape (delays, nv, N)."""
         feedback = self._feedback(channels, part)
-        return np.stack([self._commanded(channels, part, delay) - feedback for delay in delays])
+        return np.stack([self._feedforward(channels, part, delay) - feedback for delay in delays])
 
     def _feedback(self, channels: Channels, part: slice) -> Array:
         """Feedback kp q + kd v: the controller's own measurements are in time with its torque."""
@@ -80,15 +81,15 @@ class JointController:
             v = np.where(channels.has_velocity[:, None], logged, v)
         return np.asarray(self.kp * q[:, r:-r] + self.kd * v)
 
-    def _commanded(self, channels: Channels, part: slice, delay: float) -> Array:
+    def _feedforward(self, channels: Channels, part: slice, delay: float) -> Array:
         """Command kp qcmd + kd vcmd as it was a delay [s] before; one that the log has not counts as zero."""
         samples = delay / channels.log.dt
         whole = int(np.floor(samples))
-        near = slice(part.start - whole - DELAY_REACH, part.stop - whole + DELAY_REACH - 1)
-        total = np.zeros((len(self.kp), near.stop - near.start))
+        window = slice(part.start - whole - DELAY_REACH, part.stop - whole + DELAY_REACH - 1)
+        total = np.zeros((len(self.kp), window.stop - window.start))
         for name, gain in (("qcmd", self.kp), ("vcmd", self.kd)):
             if name in channels.log.signals:
-                total += gain * np.nan_to_num(channels.signal(name, near), nan=0.0)
+                total += gain * np.nan_to_num(channels.signal(name, window), nan=0.0)
         return delay_signal(total, samples - whole)
 
 
@@ -98,12 +99,16 @@ def without_constant_torque(log: Log, controller: Controller | None) -> Log:
     Drivers without a torque sensor publish zeros.
     """
     gains = controller.kp if controller else {}
-    empty = [i for i, name in enumerate(log.joints) if name in gains and log.has("qcmd", name) and _is_constant(log, i)]
-    if not empty:
+    columns = []
+    for i, name in enumerate(log.joints):
+        if name in gains and log.has("qcmd", name) and _is_constant(log, i):
+            columns.append(i)
+    if not columns:
         return log
     tau = log.signals["tau"].copy()
-    tau[:, empty] = np.nan
-    message = f"the torque never changes; that of the controller is used: {join_names([log.joints[i] for i in empty])}"
+    tau[:, columns] = np.nan
+    names = join_names([log.joints[i] for i in columns])
+    message = f"the torque never changes; that of the controller is used: {names}"
     notice = Notice("torque_from_command", "note", None, message)
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 
@@ -113,4 +118,6 @@ def _is_constant(log: Log, joint: int) -> bool:
     if "tau" not in log.signals:
         return False
     tau = log.signals["tau"][:, joint]
-    return bool(np.nanmin(tau) == np.nanmax(tau)) if np.isfinite(tau).any() else False
+    if not np.isfinite(tau).any():
+        return False
+    return bool(np.nanmin(tau) == np.nanmax(tau))

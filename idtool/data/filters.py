@@ -62,7 +62,7 @@ class LowPass:
 
     @property
     def redundancy(self) -> float:
-        """How many of the kept samples of white noise are worth one independent one."""
+        """Number of kept samples of white noise that are worth one independent sample."""
         return max(1.0, 1 / (self.stride * float(self.kernel @ self.kernel)))
 
     def __call__(self, x: Array, before: int, after: int) -> Array:
@@ -80,21 +80,21 @@ class LowPass:
         Samples 0, stride, 2 stride, … of the N, filtered; shape (..., ceil(N / stride)).
         """
         samples = x.shape[-1] - before - after
-        kept = slice(-(-samples // self.stride))
-        short = (self.reach - before, self.reach - after + -samples % self.block)
-        if not any(short):
-            return self._sums(x)[..., kept]
-        padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [short])
-        ones = np.pad(np.ones(x.shape[-1]), [short])
-        return self._sums(padded)[..., kept] / self._sums(ones)[kept]
+        outputs = slice(-(-samples // self.stride))
+        padding = (self.reach - before, self.reach - after + -samples % self.block)
+        if not any(padding):
+            return self._convolve(x)[..., outputs]
+        padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [padding])
+        ones = np.pad(np.ones(x.shape[-1]), [padding])
+        return self._convolve(padded)[..., outputs] / self._convolve(ones)[outputs]
 
     def masked_share(self, mask: Mask, before: int, after: int) -> Array:
-        """How much of each filtered sample's weight, by magnitude, comes from some of the samples; shape (n,)."""
+        """Share of each filtered sample's weight, by magnitude, that comes from the masked samples; shape (n,)."""
         weights = np.abs(self.kernel)
         shares = signal.oaconvolve(mask.astype(float), weights / weights.sum())[self.reach :]
         return np.asarray(shares[before : len(mask) - after : self.stride])
 
-    def _sums(self, x: Array) -> Array:
+    def _convolve(self, x: Array) -> Array:
         """The kernel's sums over whole blocks: block i of the output is Σ_d (block i + d of x) · taps[d]."""
         blocks = x.reshape(*x.shape[:-1], -1, self.block)
         count = blocks.shape[-2] - len(self._taps) + 1
@@ -111,7 +111,7 @@ def differentiate(x: Array, dt: float) -> Array:
 
 
 def delay_signal(x: Array, samples: float) -> Array:
-    """Signal a share of a sample before; 4 samples shorter at the beginning and 3 at the end.
+    """Delay a signal by a fraction of a sample; 4 samples shorter at the beginning and 3 at the end.
 
     By the polynomial of degree 7 through the nearest samples: to a fifth of the sampling rate within 1 %, where a
     straight line loses up to 19 % of the amplitude.
@@ -121,21 +121,22 @@ def delay_signal(x: Array, samples: float) -> Array:
     x
         Shape (..., N).
     samples
-        From 0 to below 1.
+        Delay in samples, from 0 to below 1.
 
     Returns
     -------
     Shape (..., N − 7).
     """
-    places = np.arange(-DELAY_REACH, DELAY_REACH)
-    gaps = places[:, None] - places + np.eye(len(places))
-    factors = (-samples - places) / gaps
+    nodes = np.arange(-DELAY_REACH, DELAY_REACH)
+    differences = nodes[:, None] - nodes + np.eye(len(nodes))
+    factors = (-samples - nodes) / differences
     np.fill_diagonal(factors, 1.0)
-    windows = np.lib.stride_tricks.sliding_window_view(x, len(places), axis=-1)
+    windows = np.lib.stride_tricks.sliding_window_view(x, len(nodes), axis=-1)
     return np.asarray(windows @ factors.prod(axis=1))
 
 
 def noise_above_band(x: Array, low_pass: LowPass) -> Array:
     """Robust standard deviation of what lies above the band, shape (nv,)."""
     above = x - low_pass(x, 0, 0)
-    return np.asarray(1.4826 * np.median(np.abs(above - np.median(above, axis=1, keepdims=True)), axis=1))
+    deviation = np.abs(above - np.median(above, axis=1, keepdims=True))
+    return np.asarray(1.4826 * np.median(deviation, axis=1))

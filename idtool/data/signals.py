@@ -48,7 +48,7 @@ class Motion:
     tau
         Torque at the joint output, shape (nv, N).
     logged_tau
-        The same as it was logged, where the others have been through the signals' filter; shape (nv, N).
+        Torque as logged, without the signals' wide filter; shape (nv, N).
     velocity_deadband
         Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
     dt
@@ -57,7 +57,7 @@ class Motion:
         By joint with a compliant transmission: q, v and a of the motor less those of the link, which are above;
         shape (3, N).
     delayed_torques
-        The torque if the commands were later by other delays, as `Signals.batches` was asked for; shape (K, nv, N).
+        Torque for each of the delays given to `Signals.batches`, shape (K, nv, N).
     """
 
     t: Array
@@ -116,7 +116,7 @@ class Signals:
     band_hz
         The low-pass's cut-off [Hz].
     low_pass, full_rate_low_pass
-        It, decimating to its band and keeping every sample.
+        The low-pass: one that decimates to its band, one that keeps every sample.
     velocity_from_position
         Per joint, whether v comes from q; else it is the measured one, its lag undone.
     lag
@@ -126,7 +126,7 @@ class Signals:
     ranges
         Stretches of samples that have all derivatives and commands.
     notices
-        What was decided, and why.
+        The decisions about the velocity and the stretches, with their reasons.
 
     Raises
     ------
@@ -158,73 +158,84 @@ class Signals:
         self.velocity_deadband = self._measure_deadband()
 
     def _choose_velocity(self, config: Config) -> Mask:
+        """True for the joints whose velocity is differentiated from q, shape (nv,)."""
         missing = ~self.channels.has_velocity
         advice = "log the velocity too where positions are coarse"
         notice = Notice("velocity_differentiated", "note", None, "no velocity logged, differentiated from q", advice)
         self._note(notice, missing)
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
-        strange = self.channels.has_velocity & ~self.channels.has_consistent_velocity
+        unrelated = self.channels.has_velocity & ~self.channels.has_consistent_velocity
         message = "logged velocity is not the derivative of q; q is differentiated instead"
         advice = "compare the unit, sign and order of the velocities with those of the positions"
-        self._note(Notice("velocity_unrelated", "warning", None, message, advice), strange)
+        self._note(Notice("velocity_unrelated", "warning", None, message, advice), unrelated)
         if self.channels.jitter > _MAX_JITTER:
             message = f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
             advice = "stamp samples when they are taken, not when they are written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
-            return np.asarray(missing | strange)
+            return np.asarray(missing | unrelated)
         part = self.channels.longest_stretch(self._ranges())
-        noise = []
-        for differentiated in (True, False):
-            self.velocity_from_position = missing | differentiated
-            noise.append(noise_above_band(self._kinematics(part)[1], self.full_rate_low_pass))
-        return np.asarray(missing | strange | (noise[1] > _MAX_NOISE_RATIO * noise[0]))
+        _, differentiated, _ = self._kinematics(part, np.ones_like(missing))
+        _, measured, _ = self._kinematics(part, missing)
+        differentiated_noise = noise_above_band(differentiated, self.full_rate_low_pass)
+        measured_noise = noise_above_band(measured, self.full_rate_low_pass)
+        is_noisy = measured_noise > _MAX_NOISE_RATIO * differentiated_noise
+        return np.asarray(missing | unrelated | is_noisy)
 
-    def _note(self, notice: Notice, which: Mask) -> None:
+    def _note(self, notice: Notice, mask: Mask) -> None:
         """Add a notice about some of the joints, if any, with their names."""
-        if which.any():
-            names = [name for name, chosen in zip(self.joints, which, strict=True) if chosen]
+        if mask.any():
+            names = [name for name, is_concerned in zip(self.joints, mask, strict=True) if is_concerned]
             self.notices.append(replace(notice, message=f"{notice.message}: {join_names(names)}"))
 
     def _note_velocity_errors(self) -> None:
-        late = float(np.where(self.velocity_from_position, 0.0, np.abs(self.lag)).max())
-        if late > _MIN_LAG * self.log.dt:
-            message = f"the measured velocity is up to {late * 1e3:.1f} ms late; the lag is undone"
+        lag = float(np.where(self.velocity_from_position, 0.0, np.abs(self.lag)).max())
+        if lag > _MIN_LAG * self.log.dt:
+            message = f"the measured velocity is up to {lag * 1e3:.1f} ms late; the lag is undone"
             self.notices.append(Notice("velocity_lag", "note", None, message))
         if self.channels.bias.any():
-            off = float(np.abs(self.channels.bias).max())
-            message = f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average; this is undone"
+            bias = float(np.abs(self.channels.bias).max())
+            message = f"the measured velocity is off by up to {bias:.2g} rad/s (m/s) on average; this is undone"
             self._note(Notice("velocity_bias", "note", None, message), self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
-        """What is left of the segments when derivatives and delays have taken their margin."""
+        """Samples of each stretch for which derivatives and delayed commands exist; LogError if there are none."""
         first = self._margin + int(np.ceil(self.controller.delay / self.log.dt))
         ranges = [slice(s.start + first, s.stop - self._margin) for s in self.channels.stretches()]
-        kept = [r for r in ranges if r.stop > r.start]
-        if not kept:
+        long_enough = [r for r in ranges if r.stop > r.start]
+        if not long_enough:
             raise LogError(
                 self.log.path,
                 f"no stretch without a gap is longer than the {(first + self._margin) * self.log.dt:.2f} s that the "
                 f"{self.band_hz:g} Hz filter and the derivatives need",
             )
-        if len(kept) < len(ranges):
-            message = f"{len(ranges) - len(kept)} stretches between gaps were too short for the filter"
+        if len(long_enough) < len(ranges):
+            message = f"{len(ranges) - len(long_enough)} stretches between gaps were too short for the filter"
             advice = "if they are many, find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
             if notice not in self.notices:
                 self.notices.append(notice)
-        return kept
+        return long_enough
 
     def _measure_deadband(self) -> Array:
-        v = self._kinematics(self.channels.longest_stretch(self.ranges))[1]
-        return np.asarray(np.maximum(_MIN_DEADBAND, _DEADBAND_FACTOR * noise_above_band(v, self.full_rate_low_pass)))
+        part = self.channels.longest_stretch(self.ranges)
+        _, v, _ = self._kinematics(part, self.velocity_from_position)
+        noise = noise_above_band(v, self.full_rate_low_pass)
+        return np.asarray(np.maximum(_MIN_DEADBAND, _DEADBAND_FACTOR * noise))
 
     def delayed_ranges(self, delay: float, parts: Sequence[slice]) -> list[slice]:
-        """What is left of parts of `ranges` where commands are to be so late [s]: less at each stretch's beginning."""
-        lost = int(np.ceil(delay / self.log.dt)) - int(np.ceil(self.controller.delay / self.log.dt))
-        begun = [(known.start + max(lost, 0), known.stop) for known in self.ranges]
-        pairs = [(max(part.start, start), min(part.stop, stop)) for part in parts for start, stop in begun]
-        return [slice(start, stop) for start, stop in pairs if stop > start]
+        """Parts of `ranges` without the samples at the start of each that have no command so long before [s]."""
+        delay_samples = int(np.ceil(delay / self.log.dt))
+        own_delay_samples = int(np.ceil(self.controller.delay / self.log.dt))
+        skip = max(delay_samples - own_delay_samples, 0)
+        ranges = []
+        for part in parts:
+            for known in self.ranges:
+                start = max(part.start, known.start + skip)
+                stop = min(part.stop, known.stop)
+                if stop > start:
+                    ranges.append(slice(start, stop))
+        return ranges
 
     def batches(
         self, ranges: Sequence[slice] | None = None, every_sample: bool = False, delays: Sequence[float] = ()
@@ -238,19 +249,20 @@ class Signals:
         every_sample
             Whether the batches' filter keeps every sample rather than decimate to the band.
         delays
-            Of commands, for which the motion has the torque too [s]; none longer than `ranges` leave out.
+            Further delays of the commands for which the motion has the torque too [s]; see `delayed_ranges`.
         """
         low_pass = self.full_rate_low_pass if every_sample else self.low_pass
         size = max(BATCH_SAMPLES, 8 * low_pass.reach)
         size += -size % low_pass.block
         _keep_freed_memory()
-        for whole in self.ranges if ranges is None else ranges:
-            last = whole.stop - low_pass.edge
-            for start in range(whole.start + low_pass.edge, last, size):
+        for samples in self.ranges if ranges is None else ranges:
+            last = samples.stop - low_pass.edge
+            for start in range(samples.start + low_pass.edge, last, size):
                 stop = min(start + size, last)
-                before = min(low_pass.reach, start - whole.start)
-                after = min(low_pass.reach, whole.stop - stop)
-                yield Batch(self._motion(slice(start - before, stop + after), delays), before, after, low_pass)
+                before = min(low_pass.reach, start - samples.start)
+                after = min(low_pass.reach, samples.stop - stop)
+                motion = self._motion(slice(start - before, stop + after), delays)
+                yield Batch(motion, before, after, low_pass)
 
     def velocity(self, part: slice) -> Array:
         """Velocities at samples of the log, shape (nv, N); NaN where derivatives would reach across an end or gap."""
@@ -258,31 +270,35 @@ class Signals:
         for known in self.ranges:
             start, stop = max(known.start, part.start), min(known.stop, part.stop)
             if stop > start:
-                v[:, start - part.start : stop - part.start] = self._kinematics(slice(start, stop))[1]
+                _, known_v, _ = self._kinematics(slice(start, stop), self.velocity_from_position)
+                v[:, start - part.start : stop - part.start] = known_v
         return v
 
     def _motion(self, part: slice, delays: Sequence[float]) -> Motion:
         t = self.channels.times(part) - self.log.t[0]
-        q, v, a = self._kinematics(part)
-        (tau, *others), logged = self._torques(part, (self.controller.delay, *delays))
-        torques = np.array(others).reshape(-1, *tau.shape)
-        return Motion(t, q, v, a, tau, logged, self.velocity_deadband, self.log.dt, delayed_torques=torques)
+        q, v, a = self._kinematics(part, self.velocity_from_position)
+        (tau, *delayed), logged_tau = self._torques(part, (self.controller.delay, *delays))
+        delayed_torques = np.array(delayed).reshape(-1, *tau.shape)
+        return Motion(t, q, v, a, tau, logged_tau, self.velocity_deadband, self.log.dt, delayed_torques=delayed_torques)
 
-    def _kinematics(self, part: slice) -> tuple[Array, Array, Array]:
+    def _kinematics(self, part: slice, from_position: Mask) -> tuple[Array, Array, Array]:
+        """q, v and a at samples of the log, shape (nv, N); v from q where ``from_position``, shape (nv,)."""
         r = DIFFERENCE_REACH
         outer = slice(part.start - self._margin, part.stop + self._margin)
         q = self._smooth(self.channels.signal("q", outer))
         v = differentiate(q, self.log.dt)
-        if not self.velocity_from_position.all():
+        if not from_position.all():
             measured = self._smooth(self.channels.velocity(outer))[:, r:-r]
-            v = np.where(self.velocity_from_position[:, None], v, measured)
+            v = np.where(from_position[:, None], v, measured)
         return q[:, 2 * r : -2 * r], v[:, r:-r], differentiate(v, self.log.dt)
 
     def _smooth(self, x: Array) -> Array:
-        return self._wide(x, self._wide.reach, self._wide.reach) if self._wide else x
+        if self._wide is None:
+            return x
+        return self._wide(x, self._wide.reach, self._wide.reach)
 
     def _torques(self, part: slice, delays: Sequence[float]) -> tuple[Array, Array]:
-        """The logged torque or the controller's: by delay through the motion's wide filter; without, at the first.
+        """The logged torque or the controller's: for each delay through the wide filter, and for the first without it.
 
         Shapes (delays, nv, N) and (nv, N).
         """

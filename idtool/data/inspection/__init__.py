@@ -1,4 +1,4 @@
-"""The contents of a log, and what is wrong with it: the one place for all data faults that a log shows by itself.
+"""The contents of a log and its faults: the one place for all data faults that a log shows by itself.
 
 `inspect_log` looks at a log and nothing else: no model, no configuration. Ranges, counts, jumps and frozen stretches
 come from every sample, block by block; shares and statistics of a long log from stretches spread over it, 2¹⁷ samples
@@ -72,27 +72,27 @@ def inspect_log(log: Log) -> Inspection:
     Inspection
         Figures per log and per joint, and the findings.
     """
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # values beyond all sense are no crash
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # absurd values must not crash it
         return _inspect(log)
 
 
 def _inspect(log: Log) -> Inspection:
     stretches = _stretches(log.segments)
-    spans = {name: column_statistics(x) for name, x in log.signals.items()}
+    statistics = {name: column_statistics(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
     jumps = position_jumps(log, stretches)
     joints: dict[str, InspectedJoint] = {}
     moving = np.zeros(len(fresh), dtype=bool)
     for i, name in enumerate(log.joints):
-        joints[name], moves = inspect_joint(log, i, spans, jumps[i], stretches, fresh)
+        joints[name], moves = inspect_joint(log, i, statistics, jumps[i], stretches, fresh)
         moving |= moves
     repeated = 1 - float(fresh[moving].mean()) if moving.any() else 0.0
     comparable = [i for i, joint in enumerate(joints.values()) if joint.moves and joint.velocity]
     stamps = _stamps(log, stretches, comparable, repeated)
     t = log.t[np.isfinite(log.t)]
     duration = float(t[-1] - t[0])
-    runs = [(s.stop - s.start - 1, float(log.t[s.stop - 1] - log.t[s.start])) for s in log.segments]
-    steps, seconds = (sum(column) for column in zip(*runs, strict=True))
+    steps = sum(s.stop - s.start - 1 for s in log.segments)
+    seconds = sum(float(log.t[s.stop - 1] - log.t[s.start]) for s in log.segments)
     findings = all_findings(log, duration, stamps, joints)
     return Inspection(
         path=str(log.path),
@@ -111,21 +111,24 @@ def _inspect(log: Log) -> Inspection:
 
 def _stretches(segments: tuple[slice, ...]) -> list[slice]:
     """Stretches of the segments, evenly spread over the log, of at most about `_MAX_SAMPLES` samples in all."""
-    cut = [
-        slice(a, min(a + _STRETCH_SAMPLES, s.stop)) for s in segments for a in range(s.start, s.stop, _STRETCH_SAMPLES)
-    ]
     total = sum(s.stop - s.start for s in segments)
-    if total <= _MAX_SAMPLES:
-        cut = list(segments)
-    cut = [s for s in cut if s.stop - s.start >= _MIN_STRETCH] or cut
-    count = min(max(len(cut) * _MAX_SAMPLES // total, 1), len(cut), _MAX_SAMPLES // _MIN_STRETCH)
-    return [cut[i] for i in np.linspace(0, len(cut) - 1, count).astype(int)]
+    stretches = list(segments)
+    if total > _MAX_SAMPLES:
+        stretches = []
+        for segment in segments:
+            for start in range(segment.start, segment.stop, _STRETCH_SAMPLES):
+                stretches.append(slice(start, min(start + _STRETCH_SAMPLES, segment.stop)))
+    stretches = [s for s in stretches if s.stop - s.start >= _MIN_STRETCH] or stretches
+    count = max(len(stretches) * _MAX_SAMPLES // total, 1)
+    count = min(count, len(stretches), _MAX_SAMPLES // _MIN_STRETCH)
+    return [stretches[i] for i in np.linspace(0, len(stretches) - 1, count).astype(int)]
 
 
 def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:
     step = np.diff(log.t[np.isfinite(log.t)])
-    lost = gaps(log)
-    short = sum(s.stop - s.start for s in log.segments if (s.stop - s.start) * log.dt < _SHORT_SEGMENT)
+    all_gaps = gaps(log)
+    lengths = [s.stop - s.start for s in log.segments]
+    short = sum(length for length in lengths if length * log.dt < _SHORT_SEGMENT)
     resolution = quantisation(log.t[stretches[0]])
     instants = None
     if "v" in log.signals:
@@ -138,10 +141,10 @@ def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float
         step_ms=None if resolution is None else 1e3 * resolution,
         duplicates=int(np.sum(step == 0)),
         backward=int(np.sum(step < 0)),
-        gaps=len(lost),
-        lost=sum(gap.lost for gap in lost),
-        longest_gaps=lost[:_LISTED_GAPS],
-        short=short / sum(s.stop - s.start for s in log.segments),
+        gaps=len(all_gaps),
+        lost=sum(gap.lost for gap in all_gaps),
+        longest_gaps=all_gaps[:_LISTED_GAPS],
+        short=short / sum(lengths),
         repeated=repeated,
         sampling=instants,
     )

@@ -56,7 +56,7 @@ def clock_deviation(t: Array) -> Array:
 def gaps(log: Log) -> tuple[Gap, ...]:
     """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
     first = float(log.t[np.isfinite(log.t)][0])
-    lost_time = []
+    time_gaps = []
     for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
         # several stamps to either side, extrapolated to the gap: a single one may be off
         k = np.arange(_GAP_STAMPS)
@@ -66,12 +66,12 @@ def gaps(log: Log) -> tuple[Gap, ...]:
         start = float(np.median(following - log.dt * k[: len(following)]))
         lost = start - end - log.dt * (after.start - before.stop + 1)
         if lost > 0.5 * log.dt:
-            lost_time.append(Gap(end - first, lost))
-    return tuple(sorted(lost_time, key=lambda gap: -gap.lost))
+            time_gaps.append(Gap(end - first, lost))
+    return tuple(sorted(time_gaps, key=lambda gap: -gap.lost))
 
 
 def fresh_rows(log: Log, stretch: slice) -> Mask:
-    """Whether a row differs from the one before in the q or v of any joint, for the rows of a stretch, shape (N,)."""
+    """True for rows of a stretch that differ from the one before in the q or v of any joint, shape (N,)."""
     fresh = np.zeros(stretch.stop - stretch.start, dtype=bool)
     fresh[0] = True
     for name in {"q", "v"} & log.signals.keys():
@@ -100,7 +100,8 @@ def sample_steps(q: Array, v: Array, dt: float) -> tuple[Array, Array]:
     tuple of Array
         Steps and their standard errors in units of ``dt``, each of shape (N − 1,); NaN where too little moves.
     """
-    expected, step = 0.5 * (v[1:] + v[:-1]) * dt, np.diff(q, axis=0)
+    step = np.diff(q, axis=0)
+    expected = 0.5 * (v[1:] + v[:-1]) * dt
     power = np.sum(expected**2, axis=0) + np.finfo(float).tiny
     expected = expected * (np.sum(step * expected, axis=0) / power)  # wrong units and a turned sign put right
     weight = 1 / (np.mean((step - expected) ** 2, axis=0) + 1e-12 * power / len(step))
@@ -108,7 +109,8 @@ def sample_steps(q: Array, v: Array, dt: float) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.sum(step * expected * weight, axis=1) / information
         residual = (step - steps[:, None] * expected) ** 2 * weight
-        variance = np.nansum(residual) / max(np.isfinite(residual).sum(), 1) * q.shape[1] / (q.shape[1] - 1)
+        mean_residual = np.nansum(residual) / max(np.isfinite(residual).sum(), 1)
+        variance = mean_residual * q.shape[1] / (q.shape[1] - 1)
         error = np.sqrt(variance / information)
     return steps, error
 
@@ -148,5 +150,7 @@ def _instant_jitter(steps: Array, noise: float) -> float:
     Differences leave out what changes slowly, such as a velocity that lags; medians, what is skipped or repeated.
     """
     change = np.diff(steps)
-    spread = 1.4826 * float(np.nanmedian(np.abs(change))) if np.isfinite(change).any() else 0.0
+    if not np.isfinite(change).any():
+        return 0.0
+    spread = 1.4826 * float(np.nanmedian(np.abs(change)))
     return float(np.sqrt(max(spread**2 - noise, 0.0) / 6))

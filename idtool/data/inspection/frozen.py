@@ -57,14 +57,14 @@ def _stretches(
     log: Log, joints: Mapping[str, InspectedJoint], signal: str, shortest: int
 ) -> dict[str, list[tuple[int, int]]]:
     """First sample of each frozen stretch of a signal, and the one after its last, by joint."""
-    watched = [i for i, name in enumerate(log.joints) if _may_freeze(joints[name], signal)]
+    columns = [i for i, name in enumerate(log.joints) if _may_freeze(joints[name], signal)]
     stretches: dict[str, list[tuple[int, int]]] = {}
-    if not watched:
+    if not columns:
         return stretches
     for block in _blocks(log.segments, shortest):
         x = log.signals[signal][block]
         repeats = np.count_nonzero(x[1:] == x[:-1], axis=0)
-        for i in watched:
+        for i in columns:
             if repeats[i] < shortest - 1:
                 continue
             name = log.joints[i]
@@ -101,17 +101,19 @@ def _frozen_runs(
     if not len(runs) or (runs[:, 1] - runs[:, 0]).sum() > MAX_FROZEN_SHARE * len(x):
         return
     change = np.abs(np.diff(x))
-    outside = np.ones(len(change), dtype=bool)
+    is_outside = np.ones(len(change), dtype=bool)
     for start, stop in runs.tolist():
-        outside[start : stop - 1] = False
-    noisy = _is_noisy(x, change[outside], joint.signals[signal])
-    leap = _leap(change[outside], joint.signals[signal])
+        is_outside[start : stop - 1] = False
+    is_noisy = _is_noisy(x, change[is_outside], joint.signals[signal])
+    least_leap = _least_leap(change[is_outside], joint.signals[signal])
     distance = _distance(log, block, i, joint, by="v" if signal == "q" else "q")
     lowest, highest = x.min(), x.max()
     for start, stop in runs.tolist():
-        leaps = stop < len(x) and change[stop - 1] > leap
+        leaps = stop < len(x) and change[stop - 1] > least_leap
         moves = distance[stop - 1] - distance[start] > MIN_RELATIVE_SPEED * (stop - start)
-        if lowest < x[start] < highest and ((leaps and signal == "q") or (moves and (noisy or leaps))):
+        is_extreme = not lowest < x[start] < highest
+        is_frozen = (leaps and signal == "q") or (moves and (is_noisy or leaps))
+        if is_frozen and not is_extreme:
             yield start, stop
 
 
@@ -128,20 +130,22 @@ def _is_noisy(x: Array, changes: Array, figures: Signal) -> bool:
     return bool(figures.noise > MIN_RELATIVE_NOISE * np.std(x) and np.mean(changes == 0) < MAX_REPEAT_SHARE)
 
 
-def _leap(changes: Array, figures: Signal) -> float:
+def _least_leap(changes: Array, figures: Signal) -> float:
     """Change from one sample to the next that tells a channel that was frozen, by the changes outside all long runs."""
-    changing = changes[changes > 0]
-    return max(LEAP_FACTOR * float(np.median(changing)), 4 * (figures.step or 0.0)) if len(changing) else np.inf
+    changes = changes[changes > 0]
+    if not len(changes):
+        return np.inf
+    return max(LEAP_FACTOR * float(np.median(changes)), 4 * (figures.step or 0.0))
 
 
 def _distance(log: Log, block: slice, i: int, joint: InspectedJoint, by: str) -> Array:
     """Distance covered, by v or by q, over that of a sample at the joint's rms speed, shape (N,); 0 without v."""
-    usual = joint.speed_rms * log.dt
+    usual_step = joint.speed_rms * log.dt
     if by == "v":
         if "v" not in joint.signals:
             return np.zeros(block.stop - block.start)
-        return np.asarray(np.cumsum(np.abs(log.signals["v"][block, i])) * log.dt / usual)
+        return np.asarray(np.cumsum(np.abs(log.signals["v"][block, i])) * log.dt / usual_step)
     q = log.signals["q"][block, i]
     readings = np.arange(0, len(q), _READING_STRIDE)
     covered = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q[readings])))])
-    return np.asarray(np.interp(np.arange(len(q)), readings, covered / usual))
+    return np.asarray(np.interp(np.arange(len(q)), readings, covered / usual_step))

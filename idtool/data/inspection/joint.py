@@ -36,7 +36,7 @@ _MIN_SPEED_AT_EXTREMES = 0.1  # speed at the extremes of q, over the rms speed: 
 
 
 def inspect_joint(
-    log: Log, i: int, spans: Mapping[str, ColumnStatistics], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
+    log: Log, i: int, statistics: Mapping[str, ColumnStatistics], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
 ) -> tuple[InspectedJoint, Mask]:
     """Inspect joint ``i``.
 
@@ -46,10 +46,10 @@ def inspect_joint(
         The log.
     i
         Index of the joint.
-    spans
-        Of every signal, over the whole log.
+    statistics
+        Statistics of every signal, over the whole log.
     jumps
-        Of its position.
+        Jumps of its position.
     stretches
         Stretches without a gap that statistics are taken from.
     fresh
@@ -62,26 +62,34 @@ def inspect_joint(
     """
     names = [name for name in SIGNALS if log.has(name, log.joints[i])]
     runs = {name: [np.ascontiguousarray(log.signals[name][s, i]) for s in stretches] for name in names}
-    changing = {name for name in names if spans[name].low[i] < spans[name].high[i]}
+    changing = {name for name in names if statistics[name].low[i] < statistics[name].high[i]}
     steps = {name: quantisation(_subsampled(runs[name])) for name in names}
-    noise = {name: float(np.median([noise_level(x) for x in _long_runs(runs[name])])) for name in names}
-    finest = max(steps.get("q") or 0.0, noise.get("q", 0.0))
-    moves = "q" in changing and bool(spans["q"].high[i] - spans["q"].low[i] > _MIN_RELATIVE_TRAVEL * finest)
+    noise = {}
+    for name in names:
+        noise[name] = float(np.median([noise_level(x) for x in _long_runs(runs[name])]))
+    moves = False
+    if "q" in changing:
+        travel = statistics["q"].high[i] - statistics["q"].low[i]
+        finest = max(steps["q"] or 0.0, noise["q"])
+        moves = bool(travel > _MIN_RELATIVE_TRAVEL * finest)
     source, derivatives = ("v", 0) if "v" in changing else ("q", 1)
-    speed = _speed(runs[source], derivatives, log.dt) if source in runs else np.zeros(len(fresh))
+    speed = np.zeros(len(fresh))
+    if source in runs:
+        speed = _speed(runs[source], derivatives, log.dt)
     speed_rms = float(np.sqrt(np.mean(speed**2)))
     moving = moves & (speed > _STANDSTILL_SPEED * np.percentile(speed, 99.5))
     signals = {}
     for name in names:
-        low, high, rms, bad = (float(figure[i]) for figure in spans[name])
-        x, m = np.concatenate(runs[name])[fresh], moving[fresh]
-        stale = stale_share(x, m, steps[name], noise[name])
-        stuck = stuck_share(x[m], low, high, steps[name])
+        low, high, rms, not_finite = (float(column[i]) for column in statistics[name])
+        x = np.concatenate(runs[name])[fresh]
+        is_moving = moving[fresh]
+        stale = stale_share(x, is_moving, steps[name], noise[name])
+        stuck = stuck_share(x[is_moving], low, high, steps[name])
         if name == "v" and stuck and not _moves_faster_than_extremes_of_v(runs, low, high, log.dt):
             stuck = 0.0
         if name == "q" and stuck and "v" in changing and not _moves_at_extremes_of_q(runs, low, high, speed_rms):
             stuck = 0.0
-        signals[name] = Signal(low, high, rms, int(bad), steps[name], noise[name], stale, stuck)
+        signals[name] = Signal(low, high, rms, int(not_finite), steps[name], noise[name], stale, stuck)
     joint = InspectedJoint(
         signals=signals,
         moves=moves,
@@ -97,12 +105,12 @@ def inspect_joint(
 
 
 def _subsampled(runs: Sequence[Array]) -> Array:
-    every = -(-sum(len(x) for x in runs) // _MAX_QUANTISATION_SAMPLES)
-    return np.concatenate([x[::every] for x in runs])
+    stride = -(-sum(len(x) for x in runs) // _MAX_QUANTISATION_SAMPLES)
+    return np.concatenate([x[::stride] for x in runs])
 
 
 def _long_runs(runs: Sequence[Array]) -> list[Array]:
-    """The runs that are not much shorter than the longest: short ones tell little of a spectrum."""
+    """Runs not much shorter than the longest: short ones tell little of a spectrum."""
     longest = max(len(x) for x in runs)
     return [x for x in runs if len(x) > longest // 8]
 
@@ -110,23 +118,29 @@ def _long_runs(runs: Sequence[Array]) -> list[Array]:
 def _speed(runs: Sequence[Array], derivatives: int, dt: float) -> Array:
     """Smoothed speed, from the velocity, or from the position and one derivative, shape (M,)."""
     width = max(int(_SPEED_WINDOW / dt), 1)
-    return np.concatenate([np.abs(uniform_filter1d(np.gradient(x) / dt if derivatives else x, width)) for x in runs])
+    speeds = []
+    for x in runs:
+        v = np.gradient(x) / dt if derivatives else x
+        speeds.append(np.abs(uniform_filter1d(v, width)))
+    return np.concatenate(speeds)
 
 
 def _moves_faster_than_extremes_of_v(runs: Mapping[str, Sequence[Array]], low: float, high: float, dt: float) -> bool:
-    """Whether the derivative of q goes on where v is at an extreme; else v is just constant there."""
+    """True if the derivative of q exceeds the extremes of v where v is at one; otherwise v is just constant there."""
     v = np.concatenate(runs["v"])
-    speed = np.concatenate([uniform_filter1d(np.gradient(x) / dt, max(int(_SPEED_WINDOW / dt), 1)) for x in runs["q"]])
-    at = (v <= low) | (v >= high)
-    return bool(np.median(np.abs(speed[at])) > _MIN_CLIPPED_SPEED * np.median(np.abs(v[at])))
+    is_extreme = (v <= low) | (v >= high)
+    speed = _speed(runs["q"], 1, dt)[is_extreme]
+    return bool(np.median(speed) > _MIN_CLIPPED_SPEED * np.median(np.abs(v[is_extreme])))
 
 
 def _moves_at_extremes_of_q(runs: Mapping[str, Sequence[Array]], low: float, high: float, speed_rms: float) -> bool:
     """True if v goes on where q is at an extreme; otherwise the joint rests there, as at an end stop."""
     q = np.concatenate(runs["q"])
     v = np.concatenate(runs["v"])
-    at = (q <= low) | (q >= high)
-    return bool(np.median(np.abs(v[at])) > _MIN_SPEED_AT_EXTREMES * speed_rms) if at.any() else False
+    is_extreme = (q <= low) | (q >= high)
+    if not is_extreme.any():
+        return False
+    return bool(np.median(np.abs(v[is_extreme])) > _MIN_SPEED_AT_EXTREMES * speed_rms)
 
 
 def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence[slice]) -> Velocity | None:
@@ -144,13 +158,15 @@ def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence
         return None
     lag, gain, explained, error = np.array(agreements).T
     share = float(np.average(explained, weights=power))
-    residual = float(np.sqrt((1 - share) * sum(power) / sum(len(v) for v in runs["v"])))
-    related = np.isfinite(lag)
-    if not related.any():
+    samples = sum(len(v) for v in runs["v"])
+    residual = float(np.sqrt((1 - share) * sum(power) / samples))
+    is_related = np.isfinite(lag)
+    if not is_related.any():
         return Velocity(None, None, None, share, residual)
-    weight = 1 / np.maximum(error[related], 1e-9) ** 2
-    mean_lag = float(np.average(lag[related], weights=weight))
-    mean_gain = float(np.average(gain[related], weights=weight))
-    scatter = float(np.average((lag[related] - mean_lag) ** 2, weights=weight)) / max(related.sum() - 1, 1)
+    lag = lag[is_related]
+    weight = 1 / np.maximum(error[is_related], 1e-9) ** 2
+    mean_lag = float(np.average(lag, weights=weight))
+    mean_gain = float(np.average(gain[is_related], weights=weight))
+    scatter = float(np.average((lag - mean_lag) ** 2, weights=weight)) / max(len(lag) - 1, 1)
     lag_error = float(np.sqrt(max(1 / weight.sum(), scatter)))
     return Velocity(1e3 * mean_lag, 1e3 * lag_error, mean_gain, share, residual)

@@ -39,15 +39,20 @@ def position_jumps(log: Log, stretches: Sequence[slice]) -> list[Jumps]:
         Stretches without a gap, from which the length of ordinary steps is taken.
     """
     q = log.signals["q"]
-    usual = np.concatenate([np.abs(np.diff(q[stretch], axis=0)) for stretch in stretches])  # (samples, nj)
-    longest_turn = TURN_FACTOR * np.percentile(usual, TURN_PERCENTILE, axis=0)
-    longest = JUMP_FACTOR * np.percentile(usual, JUMP_PERCENTILE, axis=0)
+    usual_steps = np.concatenate([np.abs(np.diff(q[stretch], axis=0)) for stretch in stretches])  # (samples, nj)
+    longest_turning_step = TURN_FACTOR * np.percentile(usual_steps, TURN_PERCENTILE, axis=0)
+    longest_step = JUMP_FACTOR * np.percentile(usual_steps, JUMP_PERCENTILE, axis=0)
     sizes: list[list[float]] = [[] for _ in log.joints]
     for segment in log.segments:
         for start in range(segment.start, segment.stop - 1, _BLOCK):
-            step = np.abs(np.diff(q[start : min(start + _BLOCK + 1, segment.stop)], axis=0))
-            turns = (np.abs(step - 2 * np.pi) < TURN_TOLERANCE) & (step > longest_turn)
-            rows, columns = np.nonzero(turns | (step > longest))
+            stop = min(start + _BLOCK + 1, segment.stop)
+            step = np.abs(np.diff(q[start:stop], axis=0))
+            is_turn = (np.abs(step - 2 * np.pi) < TURN_TOLERANCE) & (step > longest_turning_step)
+            rows, columns = np.nonzero(is_turn | (step > longest_step))
             for i, size in zip(columns.tolist(), step[rows, columns].tolist(), strict=True):
                 sizes[i].append(size)
-    return [Jumps(len(own), bool(own) and bool(abs(np.median(own) - 2 * np.pi) < TURN_TOLERANCE)) for own in sizes]
+    jumps = []
+    for joint_sizes in sizes:
+        wraps = bool(joint_sizes) and bool(abs(np.median(joint_sizes) - 2 * np.pi) < TURN_TOLERANCE)
+        jumps.append(Jumps(len(joint_sizes), wraps))
+    return jumps

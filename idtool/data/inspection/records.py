@@ -129,7 +129,7 @@ class Signal:
 
     @property
     def constant(self) -> bool:
-        """Whether the signal never changes."""
+        """True if the signal never changes."""
         return self.minimum == self.maximum
 
 
@@ -177,7 +177,7 @@ class Velocity:
 
 @dataclass(frozen=True)
 class TorqueSource:
-    """Whether tau looks measured or commanded, and why."""
+    """Apparent source of tau, measured or commanded, and the reason."""
 
     kind: Literal["measured", "commanded", "unknown"]
     reason: str

@@ -1,4 +1,4 @@
-"""Measures of one signal x, in its own unit: N samples, dt seconds apart."""
+"""Statistics of one signal x, in its own unit: N samples, dt seconds apart."""
 
 from __future__ import annotations
 
@@ -33,18 +33,21 @@ class ColumnStatistics(NamedTuple):
 
 def column_statistics(x: Array) -> ColumnStatistics:
     """`ColumnStatistics` of x, shape (N, nj), over its finite values, in one pass; NaN for a column of none."""
-    low, high = np.full(x.shape[1], np.nan), np.full(x.shape[1], np.nan)
-    squares, bad = np.zeros(x.shape[1]), np.zeros(x.shape[1], dtype=np.int64)
+    low = np.full(x.shape[1], np.nan)
+    high = np.full(x.shape[1], np.nan)
+    squares = np.zeros(x.shape[1])
+    not_finite = np.zeros(x.shape[1], dtype=np.int64)
     for start in range(0, len(x), _BLOCK):
         block = x[start : start + _BLOCK]
         finite = np.isfinite(block)
         if not finite.all():
             block = np.where(finite, block, np.nan)
-            bad += np.sum(~finite, axis=0)
+            not_finite += np.sum(~finite, axis=0)
         low = np.fmin(low, np.fmin.reduce(block, axis=0))
         high = np.fmax(high, np.fmax.reduce(block, axis=0))
         squares += np.nansum(block**2, axis=0)
-    return ColumnStatistics(low, high, np.sqrt(squares / np.maximum(len(x) - bad, 1)), bad)
+    rms = np.sqrt(squares / np.maximum(len(x) - not_finite, 1))
+    return ColumnStatistics(low, high, rms, not_finite)
 
 
 def quantisation(x: Array) -> float | None:
@@ -75,16 +78,18 @@ def _refined_step(levels: Array, step: float) -> float:
 
     A distance is of use once the step is known well enough to count the steps in it.
     """
-    apart, furthest = 1, 4
-    while apart < len(levels):
-        distance = levels[apart:] - levels[:-apart]
+    offset = 1
+    max_count = 4
+    while offset < len(levels):
+        distance = levels[offset:] - levels[:-offset]
         count = np.round(distance / step)
-        near = count[count <= furthest]
-        if near.any():
-            step = float(distance[count <= furthest] @ near / (near @ near))
-        if len(near) > len(count) // 2:
-            apart *= 2
-        furthest *= 2
+        is_short = count <= max_count
+        short_count = count[is_short]
+        if short_count.any():
+            step = float(distance[is_short] @ short_count / (short_count @ short_count))
+        if len(short_count) > len(count) // 2:
+            offset *= 2
+        max_count *= 2
     return step
 
 
@@ -102,9 +107,10 @@ def noise_level(x: Array) -> float:
     """
     if len(x) < 16:
         return 0.0
-    differences = float(np.median(np.abs(np.diff(x, 3)))) / (0.6745 * np.sqrt(20))
+    from_differences = float(np.median(np.abs(np.diff(x, 3)))) / (0.6745 * np.sqrt(20))
     _, density = welch(detrend(x), nperseg=min(len(x), 1024))
-    return float(min(differences, np.sqrt(0.5 * np.median(density[len(density) // 2 :]))))
+    from_spectrum = np.sqrt(0.5 * np.median(density[len(density) // 2 :]))
+    return float(min(from_differences, from_spectrum))
 
 
 def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: float = 0.99) -> float | None:
@@ -131,15 +137,18 @@ def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: 
     for x in pieces:
         if len(x) >= window:
             density += len(x) * welch(x, nperseg=window)[1]
-    density[density < _FLOOR_FACTOR * np.median(density[-(len(f) // 4) - 1 :])] = 0
+    floor = np.median(density[-(len(f) // 4) - 1 :])
+    density[density < _FLOOR_FACTOR * floor] = 0
     power = np.cumsum(density * f ** (2 * derivatives))
-    return float(f[np.searchsorted(power, share * power[-1])]) if power[-1] > 0 else None
+    if not power[-1] > 0:
+        return None
+    return float(f[np.searchsorted(power, share * power[-1])])
 
 
 def stale_share(x: Array, moving: Mask, step: float | None, noise: float) -> float | None:
-    """Share of samples equal to the one before where the signal is on its way; None where it hardly ever is.
+    """Share of samples equal to the one before while the signal changes; None where it hardly ever does.
 
-    On its way: over eight samples to either side it covers so many quantisation steps a sample that neither
+    It changes where over eight samples to either side it covers so many quantisation steps a sample that neither
     quantisation nor noise repeats a value by chance.
 
     Parameters
@@ -157,10 +166,12 @@ def stale_share(x: Array, moving: Mask, step: float | None, noise: float) -> flo
     if len(x) <= 2 * half:
         return None
     change = np.abs(x[2 * half :] - x[: -2 * half]) / (2 * half)
-    on_its_way = moving[half:-half] & (change > (2 * step + 3 * noise if step else 0.0))
-    if on_its_way.sum() < _MIN_SAMPLES:
+    least_change = 2 * step + 3 * noise if step else 0.0
+    is_changing = moving[half:-half] & (change > least_change)
+    if is_changing.sum() < _MIN_SAMPLES:
         return None
-    return float(np.mean((x[half:-half] == x[half - 1 : -half - 1])[on_its_way]))
+    repeats = x[half:-half] == x[half - 1 : -half - 1]
+    return float(np.mean(repeats[is_changing]))
 
 
 def stuck_share(x: Array, low: float, high: float, step: float | None) -> float:
@@ -172,9 +183,11 @@ def stuck_share(x: Array, low: float, high: float, step: float | None) -> float:
     if len(x) < _MIN_SAMPLES or not low < high:
         return 0.0
     total = 0.0
+    tolerance = max(0.5 * (step or 0.0), 1e-9 * (high - low))
     width = max(step or 0.0, 1e-3 * (high - low))
     for depth in (high - x, x - low):
-        at = np.mean(depth <= max(0.5 * (step or 0.0), 1e-9 * (high - low)))
-        if at > 1e-3 and at > 5 * (np.mean(depth <= 1.5 * width) - at):
-            total += float(at)
+        share = np.mean(depth <= tolerance)
+        neighbour_share = np.mean(depth <= 1.5 * width) - share
+        if share > 1e-3 and share > 5 * neighbour_share:
+            total += float(share)
     return total

@@ -1,4 +1,4 @@
-"""Words that findings have in common."""
+"""Text of the findings."""
 
 from __future__ import annotations
 

@@ -29,13 +29,15 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
 
     The steps from stamp to stamp count: a clock that drifts does a fit no harm.
     """
-    off = _unevenness(dt, stamps)
+    unevenness = _unevenness(dt, stamps)
     if stamps.step_jitter > MAX_JITTER:
         deviation = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
-    elif off > MAX_JITTER:
-        deviation = f"by the joints' motion the samples were taken {off:.2g} samples rms off the stamps' even clock"
+    elif unevenness > MAX_JITTER:
+        deviation = (
+            f"by the joints' motion the samples were taken {unevenness:.2g} samples rms off the stamps' even clock"
+        )
         advice = f"the stamps were rounded or made up; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
 
@@ -47,11 +49,11 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """
     if stamps.sampling is None or _unevenness(dt, stamps) > MAX_JITTER:
         return
-    net = stamps.sampling.skipped - stamps.repeated
-    if net > MIN_SHARE:
+    lost_share = stamps.sampling.skipped - stamps.repeated
+    if lost_share > MIN_SHARE:
         share = f"by the joints' motion {stamps.sampling.skipped:.1%} of the steps took the time of two samples or more"
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
-        if net > MAX_SKIPPED_SHARE and stamps.step_jitter <= MAX_JITTER:
+        if lost_share > MAX_SKIPPED_SHARE and stamps.step_jitter <= MAX_JITTER:
             yield Notice("dropped_samples", "warning", None, share, meaning)
         else:
             yield Notice("few_samples_dropped", "note", None, share, meaning)
@@ -59,7 +61,9 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
 
 def _unevenness(dt: float, stamps: Stamps) -> float:
     """Standard deviation of the samples' real instants about an even spacing, in samples; 0 where it is not known."""
-    return 0.0 if stamps.sampling is None else stamps.sampling.jitter_ms / (1e3 * dt)
+    if stamps.sampling is None:
+        return 0.0
+    return stamps.sampling.jitter_ms / (1e3 * dt)
 
 
 def repeated_rows(stamps: Stamps) -> Iterator[Notice]:

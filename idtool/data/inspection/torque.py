@@ -53,8 +53,9 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         return TorqueSource("commanded", "it carries no noise, as only a computed torque can")
     if tau.step is not None and tau.noise < _ROUNDING_NOISE * tau.step:
         return TorqueSource("unknown", f"it carries no noise beyond its resolution of {tau.step:.3g}")
-    fast = 1.4826 * float(np.median(np.abs(np.concatenate([np.diff(x, 2) for x in runs["tau"]])))) / np.sqrt(6)
-    if fast > _MAX_FAST_CHANGE * tau.noise:
+    changes = np.concatenate([np.diff(x, 2) for x in runs["tau"]])
+    fast_change = 1.4826 * float(np.median(np.abs(changes))) / np.sqrt(6)
+    if fast_change > _MAX_FAST_CHANGE * tau.noise:
         return TorqueSource("unknown", "it changes too fast from sample to sample to show its noise")
     share = _shared_noise(runs)
     if share > _MIN_SHARED_NOISE:
@@ -71,46 +72,49 @@ def _control_law(runs: Runs, tau: Signal) -> str | None:
         return None
     for delay in _DELAYS:
         rows = _law_rows(runs, names, delay)
-        free = (rows[:, -1] > tau.minimum) & (rows[:, -1] < tau.maximum)  # a law is cut off at the drive's limits
-        columns, torque = rows[free, :-1], rows[free, -1]
+        columns, torque = rows[:, :-1], rows[:, -1]
+        is_free = (torque > tau.minimum) & (torque < tau.maximum)  # a law is cut off at the drive's limits
+        columns, torque = columns[is_free], torque[is_free]
         if len(torque) < _MIN_SAMPLES:
             return None
-        gains, rest = _fit_line(columns, torque)
-        rounding = 0.4 * (tau.step or 0.0)
-        if rest < max(_MAX_LAW_RESIDUAL, min(rounding / torque.std(), 20 * _MAX_LAW_RESIDUAL)):
+        gains, residual = _fit_line(columns, torque)
+        rounding = 0.4 * (tau.step or 0.0) / torque.std()
+        if residual < max(_MAX_LAW_RESIDUAL, min(rounding, 20 * _MAX_LAW_RESIDUAL)):
             terms = " ".join(f"{gain:+.4g} {name}" for gain, name in zip(gains, names, strict=True))
             late = f", {delay} samples late" if delay else ""
-            return f"it equals {terms} + constant within {rest:.1g} of its deviation{late}"
+            return f"it equals {terms} + constant within {residual:.1g} of its deviation{late}"
     return None
 
 
 def _law_rows(runs: Runs, names: Sequence[str], delay: int) -> Array:
     """The named signals, ``delay`` samples earlier, and tau, thinned to a bounded number of rows."""
-    rows = [
-        np.stack([*(x[: len(x) - delay] for x in columns), tau[delay:]], axis=1)
-        for *columns, tau in zip(*(runs[name] for name in names), runs["tau"], strict=True)
-    ]
-    every = max(sum(len(r) for r in rows) >> 14, 1)
-    return np.concatenate([r[::every] for r in rows])
+    rows = []
+    for *signals, tau in zip(*(runs[name] for name in names), runs["tau"], strict=True):
+        columns = [x[: len(x) - delay] for x in signals]
+        rows.append(np.stack([*columns, tau[delay:]], axis=1))
+    stride = max(sum(len(r) for r in rows) >> 14, 1)
+    return np.concatenate([r[::stride] for r in rows])
 
 
 def _fit_line(columns: Array, x: Array) -> tuple[Array, float]:
-    """Gains of the best line in the columns and a constant, and the deviation from it over that of x."""
+    """Gains of the least-squares fit of x by the columns and a constant, and its residual's deviation over x's."""
     centred = columns - columns.mean(axis=0)
     gains = np.linalg.lstsq(centred, x - x.mean(), rcond=None)[0]
-    return gains, float(np.std(x - centred @ gains) / max(np.std(x), np.finfo(float).tiny))
+    residual = np.std(x - centred @ gains)
+    return gains, float(residual / max(np.std(x), np.finfo(float).tiny))
 
 
 def _is_poorly_excited(runs: Runs) -> bool:
-    """Whether the acceleration is itself a line in q and v, as in a single sine."""
+    """True if the acceleration is itself a line in q and v, as in a single sine."""
     q = np.concatenate([x[1:-1] for x in runs["q"]])
     v = np.concatenate([x[2:] - x[:-2] for x in runs["q"]])
     a = np.concatenate([np.diff(x, 2) for x in runs["q"]])
-    return _fit_line(np.stack([q, v], axis=1), a)[1] < _MIN_EXCITATION
+    _, residual = _fit_line(np.stack([q, v], axis=1), a)
+    return residual < _MIN_EXCITATION
 
 
 def _shared_noise(runs: Runs) -> float:
-    """Share of tau's fast changes that those of q and v, now and a sample or two ago, explain: of their power.
+    """Share of the power of tau's fast changes that those of q and v, now and a sample or two ago, explain.
 
     Second differences, in windows so short that the gain of any feedback is as good as constant; the median window, as
     dry friction jumps in some.
@@ -118,12 +122,17 @@ def _shared_noise(runs: Runs) -> float:
     names = [name for name in ("q", "v") if name in runs]
     shares = []
     for *signals, tau in zip(*(runs[name] for name in names), runs["tau"], strict=True):
-        change = [np.diff(x, 2) for x in (*signals, tau)]
-        columns = [x[2 - d : len(x) - d] for x in change[:-1] for d in _DELAYS] + [change[-1][2:]]
+        columns = []
+        for x in signals:
+            change = np.diff(x, 2)
+            columns += [change[2 - delay : len(change) - delay] for delay in _DELAYS]
+        columns.append(np.diff(tau, 2)[2:])
         count = len(columns[0]) // _WINDOW
         windows = np.stack(columns, axis=1)[: count * _WINDOW].reshape(count, _WINDOW, len(columns))
+        torque_windows = windows[:, :, -1]
         Q, _ = np.linalg.qr(windows[:, :, :-1])
-        explained = np.sum(np.einsum("wsc,ws->wc", Q, windows[:, :, -1]) ** 2, axis=1)
-        shares.append(explained / np.maximum(np.sum(windows[:, :, -1] ** 2, axis=1), np.finfo(float).tiny))
+        explained = np.sum(np.einsum("wsc,ws->wc", Q, torque_windows) ** 2, axis=1)
+        total = np.sum(torque_windows**2, axis=1)
+        shares.append(explained / np.maximum(total, np.finfo(float).tiny))
     chance = (len(columns) - 1) / _WINDOW
     return float((np.median(np.concatenate(shares)) - chance) / (1 - chance))

@@ -48,7 +48,7 @@ _UNRELATED = _UNKNOWN._replace(agreement=0.0)
 
 
 def velocity_lag(q: Array, v: Array, dt: float) -> tuple[float, float, float]:
-    """Lag of a measured velocity behind the derivative of the position, and how well the two agree.
+    """Lag of a measured velocity behind the derivative of the position, and the agreement of the two.
 
     Parameters
     ----------
@@ -97,10 +97,10 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
         if gain == 0 or abs(lag - slope / gain) > _MAX_LAG:
             return _UNRELATED
         lag -= slope / gain
-    rest = V - gain * D - slope * A - offset
-    agreement = 1 - rest.var() / V.var()
-    independent = max(2 * band * dt * len(V), 1.0)
-    error = rest.std() / (abs(gain) * A.std() * np.sqrt(independent))
+    residual = V - gain * D - slope * A - offset
+    agreement = 1 - residual.var() / V.var()
+    independent_samples = max(2 * band * dt * len(V), 1.0)
+    error = residual.std() / (abs(gain) * A.std() * np.sqrt(independent_samples))
     return Agreement(float(lag), float(gain), float(max(agreement, 0.0)), float(error))
 
 
@@ -117,16 +117,16 @@ def _coarse_lag_and_band(q: Array, v: Array, dt: float) -> tuple[float, float]:
     D = rfft(window * np.diff(q) / dt)
     V = rfft(window * 0.5 * (v[1:] + v[:-1]))
     S = np.conj(D) * V
-    most = int(min(_MAX_LAG / dt, n // 8))
-    k = np.arange(-most, most + 1)
-    correlation = irfft(S, n)[k] * (1 - 0.1 * np.abs(k) / (most + 1))  # the shorter lag wins a tie
+    max_lag = int(min(_MAX_LAG / dt, n // 8))
+    k = np.arange(-max_lag, max_lag + 1)
+    correlation = irfft(S, n)[k] * (1 - 0.1 * np.abs(k) / (max_lag + 1))  # the shorter lag wins a tie
     lag = float(k[np.argmax(np.abs(correlation))] * dt)
     f = rfftfreq(n, dt)
     width = min(_SMOOTHING, len(f) // 2)
-    turned = S * np.exp(2j * np.pi * f * lag)
+    in_phase = S * np.exp(2j * np.pi * f * lag)
     power = uniform_filter1d(np.abs(D) ** 2, width) * uniform_filter1d(np.abs(V) ** 2, width)
-    coherent = np.abs(uniform_filter1d(turned, width)) ** 2 > _MIN_COHERENCE * power
-    weight = np.cumsum(np.where(coherent, np.abs(S), 0.0))
+    is_coherent = np.abs(uniform_filter1d(in_phase, width)) ** 2 > _MIN_COHERENCE * power
+    weight = np.cumsum(np.where(is_coherent, np.abs(S), 0.0))
     if weight[-1] == 0:
         return lag, 0.0
     edge = f[np.searchsorted(weight, _BAND_POWER * weight[-1])]

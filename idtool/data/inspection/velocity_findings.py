@@ -60,7 +60,7 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     Parameters
     ----------
     name
-        Of the joint.
+        Name of the joint.
     v
         Figures of the velocity.
     band
@@ -87,5 +87,7 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
 
 
 def is_another_unit(gain: float) -> bool:
-    """Whether a gain, of whatever sign, is too far from 1 for a calibration that is off."""
-    return abs(np.log(abs(gain))) > MAX_LOG_GAIN if gain else False
+    """True if a gain, of whatever sign, is too far from 1 for a calibration error."""
+    if not gain:
+        return False
+    return bool(abs(np.log(abs(gain))) > MAX_LOG_GAIN)
