@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import Model, Source
-from idtool.api.records import Progress, Saved, notice_lines, silent, table
+from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json
 from idtool.reporting.adaptation_report import adaptation_report
 from idtool.reporting.figures import figure
 from idtool.reporting.results.adaptation import AdaptationReport
 
 
-class AdaptationResult(AdaptationReport, Saved):
+class AdaptationResult(AdaptationReport, SavableResult):
     """Parameters identified online, over time; its fields are those of adapt.json."""
 
     _made_by: str
@@ -28,7 +28,7 @@ class AdaptationResult(AdaptationReport, Saved):
         rows = []
         for name, body in self.final.bodies.items():
             rows.append([name, figure(body.mass), "yes" if body.realizable else "no"])
-        return "\n".join([title, *table(["body", "mass [kg]", "realizable"], rows), *notice_lines(self.notices)])
+        return "\n".join([title, *table_lines(["body", "mass [kg]", "realizable"], rows), *notice_lines(self.notices)])
 
 
 def adapt(
@@ -56,11 +56,11 @@ def adapt(
     from idtool.estimation.identification import choose_sets
     from idtool.estimation.online.adapt import adapt as identify_online
 
-    tell = progress or silent
-    experiment, delay, _ = with_delay(experiment_of(model, logs, holdout=0.0, progress=tell), tell)
+    tell = progress or ignore_progress
+    experiment, delay, _ = with_delay(load_experiment(model, logs, holdout=0.0, progress=tell), tell)
     sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
     found = identify_online(experiment, sets, forgetting, progress=tell)
     notices = [*experiment.notices, *(delay.notices if delay else ()), *set_notices]
     result = AdaptationResult.from_result(adaptation_report(found, experiment, notices))
-    result._made_by = call("adapt", model, logs, **changed(adapt, forgetting=forgetting))
+    result._made_by = call_text("adapt", model, logs, **changed_options(adapt, forgetting=forgetting))
     return result

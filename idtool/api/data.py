@@ -8,7 +8,7 @@ from typing import Any
 
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress
+from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.data.logs import Log as Record
 from idtool.estimation.dataset.experiment import Experiment, prepare
@@ -17,7 +17,7 @@ LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]
 
 
-def experiment_of(
+def load_experiment(
     model: Model | Source,
     logs: Logs,
     validate: Logs = (),
@@ -45,7 +45,7 @@ def experiment_of(
     """
     progress("reading", 0.0)
     model = as_model(model)
-    fitted, kept = ([_record(log, model) for log in listed(given)] for given in (logs, validate))
+    fitted, kept = ([_record(log, model) for log in as_list(given)] for given in (logs, validate))
     try:
         return prepare(model.robot, model.settings, fitted, kept, holdout, transform)
     except ConfigError as error:
@@ -55,7 +55,7 @@ def experiment_of(
         raise ConfigError(f"{source.path}: {error.where}", error.what) from None
 
 
-def listed(logs: Logs) -> list[LogSource]:
+def as_list(logs: Logs) -> list[LogSource]:
     """Logs as a list; a single one need not be in one."""
     return list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str | Log) else [logs]
 
@@ -71,7 +71,7 @@ def _record(log: LogSource, model: Model) -> Path | Record:
     return log.record
 
 
-def call(function: str, model: Model | Source, logs: Logs, **options: Any) -> str:
+def call_text(function: str, model: Model | Source, logs: Logs, **options: Any) -> str:
     """A call as a person would type it, for the pages.
 
     Parameters
@@ -81,17 +81,17 @@ def call(function: str, model: Model | Source, logs: Logs, **options: Any) -> st
     model, logs, options
         What it was given.
     """
-    validate = listed(options.pop("validate", ()))
-    given = [repr(model.name if isinstance(model, Model) else str(model)), _text(listed(logs))]
-    given += [f"validate={_text(validate)}"] if validate else []
+    validate = as_list(options.pop("validate", ()))
+    given = [repr(model.name if isinstance(model, Model) else str(model)), _paths_text(as_list(logs))]
+    given += [f"validate={_paths_text(validate)}"] if validate else []
     return f"idtool.{function}({', '.join([*given, *(f'{name}={value!r}' for name, value in options.items())])})"
 
 
-def changed(function: Callable[..., Any], **options: Any) -> dict[str, Any]:
+def changed_options(function: Callable[..., Any], **options: Any) -> dict[str, Any]:
     """The options of a function that are not at their default."""
     defaults = function.__kwdefaults__ or {}
     return {name: value for name, value in options.items() if value != defaults[name]}
 
 
-def _text(logs: Sequence[LogSource]) -> str:
+def _paths_text(logs: Sequence[LogSource]) -> str:
     return repr([str(log.path if isinstance(log, Log) else log) for log in logs])

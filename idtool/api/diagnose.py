@@ -8,10 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from idtool.api.assumed import Assumed, check_assumed, known_assumption, known_candidates
-from idtool.api.data import Logs, call, changed, experiment_of
-from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
+from idtool.api.data import Logs, call_text, changed_options, load_experiment
+from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption, parse_candidates
+from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
+from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.records import Diagnosis
@@ -24,10 +24,10 @@ from idtool.reporting.results.diagnosis import DiagnosisReport
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import RecordingData
+    from idtool.api.results import RecordingData
 
 
-class DiagnosisResult(DiagnosisReport, Saved, Recordable):
+class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
     """Diagnosis of a model: the effects that it lacks. The fields are those of diagnosis.json."""
 
     _diagnosis: Diagnosis
@@ -42,7 +42,7 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
         self, folder: str | os.PathLike[str], made_by: str | None = None, report_only: bool = False
     ) -> tuple[Path, ...]:
         """The same as of a fit; ``report_only`` leaves out the model."""
-        return self._write(folder, made_by, (SETTINGS, IDENTIFIED) if report_only else ())
+        return self._write(folder, made_by, (MODEL_YAML, IDENTIFIED_URDF) if report_only else ())
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.reporting.pages import diagnosis_page
@@ -53,15 +53,15 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
         return {
             "diagnosis.json": as_json(self.to_json()),
             "diagnosis.html": diagnosis_page(self._diagnosis, self, made_by),
-            SETTINGS: as_yaml(model_config(last), header),
-            IDENTIFIED: identified_text(last, folder),
+            MODEL_YAML: as_yaml(model_config(last), header),
+            IDENTIFIED_URDF: identified_urdf_text(last, folder),
         }
 
     def _recording_data(self) -> RecordingData:
-        from idtool.api.recording import of_fit
+        from idtool.api.recording import fit_traces
 
         last = self._diagnosis.last
-        return last.experiment.model, of_fit(last), "identified"
+        return last.experiment.model, fit_traces(last), "identified"
 
     def plot(self) -> Figure:
         """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""
@@ -79,7 +79,9 @@ class DiagnosisResult(DiagnosisReport, Saved, Recordable):
             rows.append([name, *map(figure, (first[name], last[name], self.noise_floor[name])), closed])
         steps = [f"  {i}. {step.effect} on {on(step)}" for i, step in enumerate(self.steps, 1)]
         head = ["torque RMS", "before", "after", "noise floor", "gap closed"]
-        return "\n".join([f"DiagnosisResult: {self.summary}", *steps, *table(head, rows), *notice_lines(self.notices)])
+        return "\n".join(
+            [f"DiagnosisResult: {self.summary}", *steps, *table_lines(head, rows), *notice_lines(self.notices)]
+        )
 
 
 def diagnose(
@@ -91,7 +93,7 @@ def diagnose(
     inertia: Literal["refit", "fixed"] = "refit",
     effects: Sequence[str] | None = None,
     most: int = 12,
-    assume: Sequence[str | Assumed] = (),
+    assume: Sequence[str | EffectAssumption] = (),
     simulation: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
@@ -138,18 +140,18 @@ def diagnose(
     from idtool.diagnosis.diagnose import Options
     from idtool.diagnosis.diagnose import diagnose as search
 
-    told = progress or silent
+    told = progress or ignore_progress
     if most < 1:
         raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
-    candidates = None if effects is None else known_candidates(effects)
-    assumed = tuple(known_assumption(given) for given in assume)
-    experiment = experiment_of(model, logs, validate, holdout, told)
-    check_assumed(assumed, experiment.model)
-    options = changed(
+    candidates = None if effects is None else parse_candidates(effects)
+    assumed = tuple(parse_assumption(given) for given in assume)
+    experiment = load_experiment(model, logs, validate, holdout, told)
+    check_assumptions(assumed, experiment.model)
+    options = changed_options(
         diagnose, holdout=holdout, inertia=inertia, effects=effects, most=most, assume=assume, simulation=simulation
     )
     found = search(experiment, Options(inertia, candidates, most, assumed, simulation), told)
-    return _result(found, inertia, call("diagnose", model, logs, validate=validate, **options))
+    return _result(found, inertia, call_text("diagnose", model, logs, validate=validate, **options))
 
 
 def _result(found: Diagnosis, inertia: str, made_by: str) -> DiagnosisResult:

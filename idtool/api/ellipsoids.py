@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import notice_lines, table
+from idtool.api.results import notice_lines, table_lines
 from idtool.common.notice import Notice
 from idtool.common.outputs import as_yaml, check_file, write_all
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
@@ -57,7 +57,7 @@ class CheckResult(CheckReport):
 
     def __repr__(self) -> str:
         rows = [[name, figure(link.mass), "; ".join(link.violations) or "ok"] for name, link in self.links.items()]
-        return "\n".join([f"CheckResult {self.urdf}", *table(["link", "mass [kg]", "inertia"], rows)])
+        return "\n".join([f"CheckResult {self.urdf}", *table_lines(["link", "mass [kg]", "inertia"], rows)])
 
 
 def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResult:

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
-from idtool.api.data import listed
+from idtool.api.data import as_list
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, notice_lines, silent, table
+from idtool.api.results import Progress, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.interrupt import delay_interrupt
 from idtool.common.names import suggestion
@@ -31,7 +31,7 @@ from idtool.reporting.results.excitation import ExcitationReport
 from idtool.robot.model import build_model
 
 CRITERIA = ("d", "a", "e", "condition")
-ALL = ""  # in place of a joint: all joints
+ALL_JOINTS = ""  # in place of a joint: all joints
 
 
 class ExcitationResult(ExcitationReport):
@@ -78,7 +78,7 @@ class ExcitationResult(ExcitationReport):
         title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
         rows = [[p.name, figure(p.prior), figure(p.standard_error), p.unit] for p in self.base_parameters]
         head = ["base parameter", "prior", "± se", "unit"]
-        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
+        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
 
 
 def excite(
@@ -146,8 +146,8 @@ def excite(
     IdtoolError
         If the model, the configuration or a log cannot be used. Messages name options as the command line does.
     """
-    tell = progress or silent
-    _check(criterion, duration, rate, margin, clearance, max_frequency)
+    tell = progress or ignore_progress
+    _check_options(criterion, duration, rate, margin, clearance, max_frequency)
     model = as_model(model)
     wishes = DesignOptions(
         pattern=pattern,
@@ -159,9 +159,9 @@ def excite(
         start=dict(start or {}),
         tip=tip,
     )
-    given = [Path(str(path)) for path in listed(logs)]
-    experiment = _experiment(model, given, tell)
-    task, logged = _task(model, experiment, noise, rate, margin, clearance, criterion, favour, tell)
+    given = [Path(str(path)) for path in as_list(logs)]
+    experiment = _load_experiment(model, given, tell)
+    task, logged = _make_task(model, experiment, noise, rate, margin, clearance, criterion, favour, tell)
     found = design(task, experiment.config if experiment else model.settings, wishes, logged, tell)
     sources = experiment.sources if experiment else sources_of(model.robot, model.settings)
     notices = experiment.notices if experiment else ()
@@ -172,7 +172,7 @@ def excite(
     return result
 
 
-def _check(
+def _check_options(
     criterion: str, duration: float, rate: float, margin: float, clearance: float, max_frequency: float | None
 ) -> None:
     """Before anything is read: whether the options can be meant."""
@@ -189,7 +189,7 @@ def _check(
             raise ConfigError(option, f"{value:g} is not from {least:g} to {most:g}")
 
 
-def _experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:
+def _load_experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:
     """The logs that there are already; None without any."""
     if not logs:
         return None
@@ -197,7 +197,7 @@ def _experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Exper
     return experiment
 
 
-def _task(
+def _make_task(
     model: Model,
     experiment: Experiment | None,
     noise: float | Mapping[str, float] | None,
@@ -228,8 +228,8 @@ def _task(
     elif isinstance(noise, Mapping):
         given = dict(noise)
     else:
-        given = {ALL: noise}
-    of_all = dict.fromkeys(tree.names, given.pop(ALL)) if ALL in given else {}
+        given = {ALL_JOINTS: noise}
+    of_all = dict.fromkeys(tree.names, given.pop(ALL_JOINTS)) if ALL_JOINTS in given else {}
     task = make_design_task(
         tree,
         equation,

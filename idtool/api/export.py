@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Literal
 
-from idtool.api.records import notice_lines
+from idtool.api.results import notice_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
 from idtool.common.outputs import check_file, write_all

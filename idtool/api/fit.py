@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from idtool.api.data import Logs, call, changed, experiment_of
-from idtool.api.model import IDENTIFIED, SETTINGS, Model, Source, identified_text
-from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
+from idtool.api.data import Logs, call_text, changed_options, load_experiment
+from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
+from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.records import ResidualProfile
@@ -28,12 +28,18 @@ Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]  # of
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import RecordingData
+    from idtool.api.results import RecordingData
 
-_SERIOUS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")  # what no model mends
+_UNCORRECTABLE_FAULTS = (
+    "wrong_unit",
+    "wrong_sign",
+    "wrong_joint_order",
+    "clipped",
+    "wrapped_position",
+)  # what no model mends
 
 
-class FitResult(FitReport, Saved, Recordable):
+class FitResult(FitReport, SavableResult, Recordable):
     """An identified model, and how far to trust it; its fields are those of report.json."""
 
     _fit: Fit
@@ -51,16 +57,16 @@ class FitResult(FitReport, Saved, Recordable):
         urdf = self._fit.experiment.model.robot.path.name
         header = f"Identified by idtool from {urdf}; with identified.urdf it is the identified model."
         return {
-            IDENTIFIED: identified_text(self._fit, folder),
-            SETTINGS: as_yaml(model_config(self._fit), header),
+            IDENTIFIED_URDF: identified_urdf_text(self._fit, folder),
+            MODEL_YAML: as_yaml(model_config(self._fit), header),
             "report.json": as_json(self.to_json()),
             "report.html": fit_page(self._fit, self, made_by, self._maps),
         }
 
     def _recording_data(self) -> RecordingData:
-        from idtool.api.recording import of_fit
+        from idtool.api.recording import fit_traces
 
-        return self._fit.experiment.model, of_fit(self._fit), "identified"
+        return self._fit.experiment.model, fit_traces(self._fit), "identified"
 
     def plot(self, log: int = 0) -> Figure:
         """Measured and predicted torque and the residual of every joint, on the held-out data where there are any.
@@ -97,7 +103,7 @@ class FitResult(FitReport, Saved, Recordable):
         return "\n".join(
             [
                 f"FitResult {urdf}: RMS torque error [{units}] {band}, on {data}",
-                *table(head, rows),
+                *table_lines(head, rows),
                 f"  mass [kg]: {masses}{more}",
                 *notice_lines(self.notices),
             ]
@@ -151,10 +157,10 @@ def fit(
     >>> result.bodies["shank_link"].realizable
     True
     """
-    told = progress or silent
-    experiment = experiment_of(model, logs, validate, holdout, told)
-    options = changed(fit, holdout=holdout, method=method, simulation=simulation, quick=quick)
-    made_by = call("fit", model, logs, validate=validate, **options)
+    told = progress or ignore_progress
+    experiment = load_experiment(model, logs, validate, holdout, told)
+    options = changed_options(fit, holdout=holdout, method=method, simulation=simulation, quick=quick)
+    made_by = call_text("fit", model, logs, validate=validate, **options)
     return fit_experiment(experiment, made_by, told, simulation and not quick, not quick, method)
 
 
@@ -189,7 +195,7 @@ def fit_experiment(
     found = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
     if analyze_uncertainty:
         faults = find_data_faults(experiment, progress)
-        serious = [fault for fault in faults if fault.code in _SERIOUS]
+        serious = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
         found = replace(found, notices=(*serious, *found.notices))
     maps = None
     if analyze_uncertainty:

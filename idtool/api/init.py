@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from idtool.api.model import Source
-from idtool.api.records import Progress, notice_lines, silent
+from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.names import stem
 from idtool.common.outputs import OutputError, write_all
 from idtool.common.safe_yaml import read_yaml
@@ -91,7 +91,7 @@ def init(
     place = beside if file is None else Path(file)
     robot, all_logs = read_robot_and_logs(Path(urdf), given)
     given_config = (read_yaml(known) if known else None) or {}
-    draft = make_initial_config(robot, all_logs, given_config, known, progress or silent)
+    draft = make_initial_config(robot, all_logs, given_config, known, progress or ignore_progress)
     result = InitResult(
         file=str(place),
         urdf=str(urdf),

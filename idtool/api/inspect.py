@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from idtool.api.data import LogSource
 from idtool.api.log import Log
-from idtool.api.records import notice_lines
+from idtool.api.results import notice_lines
 from idtool.data.inspection import inspect_log
 from idtool.reporting.inspection_report import inspection_report
 from idtool.reporting.results.inspection import InspectionReport

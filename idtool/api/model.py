@@ -25,8 +25,8 @@ from idtool.robot.urdf.reading import Robot, parse_robot
 from idtool.robot.urdf.writing import identified_urdf, relocate_meshes
 
 Source = str | os.PathLike[str]
-IDENTIFIED, SETTINGS = "identified.urdf", "model.yaml"  # what fit and diagnose write
-_FOUND = "what was identified"
+IDENTIFIED_URDF, MODEL_YAML = "identified.urdf", "model.yaml"  # what fit and diagnose write
+_IDENTIFIED_ORIGIN = "what was identified"
 
 
 class Model:
@@ -61,7 +61,7 @@ class Model:
 
     def __init__(self, urdf: Source, config: Source | Mapping[str, Any] | None = None) -> None:
         self._robot, _ = read_robot_and_logs(Path(urdf), ())
-        self._config, self._origin = _settings(Path(urdf), config)
+        self._config, self._origin = _load_settings(Path(urdf), config)
 
     @classmethod
     def with_logs(cls, urdf: Path, logs: Sequence[Path], config: Path | None = None) -> tuple[Model, list[Path]]:
@@ -83,7 +83,7 @@ class Model:
         """
         model = cls.__new__(cls)
         model._robot, every = read_robot_and_logs(urdf, logs)
-        model._config, model._origin = _settings(urdf, config)
+        model._config, model._origin = _load_settings(urdf, config)
         return model, every
 
     @classmethod
@@ -97,9 +97,9 @@ class Model:
         """
         model = cls.__new__(cls)
         original = fit.experiment.model.robot.path
-        robot = parse_robot(original, identified_text(fit))  # its meshes are found from there
+        robot = parse_robot(original, identified_urdf_text(fit))  # its meshes are found from there
         model._robot = replace(robot, source=replace(robot.source, path=f"{original}, identified"))
-        model._config, model._origin = parse_config(model_config(fit), SETTINGS), _FOUND
+        model._config, model._origin = parse_config(model_config(fit), MODEL_YAML), _IDENTIFIED_ORIGIN
         return model
 
     @classmethod
@@ -117,7 +117,7 @@ class Model:
     @property
     def name(self) -> str:
         """What to call it: its path, and whether it was identified."""
-        return f"{self.path}, identified" if self._origin == _FOUND else str(self.path)
+        return f"{self.path}, identified" if self._origin == _IDENTIFIED_ORIGIN else str(self.path)
 
     @property
     def robot(self) -> Robot:
@@ -212,7 +212,7 @@ def as_model(model: Model | Source) -> Model:
     return model if isinstance(model, Model) else Model(model)
 
 
-def identified_text(fit: Fit, folder: Path | None = None) -> bytes:
+def identified_urdf_text(fit: Fit, folder: Path | None = None) -> bytes:
     """The content of identified.urdf, in another folder than the URDF's own if one is given."""
     model = fit.experiment.model
     bodies = {body.name: (body, fit.parameters(i)) for i, body in enumerate(model.bodies)}
@@ -220,11 +220,11 @@ def identified_text(fit: Fit, folder: Path | None = None) -> bytes:
     return text if folder is None else relocate_meshes(text, model.robot.path, folder)
 
 
-def _settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:
+def _load_settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:
     """The configuration and what to call it: the one given, the one beside the URDF, or the defaults without a name."""
     if isinstance(given, Mapping):
         return parse_config(given, "config"), "a configuration"
-    names = [f"{stem(urdf)}.yaml", f"{stem(urdf)}.yml", *([SETTINGS] if urdf.stem == "identified" else [])]
+    names = [f"{stem(urdf)}.yaml", f"{stem(urdf)}.yml", *([MODEL_YAML] if urdf.stem == "identified" else [])]
     beside = map(urdf.with_name, names)
     path = Path(given) if given is not None else next((path for path in beside if path.is_file()), None)
     return (read_config(path), path.name) if path else (Config(), "")

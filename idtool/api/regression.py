@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.api.records import Progress, silent
+from idtool.api.results import Progress, ignore_progress
 from idtool.estimation.regression import find_manifest, read_manifest, run_case
 from idtool.reporting.results.validation import RegressionCase, RegressionReport
 
@@ -23,6 +23,6 @@ def regression(progress: Progress | None = None) -> RegressionReport:
     manifest = find_manifest()
     cases = []
     for case in read_manifest(manifest):
-        for outcome in run_case(case, manifest.parent, progress or silent):
+        for outcome in run_case(case, manifest.parent, progress or ignore_progress):
             cases.append(RegressionCase(**vars(outcome), ok=outcome.ok))
     return RegressionReport(cases=cases)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from idtool.api.data import LogSource, experiment_of
+from idtool.api.data import LogSource, load_experiment
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, Recordable, notice_lines, silent, table
+from idtool.api.results import Progress, Recordable, ignore_progress, notice_lines, table_lines
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
@@ -36,9 +36,9 @@ from idtool.robot.model import Model as RobotModel
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import RecordingData
+    from idtool.api.results import RecordingData
 
-FILE = "simulated.mcap"  # what the log is called in a folder
+LOG_NAME = "simulated.mcap"  # what the log is called in a folder
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,7 +126,7 @@ class SimulationResult(Recordable):
         IdtoolError
             If the log cannot be written, or would take the place of the one that was read.
         """
-        file = Path(place) if Path(place).suffix.lower() in log_suffixes() else Path(place, FILE)
+        file = Path(place) if Path(place).suffix.lower() in log_suffixes() else Path(place, LOG_NAME)
         check_log_file(file, [self._source])
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -137,9 +137,9 @@ class SimulationResult(Recordable):
         return (file,)
 
     def _recording_data(self) -> RecordingData:
-        from idtool.api.recording import of_motion
+        from idtool.api.recording import motion_traces
 
-        motion = of_motion(self._source.name, self.log.t, self._measured, self.log.q)
+        motion = motion_traces(self._source.name, self.log.t, self._measured, self.log.q)
         return self._model, motion, "model"
 
     def plot(self) -> Figure:
@@ -163,7 +163,7 @@ class SimulationResult(Recordable):
             velocity_error = velocity[name] if velocity else None
             rows.append([name, figure(error), figure(velocity_error)])
         head = ["RMS error", f"position [{units}]", f"velocity [{speeds}]"]
-        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
+        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
 
 
 def simulate(
@@ -205,12 +205,12 @@ def simulate(
     >>> run.log.joints, run.rollouts
     (('abad', 'hip', 'knee'), 100)
     """
-    started, told, model = time.monotonic(), progress or silent, as_model(model)
+    started, told, model = time.monotonic(), progress or ignore_progress, as_model(model)
     _check_options(model.settings, window, closed_loop, track)
     transform = as_command if track else under_controller if closed_loop else as_logged
-    experiment = experiment_of(model, (), log, progress=told, transform=transform)
+    experiment = load_experiment(model, (), log, progress=told, transform=transform)
     every = _window(experiment, window)
-    done = simulated_log(experiment, experiment.equation.prior, every, Path(FILE), told)
+    done = simulated_log(experiment, experiment.equation.prior, every, Path(LOG_NAME), told)
     report = _report(experiment, done, time.monotonic() - started)
     source = experiment.runs[0].signals.log.path
     return SimulationResult(Log.from_record(done.log), report, experiment.model, done.measured, source)

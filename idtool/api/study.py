@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import Model, Source
-from idtool.api.records import Progress, Saved, notice_lines, silent, table
+from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json
 from idtool.estimation.evaluation.validation import Evaluation
@@ -14,10 +14,10 @@ from idtool.reporting.figures import figure
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.study_report import study_report
 
-_FEWEST_DRAWS = 5
+_MIN_DRAWS = 5
 
 
-class StudyResult(StudyReport, Saved):
+class StudyResult(StudyReport, SavableResult):
     """All constraint sets, priors and estimators side by side; its fields are those of study.json."""
 
     _validation: Evaluation
@@ -36,7 +36,7 @@ class StudyResult(StudyReport, Saved):
             errors = (found.rms.train["overall"], found.rms.validation["overall"])
             rows.append([name, *map(figure, errors), str(found.violations)])
         head = ["constraints", "train", "held out", "unrealizable"]
-        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
+        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
 
 
 def study(
@@ -72,11 +72,13 @@ def study(
     """
     from idtool.estimation.study.study import study as compare
 
-    if draws < _FEWEST_DRAWS:
-        raise ConfigError("--draws", f"{draws} is too few; give {_FEWEST_DRAWS} or more")
-    tell = progress or silent
-    found = compare(experiment_of(model, logs, validate, holdout, tell), tell, draws)
+    if draws < _MIN_DRAWS:
+        raise ConfigError("--draws", f"{draws} is too few; give {_MIN_DRAWS} or more")
+    tell = progress or ignore_progress
+    found = compare(load_experiment(model, logs, validate, holdout, tell), tell, draws)
     result = StudyResult.from_result(study_report(found))
     result._validation = found.validation
-    result._made_by = call("study", model, logs, validate=validate, **changed(study, holdout=holdout, draws=draws))
+    result._made_by = call_text(
+        "study", model, logs, validate=validate, **changed_options(study, holdout=holdout, draws=draws)
+    )
     return result

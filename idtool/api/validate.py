@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from idtool.api.data import Logs, call, changed, experiment_of
+from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import Model, Source, as_model
-from idtool.api.records import Progress, Recordable, Saved, notice_lines, silent, table
+from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
@@ -27,10 +27,10 @@ from idtool.robot.model import Model as RobotModel
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from idtool.api.records import RecordingData
+    from idtool.api.results import RecordingData
 
 
-class ValidationResult(ValidationReport, Saved, Recordable):
+class ValidationResult(ValidationReport, SavableResult, Recordable):
     """Validation of a model on logs. The fields are those of validation.json."""
 
     _model: RobotModel
@@ -47,10 +47,10 @@ class ValidationResult(ValidationReport, Saved, Recordable):
         return {"validation.json": as_json(self.to_json()), "validation.html": page}
 
     def _recording_data(self) -> RecordingData:
-        from idtool.api.recording import beside
+        from idtool.api.recording import traces_by_log
 
         motions = self._rollouts.traces if self._rollouts else ()
-        return self._model, beside(self._evaluation, motions), "model"
+        return self._model, traces_by_log(self._evaluation, motions), "model"
 
     def plot(self, log: int = 0) -> Figure:
         """Measured and predicted torque and the residual of every joint.
@@ -81,7 +81,7 @@ class ValidationResult(ValidationReport, Saved, Recordable):
             missed = "" if self.ok.get(name, True) else " missed"
             rows.append([*row, *([f"{figure(bounds[name])}{missed}" if name in bounds else ""] if bounds else [])])
         title = f"ValidationResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
-        return "\n".join([title, *table(head, rows), *notice_lines(self.notices)])
+        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
 
 
 def validate(
@@ -124,13 +124,13 @@ def validate(
     >>> found.ok["overall"]
     False
     """
-    told = progress or silent
+    told = progress or ignore_progress
     model = as_model(model)
-    experiment = experiment_of(model, (), logs, progress=told)
+    experiment = load_experiment(model, (), logs, progress=told)
     bounds = _bounds(max_rms, experiment)
     other = prior if prior is None or isinstance(prior, Model) else prior_model(Path(prior))
-    options = changed(validate, max_rms=max_rms, simulation=simulation)
-    made_by = call("validate", model, logs, **({"prior": other.name} if other else {}), **options)
+    options = changed_options(validate, max_rms=max_rms, simulation=simulation)
+    made_by = call_text("validate", model, logs, **({"prior": other.name} if other else {}), **options)
     return validate_experiment(experiment, other, bounds, made_by, told, simulation)
 
 

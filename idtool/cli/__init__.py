@@ -38,34 +38,34 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], prog_name="idtool", standalone_mode=False)
         sys.stdout.flush()
     except IdtoolError as error:
-        code = _fail(str(error))
+        code = _print_error(str(error))
     except TyperException as error:
-        code = _fail(_usage(error))
+        code = _print_error(_usage_message(error))
     except (Abort, KeyboardInterrupt):
         code = EXIT_CODE
     except (BrokenPipeError, SystemExit):  # who reads the output has had enough; rich makes the latter of it
-        code = _unread()
+        code = _discard_output()
     except OSError as error:
         if error.filename is not None:
             raise
-        code = _unread() or _fail(f"standard output: cannot be written to ({error.strerror})")
+        code = _discard_output() or _print_error(f"standard output: cannot be written to ({error.strerror})")
     if code == EXIT_CODE:  # typer may have made it of the interrupt
         sys.stderr.write(MESSAGE)
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _unread() -> int:
+def _discard_output() -> int:
     """Give up standard output, so that the interpreter does not try it again at its end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
-def _fail(message: str) -> int:
+def _print_error(message: str) -> int:
     sys.stderr.write(f"error: {message}\n")
     return 2
 
 
-def _usage(error: TyperException) -> str:
+def _usage_message(error: TyperException) -> str:
     """A mistake in the command's words as one line."""
     text = " ".join(error.format_message().split()).rstrip(".")
     context = getattr(error, "ctx", None)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import QUESTIONS, app
+from idtool.cli.app import FURTHER_ANALYSIS, app
 from idtool.cli.options import (
     ConfigOption,
     JsonOption,
@@ -14,13 +14,15 @@ from idtool.cli.options import (
     OutOption,
     QuietOption,
     UrdfArgument,
-    command,
+    command_line,
     finish,
-    folder_for,
+    output_folder,
 )
 
 
-@app.command("adapt", rich_help_panel=QUESTIONS, epilog="Example: idtool adapt leg.urdf run1.mcap --forgetting 10")
+@app.command(
+    "adapt", rich_help_panel=FURTHER_ANALYSIS, epilog="Example: idtool adapt leg.urdf run1.mcap --forgetting 10"
+)
 def adapt_command(
     urdf: UrdfArgument,
     logs: LogsArgument,
@@ -37,10 +39,10 @@ def adapt_command(
     from idtool.reporting.terminal.adapt import show_adaptation
 
     terminal = Terminal(quiet, as_json)
-    folder = folder_for(urdf, out)
+    folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         result = adapt(model, logs, forgetting=forgetting, progress=progress)
-        result.save(folder, command())
+        result.save(folder, command_line())
     show_adaptation(terminal, result, folder)
     finish(terminal, result, {})

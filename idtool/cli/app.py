@@ -7,7 +7,12 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-FIRST, MODEL, QUESTIONS, USE = "First steps", "Identify and check", "Further analysis", "Use the model"
+FIRST_STEPS, IDENTIFY_AND_CHECK, FURTHER_ANALYSIS, USE_THE_MODEL = (
+    "First steps",
+    "Identify and check",
+    "Further analysis",
+    "Use the model",
+)
 
 _ORDER = (  # in which a user needs them
     *("inspect", "init", "ellipsoids", "excite"),
@@ -52,7 +57,7 @@ def _print_version(wanted: bool) -> None:
 
 
 @app.callback()
-def _options(
+def _main_options(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
     ] = False,

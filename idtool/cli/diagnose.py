@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.cli.app import MODEL, app
+from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     AssumeOption,
     ConfigOption,
@@ -20,15 +20,15 @@ from idtool.cli.options import (
     RerunOption,
     UrdfArgument,
     ValidateOption,
-    command,
+    command_line,
     finish,
-    folder_for,
+    output_folder,
 )
 
 
 @app.command(
     "diagnose",
-    rich_help_panel=MODEL,
+    rich_help_panel=IDENTIFY_AND_CHECK,
     epilog="Example: idtool diagnose leg.urdf run1.mcap run2.mcap --validate run3.mcap",
 )
 def diagnose_command(
@@ -55,7 +55,7 @@ def diagnose_command(
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.diagnosis import show_diagnosis
 
-    terminal, folder = Terminal(quiet, as_json), folder_for(urdf, out)
+    terminal, folder = Terminal(quiet, as_json), output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         result = diagnose(
@@ -71,7 +71,7 @@ def diagnose_command(
             progress=progress,
         )
         progress("writing", 0.0)
-        files = result.save(folder, command(), report_only)
+        files = result.save(folder, command_line(), report_only)
         if rerun:
             result.rerun(rerun)
     show_diagnosis(terminal, result, folder, tuple(file.name for file in files), explain)

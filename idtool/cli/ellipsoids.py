@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import FIRST, app
+from idtool.cli.app import FIRST_STEPS, app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish
 from idtool.common.exceptions import ConfigError
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 
 @app.command(
-    "ellipsoids", rich_help_panel=FIRST, epilog="Example: idtool ellipsoids leg.urdf --check --repair leg_repaired.urdf"
+    "ellipsoids",
+    rich_help_panel=FIRST_STEPS,
+    epilog="Example: idtool ellipsoids leg.urdf --check --repair leg_repaired.urdf",
 )
 def ellipsoids_command(
     urdf: UrdfArgument,
@@ -51,12 +53,12 @@ def ellipsoids_command(
     if repair is not None:  # the URDF itself may be repaired
         check_file(repair, [])
     if check:
-        _check(terminal, urdf, config, repair)
+        _check_links(terminal, urdf, config, repair)
     else:
-        _bound(terminal, urdf, margin, out)
+        _write_ellipsoids(terminal, urdf, margin, out)
 
 
-def _bound(terminal: Terminal, urdf: Path, margin: float, out: Path | None) -> None:
+def _write_ellipsoids(terminal: Terminal, urdf: Path, margin: float, out: Path | None) -> None:
     """Bounding ellipsoids as YAML."""
     from idtool.api.ellipsoids import ellipsoids
 
@@ -70,7 +72,7 @@ def _bound(terminal: Terminal, urdf: Path, margin: float, out: Path | None) -> N
     finish(terminal, result, {})
 
 
-def _check(terminal: Terminal, urdf: Path, config: Path | None, repair: Path | None) -> None:
+def _check_links(terminal: Terminal, urdf: Path, config: Path | None, repair: Path | None) -> None:
     """Links whose inertia no body can have."""
     from idtool.api.ellipsoids import check
     from idtool.api.model import Model

@@ -9,16 +9,16 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FIRST, app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command, finish, folder_for
+from idtool.cli.app import FIRST_STEPS, app
+from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command_line, finish, output_folder
 from idtool.common.exceptions import ConfigError
 
-_ALL = ""  # an option's value for all joints
+_ALL_JOINTS = ""  # an option's value for all joints
 
 
 @app.command(
     "excite",
-    rich_help_panel=FIRST,
+    rich_help_panel=FIRST_STEPS,
     epilog="Example: idtool excite leg.urdf --duration 30 --noise 0.1 --favour shank_link",
 )
 def excite_command(
@@ -74,7 +74,7 @@ def excite_command(
     from idtool.reporting.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
-    file = out or folder_for(urdf, None) / "excitation.mcap"
+    file = out or output_folder(urdf, None) / "excitation.mcap"
     check_log_file(file, [urdf, *(log or []), *([config] if config else [])])
     with terminal.progress() as progress:
         progress("reading", 0.0)
@@ -88,23 +88,23 @@ def excite_command(
             slow=slow,
             rate=rate,
             max_frequency=highest,
-            noise=_numbers("--noise", noise or [], for_all=True),
+            noise=_parse_numbers("--noise", noise or [], for_all=True),
             margin=margin,
             clearance=clearance,
-            start=_numbers("--start", start or [], for_all=False),
+            start=_parse_numbers("--start", start or [], for_all=False),
             tip=tip,
             iterations=iterations,
             seed=seed,
             progress=progress,
         )
         progress("writing", 0.0)
-        result.save(file, command())
+        result.save(file, command_line())
     report = result.model_copy(update={"file": str(file)})
     show_excitation(terminal, report)
     finish(terminal, report, {})
 
 
-def _numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, float]:
+def _parse_numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, float]:
     """JOINT=NUMBER by joint; a number without a joint is for all."""
     found = {}
     for text in given:
@@ -116,5 +116,5 @@ def _numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, floa
         if not math.isfinite(value) or not (separator or for_all) or (for_all and value <= 0):
             form = "NUMBER or JOINT=NUMBER, above 0" if for_all else "JOINT=NUMBER"
             raise ConfigError(option, f"{text or 'nothing'} is not {form}")
-        found[name if separator else _ALL] = value
+        found[name if separator else _ALL_JOINTS] = value
     return found

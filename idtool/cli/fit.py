@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.cli.app import MODEL, app
+from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
@@ -17,15 +17,17 @@ from idtool.cli.options import (
     RerunOption,
     UrdfArgument,
     ValidateOption,
-    bounds_of,
-    command,
+    command_line,
     finish,
-    folder_for,
+    output_folder,
+    parse_bounds,
 )
 
 
 @app.command(
-    "fit", rich_help_panel=MODEL, epilog="Example: idtool fit leg.urdf run1.mcap run2.mcap --validate run3.mcap"
+    "fit",
+    rich_help_panel=IDENTIFY_AND_CHECK,
+    epilog="Example: idtool fit leg.urdf run1.mcap run2.mcap --validate run3.mcap",
 )
 def fit_command(
     urdf: UrdfArgument,
@@ -43,20 +45,20 @@ def fit_command(
     quiet: QuietOption = False,
 ) -> None:
     """Identify inertias, friction and rotors; write identified.urdf, model.yaml, report.json and report.html."""
-    from idtool.api.data import experiment_of
+    from idtool.api.data import load_experiment
     from idtool.api.fit import fit_experiment
     from idtool.api.model import Model
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.fit import show_fit
 
     terminal = Terminal(quiet, as_json)
-    folder = folder_for(urdf, out)
+    folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        experiment = experiment_of(model, logs, validate or (), holdout, progress)
-        bounds = bounds_of(max_rms or [], experiment)
+        experiment = load_experiment(model, logs, validate or (), holdout, progress)
+        bounds = parse_bounds(max_rms or [], experiment)
         simulate = not (no_simulation or quick)
-        result = fit_experiment(experiment, command(), progress, simulate, not quick, method)
+        result = fit_experiment(experiment, command_line(), progress, simulate, not quick, method)
         progress("writing", 0.0)
         result.save(folder)
         if rerun:

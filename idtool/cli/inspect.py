@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FIRST, app
+from idtool.cli.app import FIRST_STEPS, app
 from idtool.cli.options import JsonOption, QuietOption, finish
 
 
-@app.command("inspect", rich_help_panel=FIRST, epilog="Example: idtool inspect run1.mcap")
+@app.command("inspect", rich_help_panel=FIRST_STEPS, epilog="Example: idtool inspect run1.mcap")
 def inspect_command(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="A log: MCAP, CSV or a rosbag2 folder.", show_default=False)

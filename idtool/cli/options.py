@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from idtool.reporting.terminal import Terminal
 
 
-def named(path: Path | None) -> Path | None:
+def resolve_unnamed(path: Path | None) -> Path | None:
     """The path with a name, which what is written is called after: the folder one is in has none."""
     return path.resolve() if path and path.name in ("", "..") else path
 
 
-def some_log(context: typer.Context, given: Any) -> Any:
+def require_log(context: typer.Context, given: Any) -> Any:
     """The log or logs as given: none is enough where what stands in the URDF's place is a bag."""
     from idtool.data.logs import is_bag
 
@@ -38,17 +38,17 @@ def some_log(context: typer.Context, given: Any) -> Any:
     return given
 
 
-def _recordable(file: Path | None) -> Path | None:
+def _check_rerun(file: Path | None) -> Path | None:
     """The file, where it can be made: asked before the work is done."""
     if file is not None:
-        from idtool.reporting.rerun_recording import library
+        from idtool.reporting.rerun_recording import rerun_package
 
-        library()
+        rerun_package()
     return file
 
 
 UrdfArgument = Annotated[
-    Path, typer.Argument(metavar="URDF", help="The robot's URDF.", show_default=False, callback=named)
+    Path, typer.Argument(metavar="URDF", help="The robot's URDF.", show_default=False, callback=resolve_unnamed)
 ]
 LogsArgument = Annotated[
     list[Path],
@@ -58,7 +58,7 @@ LogsArgument = Annotated[
         "be omitted.",
         show_default=False,
         default_factory=list,
-        callback=some_log,
+        callback=require_log,
     ),
 ]
 ConfigOption = Annotated[
@@ -88,7 +88,7 @@ RerunOption = Annotated[
         "--rerun",
         metavar="FILE.rrd",
         help="Also write a recording for the rerun viewer; needs the extra 'rerun' of idtool.",
-        callback=_recordable,
+        callback=_check_rerun,
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
@@ -122,7 +122,7 @@ ReportOnlyOption = Annotated[
 ExplainOption = Annotated[bool, typer.Option("--explain", help="Show why each candidate was rejected.")]
 
 
-def folder_for(urdf: Path, given: Path | None) -> Path:
+def output_folder(urdf: Path, given: Path | None) -> Path:
     """The folder to write to: the one given, or one in the working directory that is called after the URDF.
 
     Raises
@@ -137,7 +137,7 @@ def folder_for(urdf: Path, given: Path | None) -> Path:
     return folder
 
 
-def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
+def parse_bounds(given: list[str], experiment: Experiment) -> dict[str, float]:
     """Bounds by joint or ``overall`` from the options."""
     from idtool.common.names import suggestion
 
@@ -157,7 +157,7 @@ def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
     return bounds
 
 
-def command() -> str:
+def command_line() -> str:
     """The command line, as a person would type it."""
     return shlex.join(["idtool", *sys.argv[1:]])
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import USE, app
+from idtool.cli.app import USE_THE_MODEL, app
 from idtool.cli.options import (
     ConfigOption,
     JsonOption,
@@ -15,8 +15,8 @@ from idtool.cli.options import (
     RerunOption,
     UrdfArgument,
     finish,
-    folder_for,
-    some_log,
+    output_folder,
+    require_log,
 )
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ LogArgument = Annotated[
         help="A log or, with --track, a trajectory: MCAP, CSV or a rosbag2 folder. A bag with /robot_description "
         "needs no URDF.",
         show_default=False,
-        callback=some_log,
+        callback=require_log,
     ),
 ]
 LogOutOption = Annotated[
@@ -63,7 +63,9 @@ TrackOption = Annotated[
 ]
 
 
-@app.command("simulate", rich_help_panel=USE, epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap")
+@app.command(
+    "simulate", rich_help_panel=USE_THE_MODEL, epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap"
+)
 def simulate_command(
     urdf: UrdfArgument,
     log: LogArgument = None,
@@ -78,12 +80,12 @@ def simulate_command(
 ) -> None:
     """Simulate a model under a log's torque or under its controller, and write the motion as a log."""
     from idtool.api.model import Model
-    from idtool.api.simulate import FILE, simulate
+    from idtool.api.simulate import LOG_NAME, simulate
     from idtool.data.logs import check_log_file
     from idtool.reporting.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
-    file = out or folder_for(urdf, None) / FILE
+    file = out or output_folder(urdf, None) / LOG_NAME
     check_log_file(file, [path for path in (urdf, log, config) if path])
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, [log] if log else [], config)
@@ -93,11 +95,11 @@ def simulate_command(
         if rerun:
             result.rerun(rerun)
     report = result.report.model_copy(update={"file": str(file)})
-    _show(terminal, report, "trajectory" if track else "measured positions")
+    _show_simulation(terminal, report, "trajectory" if track else "measured positions")
     finish(terminal, report, {})
 
 
-def _show(terminal: Terminal, report: SimulationReport, measured: str) -> None:
+def _show_simulation(terminal: Terminal, report: SimulationReport, measured: str) -> None:
     """What was run, how far it is from what was measured, and where it is."""
     how = "closed loop under the controller" if report.kind == "closed_loop" else "open loop under the logged torque"
     often = "never restarted" if report.window is None else f"{report.window:g} s at a time"

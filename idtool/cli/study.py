@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import QUESTIONS, app
+from idtool.cli.app import FURTHER_ANALYSIS, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
@@ -16,13 +16,15 @@ from idtool.cli.options import (
     QuietOption,
     UrdfArgument,
     ValidateOption,
-    command,
+    command_line,
     finish,
-    folder_for,
+    output_folder,
 )
 
 
-@app.command("study", rich_help_panel=QUESTIONS, epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap")
+@app.command(
+    "study", rich_help_panel=FURTHER_ANALYSIS, epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap"
+)
 def study_command(
     urdf: UrdfArgument,
     logs: LogsArgument,
@@ -41,10 +43,10 @@ def study_command(
     from idtool.reporting.terminal.study import show_study
 
     terminal = Terminal(quiet, as_json)
-    folder = folder_for(urdf, out)
+    folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         result = study(model, logs, validate=validate or (), holdout=holdout, draws=draws, progress=progress)
-        result.save(folder, command())
+        result.save(folder, command_line())
     show_study(terminal, result, folder)
     finish(terminal, result, {})

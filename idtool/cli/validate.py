@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import MODEL, app
+from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     JsonOption,
     MaxRmsOption,
@@ -15,11 +15,11 @@ from idtool.cli.options import (
     OutOption,
     QuietOption,
     RerunOption,
-    bounds_of,
-    command,
+    command_line,
     finish,
-    folder_for,
-    named,
+    output_folder,
+    parse_bounds,
+    resolve_unnamed,
 )
 from idtool.common.exceptions import ConfigError
 
@@ -29,12 +29,13 @@ if TYPE_CHECKING:
 
 @app.command(
     "validate",
-    rich_help_panel=MODEL,
+    rich_help_panel=IDENTIFY_AND_CHECK,
     epilog="Example: idtool validate leg_idtool/identified.urdf run3.mcap --prior leg.urdf",
 )
 def validate_command(
     urdf: Annotated[
-        Path | None, typer.Argument(metavar="URDF", help="The model's URDF.", show_default=False, callback=named)
+        Path | None,
+        typer.Argument(metavar="URDF", help="The model's URDF.", show_default=False, callback=resolve_unnamed),
     ] = None,
     logs: Annotated[
         list[Path] | None, typer.Argument(metavar="LOG", help="Logs: MCAP, CSV or rosbag2 folders.", show_default=False)
@@ -52,7 +53,7 @@ def validate_command(
     quiet: QuietOption = False,
 ) -> None:
     """Compute the torque and motion errors of a model on logs; without arguments, run the regression."""
-    from idtool.api.data import experiment_of
+    from idtool.api.data import load_experiment
     from idtool.api.model import Model
     from idtool.api.validate import prior_model, validate_experiment
     from idtool.reporting.terminal import Terminal
@@ -60,15 +61,15 @@ def validate_command(
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
-        _regression(terminal, any((config, prior, out, max_rms, no_simulation, rerun)))
+        _run_regression(terminal, any((config, prior, out, max_rms, no_simulation, rerun)))
         return
-    folder = folder_for(urdf, out)
+    folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, every = Model.with_logs(urdf, logs or (), config)
-        experiment = experiment_of(model, (), every, progress=progress)
-        bounds = bounds_of(max_rms or [], experiment)
+        experiment = load_experiment(model, (), every, progress=progress)
+        bounds = parse_bounds(max_rms or [], experiment)
         other = None if prior is None else prior_model(prior)
-        result = validate_experiment(experiment, other, bounds, command(), progress, not no_simulation)
+        result = validate_experiment(experiment, other, bounds, command_line(), progress, not no_simulation)
         result.save(folder)
         if rerun:
             result.rerun(rerun)
@@ -76,7 +77,7 @@ def validate_command(
     finish(terminal, result, dict(result.ok))
 
 
-def _regression(terminal: Terminal, options: bool) -> None:
+def _run_regression(terminal: Terminal, options: bool) -> None:
     """`idtool validate` without arguments."""
     if options:
         raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")

@@ -24,14 +24,14 @@ from idtool.estimation.evaluation.envelope import Trace
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import Robot
 
-_TIME = "log"  # the timeline's name
-_POSES = {"measured": "", "simulated": "simulated/"}  # the robots, and what is put before their frames' names
+_TIMELINE = "log"  # the timeline's name
+_FRAME_PREFIXES = {"measured": "", "simulated": "simulated/"}  # the robots, and what is put before their frames' names
 _COLORS = {"measured": (150, 150, 150), "model": (217, 95, 2), "simulated": (217, 95, 2), "residual": (27, 120, 55)}
 _ELLIPSOID = (31, 119, 180, 60)
 
 
 @dataclass(frozen=True)
-class Take:
+class LogRecording:
     """What is shown of one log.
 
     Attributes
@@ -52,7 +52,7 @@ class Take:
     curves: Mapping[str, tuple[Array, Array]]
 
 
-def take(name: str, parts: Sequence[tuple[Trace, Mapping[str, str]]]) -> Take:
+def log_recording(name: str, parts: Sequence[tuple[Trace, Mapping[str, str]]]) -> LogRecording:
     """A log by traces, each with what its curves are called there and what they are.
 
     Parameters
@@ -70,11 +70,11 @@ def take(name: str, parts: Sequence[tuple[Trace, Mapping[str, str]]]) -> Take:
         for own, what in names.items()
         if own in trace.curves
     }
-    return Take(name, end - start, start, curves)
+    return LogRecording(name, end - start, start, curves)
 
 
 def rerun_recording(
-    robot: Robot, joints: Sequence[str], ellipsoids: Mapping[str, Sequence[Ellipsoid]], takes: Sequence[Take]
+    robot: Robot, joints: Sequence[str], ellipsoids: Mapping[str, Sequence[Ellipsoid]], takes: Sequence[LogRecording]
 ) -> bytes:
     """The content of an .rrd file; logs follow one another.
 
@@ -94,35 +94,35 @@ def rerun_recording(
     ConfigError
         If rerun is not installed.
     """
-    rr = library()
+    rr = rerun_package()
     recording = rr.RecordingStream("idtool", recording_id=robot.path.stem)
     stream = recording.binary_stream()
     whats = list(dict.fromkeys(what for one in takes for what in one.curves))
-    poses = [pose for pose in _POSES if f"position/{pose}" in whats]
-    trees = {pose: tree for pose in poses if (tree := _tree(rr, recording, robot, pose)) is not None}
+    poses = [pose for pose in _FRAME_PREFIXES if f"position/{pose}" in whats]
+    trees = {pose: tree for pose in poses if (tree := _add_robot(rr, recording, robot, pose)) is not None}
     root = next((tree.root_link().name for tree in trees.values()), "")
     recording.send_blueprint(_blueprint(rr, root, joints, whats))
-    _style(rr, recording, joints, whats)
+    _add_styles(rr, recording, joints, whats)
     for link, own in ellipsoids.items():
-        _bound(rr, recording, link, own)
+        _add_ellipsoids(rr, recording, link, own)
     first = 0.0
     for one in takes:
-        recording.set_time(_TIME, duration=first)
+        recording.set_time(_TIMELINE, duration=first)
         recording.log("logs", rr.TextLog(one.name))
         for what, (t, x) in one.curves.items():
             for j, joint in enumerate(joints):
-                times, values = _finite(t - one.start + first, x[j])
+                times, values = _finite_points(t - one.start + first, x[j])
                 if len(times):
                     path = rr.new_entity_path([what.split("/")[0], joint, what.split("/")[1]])
-                    index = rr.TimeColumn(_TIME, duration=times)
+                    index = rr.TimeColumn(_TIMELINE, duration=times)
                     recording.send_columns(path, indexes=[index], columns=rr.Scalars.columns(scalars=values))
         for pose, tree in trees.items():
-            _move(rr, recording, tree, pose, joints, one, first)
+            _add_motion(rr, recording, tree, pose, joints, one, first)
         first += one.seconds
     return bytes(stream.read())
 
 
-def library() -> ModuleType:
+def rerun_package() -> ModuleType:
     """The rerun package, which is an extra.
 
     Raises
@@ -155,7 +155,7 @@ def _blueprint(rr: Any, root: str, joints: Sequence[str], whats: Sequence[str]) 
     return rr.blueprint.Blueprint(rr.blueprint.Horizontal(space, rr.blueprint.Tabs(*pages)))
 
 
-def _style(rr: Any, recording: Any, joints: Sequence[str], whats: Sequence[str]) -> None:
+def _add_styles(rr: Any, recording: Any, joints: Sequence[str], whats: Sequence[str]) -> None:
     """Colours and names of the curves."""
     for what in whats:
         kind, name = what.split("/")
@@ -164,7 +164,7 @@ def _style(rr: Any, recording: Any, joints: Sequence[str], whats: Sequence[str])
             recording.log([kind, joint, name], line, static=True)
 
 
-def _tree(rr: Any, recording: Any, robot: Robot, pose: str) -> Any:
+def _add_robot(rr: Any, recording: Any, robot: Robot, pose: str) -> Any:
     """The URDF in one of its poses; None where the viewer's reader cannot take it."""
     with tempfile.TemporaryDirectory() as folder:
         path = robot.path
@@ -173,10 +173,10 @@ def _tree(rr: Any, recording: Any, robot: Robot, pose: str) -> Any:
             path.write_bytes(robot.text)
         try:
             tree = rr.urdf.UrdfTree.from_file_path(
-                path, pose, frame_prefix=_POSES[pose] or None, static_transform_entity_path=f"{pose}/fixed"
+                path, pose, frame_prefix=_FRAME_PREFIXES[pose] or None, static_transform_entity_path=f"{pose}/fixed"
             )
             tree.log_urdf_to_recording(recording)
-            root, other = tree.root_link().name, f"{_POSES[pose]}{tree.root_link().name}"
+            root, other = tree.root_link().name, f"{_FRAME_PREFIXES[pose]}{tree.root_link().name}"
             if other != root:  # both stand in one place
                 recording.log(f"{pose}/base", rr.Transform3D(parent_frame=root, child_frame=other), static=True)
         except Exception as error:  # whatever a library for another purpose makes of it, the curves are there
@@ -185,7 +185,7 @@ def _tree(rr: Any, recording: Any, robot: Robot, pose: str) -> Any:
     return tree
 
 
-def _bound(rr: Any, recording: Any, link: str, own: Sequence[Ellipsoid]) -> None:
+def _add_ellipsoids(rr: Any, recording: Any, link: str, own: Sequence[Ellipsoid]) -> None:
     """A link's bounding ellipsoids, moving with it as measured."""
     shown = rr.Ellipsoids3D(
         centers=[one.center for one in own],
@@ -197,25 +197,27 @@ def _bound(rr: Any, recording: Any, link: str, own: Sequence[Ellipsoid]) -> None
     recording.log(["ellipsoids", link], rr.CoordinateFrame(frame=link), shown, static=True)
 
 
-def _move(rr: Any, recording: Any, tree: Any, pose: str, joints: Sequence[str], one: Take, first: float) -> None:
+def _add_motion(
+    rr: Any, recording: Any, tree: Any, pose: str, joints: Sequence[str], one: LogRecording, first: float
+) -> None:
     """The joints' motion, one pose per stretch of time."""
     if f"position/{pose}" not in one.curves:
         return
     t, q = one.curves[f"position/{pose}"]
     for joint, x in zip(joints, q, strict=True):
-        times, values = _finite(*_means(t - one.start + first, x))
+        times, values = _finite_points(*_midpoints(t - one.start + first, x))
         found = tree.get_joint_by_name(joint)
         if found is not None and len(values):
             columns = found.compute_transform_columns(values.tolist(), clamp=False)
             path = rr.new_entity_path([pose, "joints", joint])
-            recording.send_columns(path, indexes=[rr.TimeColumn(_TIME, duration=times)], columns=columns)
+            recording.send_columns(path, indexes=[rr.TimeColumn(_TIMELINE, duration=times)], columns=columns)
 
 
-def _means(t: Array, x: Array) -> tuple[Array, Array]:
+def _midpoints(t: Array, x: Array) -> tuple[Array, Array]:
     """The middle between least and greatest of each stretch, of pairs of points."""
     return t.reshape(-1, 2).mean(axis=1), x.reshape(-1, 2).mean(axis=1)
 
 
-def _finite(t: Array, x: Array) -> tuple[Array, Array]:
+def _finite_points(t: Array, x: Array) -> tuple[Array, Array]:
     known = np.isfinite(x)
     return t[known], x[known]

@@ -24,7 +24,7 @@ from paths import CHECKOUT
 import idtool
 from idtool.data.logs import read_log
 
-API = ("data", "diagnose", "fit", "log", "model", "records", "simulate", "validate")
+API = ("data", "diagnose", "fit", "log", "model", "results", "simulate", "validate")
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from commands import LEG, VALIDATE_CSV, idtool
 from numpy.typing import NDArray
 
 from idtool.estimation.evaluation.envelope import Trace
-from idtool.reporting.rerun_recording import Take, rerun_recording, take
+from idtool.reporting.rerun_recording import LogRecording, log_recording, rerun_recording
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import read_robot
 
@@ -33,7 +33,7 @@ def trace(name: str, start: float) -> Trace:
     return Trace(name, t, {"measured": x, "identified": 0.9 * x})
 
 
-def written(folder: Path, takes: list[Take]) -> dict[str, Any]:
+def written(folder: Path, takes: list[LogRecording]) -> dict[str, Any]:
     """By entity, all of a recording's columns."""
     import rerun.chunk
 
@@ -52,7 +52,7 @@ def written(folder: Path, takes: list[Take]) -> dict[str, Any]:
 
 def test_curves_are_there_and_no_spike_is_lost(tmp_path: Path) -> None:
     one = trace("a.mcap", 5.0)
-    found = written(tmp_path, [take("a.mcap", [(one, TORQUE), (one, MOTION)])])
+    found = written(tmp_path, [log_recording("a.mcap", [(one, TORQUE), (one, MOTION)])])
     for kind in ("torque/{}/measured", "torque/{}/model", "position/{}/measured", "position/{}/simulated"):
         assert {kind.format(joint) for joint in JOINTS} <= {path.strip("/") for path in found}
     hip = found["/torque/hip/measured"]
@@ -68,7 +68,7 @@ def test_curves_are_there_and_no_spike_is_lost(tmp_path: Path) -> None:
 def test_links_stand_where_pinocchio_has_them(tmp_path: Path) -> None:
     """Each joint's transform at all times, of the measured and of the simulated robot."""
     one = trace("a.mcap", 0.0)
-    found = written(tmp_path, [take("a.mcap", [(one, MOTION)])])
+    found = written(tmp_path, [log_recording("a.mcap", [(one, MOTION)])])
     model = pin.buildModelFromUrdf(str(LEG))
     data = model.createData()
     for pose, name in (("measured", "measured"), ("simulated", "identified")):
@@ -83,7 +83,9 @@ def test_links_stand_where_pinocchio_has_them(tmp_path: Path) -> None:
 
 
 def test_logs_follow_one_another(tmp_path: Path) -> None:
-    takes = [take(name, [(trace(name, start), MOTION)]) for name, start in (("a.mcap", 5.0), ("b.mcap", 100.0))]
+    takes = [
+        log_recording(name, [(trace(name, start), MOTION)]) for name, start in (("a.mcap", 5.0), ("b.mcap", 100.0))
+    ]
     found = written(tmp_path, takes)
     times = np.sort(found["/position/knee/measured"]["log"])
     assert len(times) == 800
@@ -93,7 +95,7 @@ def test_logs_follow_one_another(tmp_path: Path) -> None:
 
 def test_ellipsoids_move_with_their_links(tmp_path: Path) -> None:
     one = trace("a.mcap", 0.0)
-    bound = written(tmp_path, [take("a.mcap", [(one, MOTION)])])["/ellipsoids/thigh_link"]
+    bound = written(tmp_path, [log_recording("a.mcap", [(one, MOTION)])])["/ellipsoids/thigh_link"]
     assert bound["CoordinateFrame:frame"] == [["thigh_link"]]
     np.testing.assert_allclose(bound["Ellipsoids3D:half_sizes"][0][0], (0.06, 0.06, 0.37), atol=1e-6)
 

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 
-_MOST = 12  # lines of a table at a prompt
+_MAX_LINES = 12  # lines of a table at a prompt
 
 
-def silent(stage: str, share: float) -> None:
+def ignore_progress(stage: str, share: float) -> None:
     """Progress that nobody wants to hear of."""
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table, the first column to the left; of long ones the first lines and the last."""
-    hidden = len(rows) - _MOST
-    shown = rows if hidden <= 0 else [*rows[: _MOST - 1], rows[-1]]
+    hidden = len(rows) - _MAX_LINES
+    shown = rows if hidden <= 0 else [*rows[: _MAX_LINES - 1], rows[-1]]
     cells = [list(head), *map(list, shown)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
     lines = [
@@ -46,9 +46,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 def notice_lines(notices: Sequence[NoticeReport]) -> list[str]:
     """What a user should know, a line each."""
-    lines = [f"  {notice.severity}: {notice.sentence}" for notice in notices[:_MOST]]
-    if len(notices) > _MOST:
-        lines.append(f"  … {len(notices) - _MOST} more notices")
+    lines = [f"  {notice.severity}: {notice.sentence}" for notice in notices[:_MAX_LINES]]
+    if len(notices) > _MAX_LINES:
+        lines.append(f"  … {len(notices) - _MAX_LINES} more notices")
     return lines
 
 
@@ -79,7 +79,7 @@ class Recordable(ABC):
         """The robot, of each log the torque and the positions, and the model that is shown."""
 
 
-class Saved(ABC):
+class SavableResult(ABC):
     """A result that is written as files."""
 
     _made_by: str

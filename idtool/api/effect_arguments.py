@@ -11,10 +11,10 @@ from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.model import Model
 
-Assumed = tuple[str, str | None]
+EffectAssumption = tuple[str, str | None]
 
 
-def known_candidates(given: Sequence[str]) -> tuple[str, ...]:
+def parse_candidates(given: Sequence[str]) -> tuple[str, ...]:
     """The effects that may be named, each once.
 
     Raises
@@ -22,10 +22,10 @@ def known_candidates(given: Sequence[str]) -> tuple[str, ...]:
     ConfigError
         If one is no effect.
     """
-    return tuple(dict.fromkeys(_known("--effects", name.strip()) for name in given))
+    return tuple(dict.fromkeys(_check_effect("--effects", name.strip()) for name in given))
 
 
-def known_assumption(given: str | Assumed) -> Assumed:
+def parse_assumption(given: str | EffectAssumption) -> EffectAssumption:
     """An effect and what it acts on, which may have a colon in its name.
 
     Raises
@@ -34,19 +34,19 @@ def known_assumption(given: str | Assumed) -> Assumed:
         If it is no effect.
     """
     if not isinstance(given, str):
-        return _known("--assume", given[0]), given[1]
+        return _check_effect("--assume", given[0]), given[1]
     effect, colon, name = given.partition(":")
-    return _known("--assume", effect.strip()), name if colon else None
+    return _check_effect("--assume", effect.strip()), name if colon else None
 
 
-def _known(option: str, effect: str) -> str:
+def _check_effect(option: str, effect: str) -> str:
     named = [id for id, kind in effect_types().items() if kind.reportable]
     if effect not in named:
         raise ConfigError(option, f"{printable(effect) or 'nothing'} is no effect; {suggestion(effect, named)}")
     return effect
 
 
-def check_assumed(assumed: Sequence[Assumed], model: Model) -> None:
+def check_assumptions(assumed: Sequence[EffectAssumption], model: Model) -> None:
     """Whether the robot has what the assumed effects act on.
 
     Raises
