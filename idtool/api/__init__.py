@@ -1,1 +1,1 @@
-"""What `import idtool` offers: logs, models, and what the commands do as functions. One file here a noun or a verb."""
+"""The public Python API: logs, models, and one function for every command; each in a file of its own."""

@@ -28,7 +28,10 @@ class AdaptationResult(AdaptationReport, SavableResult):
         rows = []
         for name, body in self.final.bodies.items():
             rows.append([name, figure(body.mass), "yes" if body.realizable else "no"])
-        return "\n".join([title, *table_lines(["body", "mass [kg]", "realizable"], rows), *notice_lines(self.notices)])
+        lines = [title]
+        lines += table_lines(["body", "mass [kg]", "realizable"], rows)
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def adapt(
@@ -56,11 +59,15 @@ def adapt(
     from idtool.estimation.identification import choose_sets
     from idtool.estimation.online.adapt import adapt as identify_online
 
-    tell = progress or ignore_progress
-    experiment, delay, _ = with_delay(load_experiment(model, logs, holdout=0.0, progress=tell), tell)
+    report_progress = progress or ignore_progress
+    loaded = load_experiment(model, logs, holdout=0.0, progress=report_progress)
+    experiment, delay, _ = with_delay(loaded, report_progress)
     sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
-    found = identify_online(experiment, sets, forgetting, progress=tell)
-    notices = [*experiment.notices, *(delay.notices if delay else ()), *set_notices]
-    result = AdaptationResult.from_result(adaptation_report(found, experiment, notices))
+    adaptation = identify_online(experiment, sets, forgetting, progress=report_progress)
+    notices = list(experiment.notices)
+    if delay:
+        notices += delay.notices
+    notices += set_notices
+    result = AdaptationResult.from_result(adaptation_report(adaptation, experiment, notices))
     result._made_by = call_text("adapt", model, logs, **changed_options(adapt, forgetting=forgetting))
     return result

@@ -1,4 +1,4 @@
-"""Models and logs as users give them → an experiment; and a call as text, for the pages."""
+"""An experiment from a user's model and logs; and the text of a call, for the pages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def load_experiment(
     progress: Progress = lambda stage, share: None,
     transform: Callable[[Record], Record] = lambda log: log,
 ) -> Experiment:
-    """Model and logs put together.
+    """Load logs and put them together with a model.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def load_experiment(
     logs, validate, holdout
         As in `idtool.fit`.
     progress
-        Told the stage and how far it has come.
+        Called with the stage and the share of it that is done.
     transform
         Applied to every log that is read.
 
@@ -45,9 +45,10 @@ def load_experiment(
     """
     progress("reading", 0.0)
     model = as_model(model)
-    fitted, kept = ([_record(log, model) for log in as_list(given)] for given in (logs, validate))
+    training_logs = [_record(log, model) for log in as_list(logs)]
+    validation_logs = [_record(log, model) for log in as_list(validate)]
     try:
-        return prepare(model.robot, model.settings, fitted, kept, holdout, transform)
+        return prepare(model.robot, model.settings, training_logs, validation_logs, holdout, transform)
     except ConfigError as error:
         source = model.settings.source
         if source is None or error.where.startswith("--"):
@@ -56,12 +57,14 @@ def load_experiment(
 
 
 def as_list(logs: Logs) -> list[LogSource]:
-    """Logs as a list; a single one need not be in one."""
-    return list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str | Log) else [logs]
+    """Logs as a list, also of a single one."""
+    if isinstance(logs, Sequence) and not isinstance(logs, str | Log):
+        return list(logs)
+    return [logs]
 
 
 def _record(log: LogSource, model: Model) -> Path | Record:
-    """A file that is to be read as the configuration says, or what was read."""
+    """The path of a log that is read with the configuration's options, or the record of one that was read."""
     if not isinstance(log, Log):
         return Path(log)
     options = model.settings.log
@@ -79,12 +82,15 @@ def call_text(function: str, model: Model | Source, logs: Logs, **options: Any) 
     function
         Its name.
     model, logs, options
-        What it was given.
+        Its arguments.
     """
     validate = as_list(options.pop("validate", ()))
-    given = [repr(model.name if isinstance(model, Model) else str(model)), _paths_text(as_list(logs))]
-    given += [f"validate={_paths_text(validate)}"] if validate else []
-    return f"idtool.{function}({', '.join([*given, *(f'{name}={value!r}' for name, value in options.items())])})"
+    model_name = model.name if isinstance(model, Model) else str(model)
+    arguments = [repr(model_name), _paths_text(as_list(logs))]
+    if validate:
+        arguments.append(f"validate={_paths_text(validate)}")
+    arguments += [f"{name}={value!r}" for name, value in options.items()]
+    return f"idtool.{function}({', '.join(arguments)})"
 
 
 def changed_options(function: Callable[..., Any], **options: Any) -> dict[str, Any]:

@@ -41,8 +41,9 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
     def save(
         self, folder: str | os.PathLike[str], made_by: str | None = None, report_only: bool = False
     ) -> tuple[Path, ...]:
-        """The same as of a fit; ``report_only`` leaves out the model."""
-        return self._write(folder, made_by, (MODEL_YAML, IDENTIFIED_URDF) if report_only else ())
+        """Write the files as `FitResult.save` does; ``report_only`` leaves out the model."""
+        omitted = (MODEL_YAML, IDENTIFIED_URDF) if report_only else ()
+        return self._write(folder, made_by, omitted)
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.reporting.pages import diagnosis_page
@@ -71,17 +72,20 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         return stacked(gap_figures(self)).to_plotly()
 
     def __repr__(self) -> str:
-        first, last = self.before.torque, self.after.torque
+        before = self.before.torque
+        after = self.after.torque
         rows = []
-        for name in first:
+        for name in before:
             share = self.gap_closed[name]
-            closed = "–" if share is None else f"{100 * share:.0f} %"
-            rows.append([name, *map(figure, (first[name], last[name], self.noise_floor[name])), closed])
-        steps = [f"  {i}. {step.effect} on {on(step)}" for i, step in enumerate(self.steps, 1)]
-        head = ["torque RMS", "before", "after", "noise floor", "gap closed"]
-        return "\n".join(
-            [f"DiagnosisResult: {self.summary}", *steps, *table_lines(head, rows), *notice_lines(self.notices)]
-        )
+            gap_closed = "–" if share is None else f"{100 * share:.0f} %"
+            errors = [figure(before[name]), figure(after[name]), figure(self.noise_floor[name])]
+            rows.append([name, *errors, gap_closed])
+        lines = [f"DiagnosisResult: {self.summary}"]
+        for i, step in enumerate(self.steps, 1):
+            lines.append(f"  {i}. {step.effect} on {on(step)}")
+        lines += table_lines(["torque RMS", "before", "after", "noise floor", "gap closed"], rows)
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def diagnose(
@@ -133,29 +137,26 @@ def diagnose(
     Examples
     --------
     >>> options = {"effects": ["parallel_spring"], "simulation": False}
-    >>> found = idtool.diagnose("sample_logs/leg.urdf", "sample_logs/leg_train.mcap", **options)
-    >>> found.verdict
+    >>> diagnosis = idtool.diagnose("sample_logs/leg.urdf", "sample_logs/leg_train.mcap", **options)
+    >>> diagnosis.verdict
     'no_disagreement'
     """
     from idtool.diagnosis.diagnose import Options
     from idtool.diagnosis.diagnose import diagnose as search
 
-    told = progress or ignore_progress
+    report_progress = progress or ignore_progress
     if most < 1:
         raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
     candidates = None if effects is None else parse_candidates(effects)
-    assumed = tuple(parse_assumption(given) for given in assume)
-    experiment = load_experiment(model, logs, validate, holdout, told)
-    check_assumptions(assumed, experiment.model)
+    assumptions = tuple(parse_assumption(text) for text in assume)
+    experiment = load_experiment(model, logs, validate, holdout, report_progress)
+    check_assumptions(assumptions, experiment.model)
     options = changed_options(
         diagnose, holdout=holdout, inertia=inertia, effects=effects, most=most, assume=assume, simulation=simulation
     )
-    found = search(experiment, Options(inertia, candidates, most, assumed, simulation), told)
-    return _result(found, inertia, call_text("diagnose", model, logs, validate=validate, **options))
-
-
-def _result(found: Diagnosis, inertia: str, made_by: str) -> DiagnosisResult:
-    result = DiagnosisResult.from_result(diagnosis_report(found, inertia))
-    result._diagnosis = found
-    result._made_by = made_by
+    search_options = Options(inertia, candidates, most, assumptions, simulation)
+    diagnosis = search(experiment, search_options, report_progress)
+    result = DiagnosisResult.from_result(diagnosis_report(diagnosis, inertia))
+    result._diagnosis = diagnosis
+    result._made_by = call_text("diagnose", model, logs, validate=validate, **options)
     return result

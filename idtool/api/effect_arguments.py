@@ -1,8 +1,8 @@
-"""Effects as a user names them, checked."""
+"""Effects in a user's arguments: parsed and checked."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import printable, suggestion
@@ -14,53 +14,57 @@ from idtool.robot.model import Model
 EffectAssumption = tuple[str, str | None]
 
 
-def parse_candidates(given: Sequence[str]) -> tuple[str, ...]:
-    """The effects that may be named, each once.
+def parse_candidates(effects: Sequence[str]) -> tuple[str, ...]:
+    """Ids of the effects to search for, each once.
 
     Raises
     ------
     ConfigError
         If one is no effect.
     """
-    return tuple(dict.fromkeys(_check_effect("--effects", name.strip()) for name in given))
+    return tuple(dict.fromkeys(_check_effect("--effects", name.strip()) for name in effects))
 
 
-def parse_assumption(given: str | EffectAssumption) -> EffectAssumption:
-    """An effect and what it acts on, which may have a colon in its name.
+def parse_assumption(text: str | EffectAssumption) -> EffectAssumption:
+    """An effect and the joint or link it acts on, which may have a colon in its name.
 
     Raises
     ------
     ConfigError
         If it is no effect.
     """
-    if not isinstance(given, str):
-        return _check_effect("--assume", given[0]), given[1]
-    effect, colon, name = given.partition(":")
+    if not isinstance(text, str):
+        effect, owner = text
+        return _check_effect("--assume", effect), owner
+    effect, colon, name = text.partition(":")
     return _check_effect("--assume", effect.strip()), name if colon else None
 
 
 def _check_effect(option: str, effect: str) -> str:
-    named = [id for id, kind in effect_types().items() if kind.reportable]
-    if effect not in named:
-        raise ConfigError(option, f"{printable(effect) or 'nothing'} is no effect; {suggestion(effect, named)}")
+    names = [id for id, kind in effect_types().items() if kind.reportable]
+    if effect not in names:
+        raise ConfigError(option, f"{printable(effect) or 'nothing'} is no effect; {suggestion(effect, names)}")
     return effect
 
 
-def check_assumptions(assumed: Sequence[EffectAssumption], model: Model) -> None:
-    """Whether the robot has what the assumed effects act on.
+def check_assumptions(assumptions: Sequence[EffectAssumption], model: Model) -> None:
+    """Check that the robot has the joints and links on which effects are assumed.
 
     Raises
     ------
     ConfigError
-        If not.
+        If it lacks one.
     """
-    for effect, on in assumed:
+    for effect, owner in assumptions:
         kind = effect_types()[effect]
-        of_link = issubclass(kind, LinkEffect)
-        names, what = (model.robot.links, "link") if of_link else (model.names, "joint")
-        if on is None and issubclass(kind, LinkEffect | JointEffect):
+        names: Collection[str] = model.names
+        what = "joint"
+        if issubclass(kind, LinkEffect):
+            names = model.robot.links
+            what = "link"
+        if owner is None and issubclass(kind, LinkEffect | JointEffect):
             raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
-        if on is not None and on not in names:
+        if owner is not None and owner not in names:
             raise ConfigError(
-                "--assume", f"{printable(on) or 'nothing'} is no {what} of the model; {suggestion(on, names)}"
+                "--assume", f"{printable(owner) or 'nothing'} is no {what} of the model; {suggestion(owner, names)}"
             )

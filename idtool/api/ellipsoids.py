@@ -1,4 +1,4 @@
-"""`ellipsoids` and `check`: bounds of a robot's links from their geometry, and whether their inertias can exist."""
+"""`ellipsoids` and `check`: bounds of a robot's links from their geometry, and the check of their inertias."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ class EllipsoidsResult(EllipsoidsReport):
         return path
 
     def __repr__(self) -> str:
-        return "\n".join([f"EllipsoidsResult: {', '.join(self.bounding_ellipsoids)}", *notice_lines(self.notices)])
+        title = f"EllipsoidsResult: {', '.join(self.bounding_ellipsoids)}"
+        return "\n".join([title, *notice_lines(self.notices)])
 
 
 class CheckResult(CheckReport):
@@ -56,8 +57,11 @@ class CheckResult(CheckReport):
         return path
 
     def __repr__(self) -> str:
-        rows = [[name, figure(link.mass), "; ".join(link.violations) or "ok"] for name, link in self.links.items()]
-        return "\n".join([f"CheckResult {self.urdf}", *table_lines(["link", "mass [kg]", "inertia"], rows)])
+        rows = []
+        for name, link in self.links.items():
+            rows.append([name, figure(link.mass), "; ".join(link.violations) or "ok"])
+        table = table_lines(["link", "mass [kg]", "inertia"], rows)
+        return "\n".join([f"CheckResult {self.urdf}", *table])
 
 
 def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResult:
@@ -75,10 +79,12 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
     IdtoolError
         If the URDF cannot be read.
     """
-    robot = as_model(urdf).robot if isinstance(urdf, Model) else Model.bare(urdf).robot
-    found, reasons = bounding_ellipsoids(robot, margin)
+    robot = urdf.robot if isinstance(urdf, Model) else Model.bare(urdf).robot
+    ellipsoids_by_link, reasons = bounding_ellipsoids(robot, margin)
     result = EllipsoidsResult(
-        bounding_ellipsoids={link: [LinkEllipsoid(**ellipsoid.to_dict())] for link, ellipsoid in found.items()},
+        bounding_ellipsoids={
+            link: [LinkEllipsoid(**ellipsoid.to_dict())] for link, ellipsoid in ellipsoids_by_link.items()
+        },
         **notice_fields([_without_ellipsoid(link, why) for link, why in reasons.items()]),
     )
     result._header = (

@@ -14,6 +14,7 @@ from idtool.api.results import Progress, ignore_progress, notice_lines, table_li
 from idtool.common.exceptions import ConfigError
 from idtool.common.interrupt import delay_interrupt
 from idtool.common.names import suggestion
+from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
 from idtool.data.logs import check_log_file, write_log
 from idtool.dynamics.effects import build_effects
@@ -76,9 +77,13 @@ class ExcitationResult(ExcitationReport):
 
     def __repr__(self) -> str:
         title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
-        rows = [[p.name, figure(p.prior), figure(p.standard_error), p.unit] for p in self.base_parameters]
-        head = ["base parameter", "prior", "± se", "unit"]
-        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
+        rows = []
+        for p in self.base_parameters:
+            rows.append([p.name, figure(p.prior), figure(p.standard_error), p.unit])
+        lines = [title]
+        lines += table_lines(["base parameter", "prior", "± se", "unit"], rows)
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def excite(
@@ -146,10 +151,10 @@ def excite(
     IdtoolError
         If the model, the configuration or a log cannot be used. Messages name options as the command line does.
     """
-    tell = progress or ignore_progress
+    report_progress = progress or ignore_progress
     _check_options(criterion, duration, rate, margin, clearance, max_frequency)
     model = as_model(model)
-    wishes = DesignOptions(
+    options = DesignOptions(
         pattern=pattern,
         duration=duration,
         friction_share=slow,
@@ -159,23 +164,29 @@ def excite(
         start=dict(start or {}),
         tip=tip,
     )
-    given = [Path(str(path)) for path in as_list(logs)]
-    experiment = _load_experiment(model, given, tell)
-    task, logged = _make_task(model, experiment, noise, rate, margin, clearance, criterion, favour, tell)
-    found = design(task, experiment.config if experiment else model.settings, wishes, logged, tell)
-    sources = experiment.sources if experiment else sources_of(model.robot, model.settings)
-    notices = experiment.notices if experiment else ()
-    names = [str(path) for path in given]
-    report = excitation_report(found, sources, str(model.robot.path), names, wishes.seed, notices)
+    paths = [Path(str(path)) for path in as_list(logs)]
+    experiment = _load_experiment(model, paths, report_progress)
+    task, logged = _make_task(model, experiment, noise, rate, margin, clearance, criterion, favour, report_progress)
+    if experiment is None:
+        settings = model.settings
+        sources = sources_of(model.robot, settings)
+        notices: Sequence[Notice] = ()
+    else:
+        settings = experiment.config
+        sources = experiment.sources
+        notices = experiment.notices
+    chosen_design = design(task, settings, options, logged, report_progress)
+    names = [str(path) for path in paths]
+    report = excitation_report(chosen_design, sources, str(model.robot.path), names, options.seed, notices)
     result = ExcitationResult.from_result(report)
-    result._design = found
+    result._design = chosen_design
     return result
 
 
 def _check_options(
     criterion: str, duration: float, rate: float, margin: float, clearance: float, max_frequency: float | None
 ) -> None:
-    """Before anything is read: whether the options can be meant."""
+    """Check the options before anything is read; ConfigError if one is out of its range."""
     if criterion not in CRITERIA:
         raise ConfigError("--criterion", f"{criterion} is none; {suggestion(criterion, CRITERIA)}")
     for option, value, least, most in (
@@ -190,7 +201,7 @@ def _check_options(
 
 
 def _load_experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:
-    """The logs that there are already; None without any."""
+    """The experiment of the existing logs; None without any."""
     if not logs:
         return None
     experiment, _, _ = with_delay(prepare(model.robot, model.settings, logs, holdout=0.0), progress)
@@ -208,15 +219,15 @@ def _make_task(
     favour: Sequence[str],
     progress: Progress,
 ) -> tuple[DesignTask, LoggedData | None]:
-    """The design task, and what existing logs determine already; with logs, only the logged joints take part."""
-    measured: dict[str, float] = {}
+    """The design task, and the information of the existing logs; with logs, only the logged joints take part."""
+    measured_noise: dict[str, float] = {}
     logged = None
     if experiment is not None:
         tree, equation, settings = experiment.model, experiment.equation, experiment.config
         equalities = experiment.equalities
         reduction = experiment.reduce(progress)
         logged = LoggedData(reduction, free_noise(equation, reduction, equalities))
-        measured = dict(zip(tree.names, logged.noise.tolist(), strict=True))
+        measured_noise = dict(zip(tree.names, logged.noise.tolist(), strict=True))
     else:
         robot, settings = model.robot, model.settings
         moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and not joint.mimic]
@@ -224,18 +235,20 @@ def _make_task(
         equation = LinearModel(tree.names, build_effects(tree, settings))
         equalities = equality_constraints(settings, tree, equation)
     if noise is None:
-        given = {}
+        given_noise = {}
     elif isinstance(noise, Mapping):
-        given = dict(noise)
+        given_noise = dict(noise)
     else:
-        given = {ALL_JOINTS: noise}
-    of_all = dict.fromkeys(tree.names, given.pop(ALL_JOINTS)) if ALL_JOINTS in given else {}
+        given_noise = {ALL_JOINTS: noise}
+    common_noise: dict[str, float] = {}
+    if ALL_JOINTS in given_noise:
+        common_noise = dict.fromkeys(tree.names, given_noise.pop(ALL_JOINTS))
     task = make_design_task(
         tree,
         equation,
         equalities,
         settings,
-        noise={**measured, **of_all, **given},
+        noise={**measured_noise, **common_noise, **given_noise},
         rate=rate,
         margin=margin,
         clearance=clearance,

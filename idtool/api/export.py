@@ -84,19 +84,22 @@ def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool 
     """
     if rotor_bodies and to != "mujoco":
         raise ConfigError("--rotor-bodies", f"is for mujoco; leave it out for {to}")
-    place = Path(folder)
-    place = place.parent if place.is_file() else place
-    identified = read_identified(place)
-    made = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
+    source = Path(folder)
+    if source.is_file():
+        source = source.parent
+    identified = read_identified(source)
+    exported = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
     notices = list(identified.model.notices)
-    if to == "mujoco" and any(part.what == "rotor" for part in made.not_carried):
+    if to == "mujoco" and any(part.what == "rotor" for part in exported.not_carried):
         message = "--rotor-bodies carries the rotors in full, each as a body with a coordinate of its own"
         notices.append(Notice("rotors_simplified", "note", None, message))
     result = ExportResult(
         file=None,
-        carried=[ExportedPart(**vars(part)) for part in made.carried],
-        not_carried=[ExportedPart(**vars(part)) for part in made.not_carried],
+        carried=[ExportedPart(**vars(part)) for part in exported.carried],
+        not_carried=[ExportedPart(**vars(part)) for part in exported.not_carried],
         **notice_fields(notices),
     )
-    result._text, result._folder, result._name = made.text, place, made.name
+    result._text = exported.text
+    result._folder = source
+    result._name = exported.name
     return result

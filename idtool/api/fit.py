@@ -30,13 +30,8 @@ if TYPE_CHECKING:
 
     from idtool.api.results import RecordingData
 
-_UNCORRECTABLE_FAULTS = (
-    "wrong_unit",
-    "wrong_sign",
-    "wrong_joint_order",
-    "clipped",
-    "wrapped_position",
-)  # what no model mends
+_UNCORRECTABLE_FAULTS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")
+_MAX_MASSES = 6  # in a result's repr
 
 
 class FitResult(FitReport, SavableResult, Recordable):
@@ -87,27 +82,32 @@ class FitResult(FitReport, SavableResult, Recordable):
 
     def __repr__(self) -> str:
         units = " or ".join(dict.fromkeys(self.units.values()))
-        own, prior = self.rms.validation, self.rms.prior_validation
-        data = "what was fitted" if own is None else "held-out data"
-        head = ["joint", "identified", *(["given"] if prior else []), "viscous", "coulomb"]
+        data = "what was fitted" if self.rms.validation is None else "held-out data"
+        rms = self.rms.validation or self.rms.train
+        prior = self.rms.prior_validation
+        head = ["joint", "identified"]
+        if prior:
+            head.append("given")
+        head += ["viscous", "coulomb"]
         rows = []
         for name in (*self.joints, "overall"):
-            terms = self.friction.get(name)
-            errors = [(own or self.rms.train)[name], *([prior[name]] if prior else [])]
-            rows.append(
-                [name, *map(figure, errors), *map(figure, (terms.viscous, terms.coulomb) if terms else (None,) * 2)]
-            )
-        masses = ", ".join(f"{name} {body.mass:.4g}" for name, body in list(self.bodies.items())[:6])
-        more = f" and {len(self.bodies) - 6} more" if len(self.bodies) > 6 else ""
-        urdf, band = Path(self.urdf).name, f"below {self.band_hz:g} Hz"
-        return "\n".join(
-            [
-                f"FitResult {urdf}: RMS torque error [{units}] {band}, on {data}",
-                *table_lines(head, rows),
-                f"  mass [kg]: {masses}{more}",
-                *notice_lines(self.notices),
-            ]
-        )
+            row = [name, figure(rms[name])]
+            if prior:
+                row.append(figure(prior[name]))
+            friction = self.friction.get(name)
+            row.append(figure(friction.viscous if friction else None))
+            row.append(figure(friction.coulomb if friction else None))
+            rows.append(row)
+        masses = [f"{name} {body.mass:.4g}" for name, body in self.bodies.items()]
+        mass_text = ", ".join(masses[:_MAX_MASSES])
+        if len(masses) > _MAX_MASSES:
+            mass_text += f" and {len(masses) - _MAX_MASSES} more"
+        urdf = Path(self.urdf).name
+        lines = [f"FitResult {urdf}: RMS torque error [{units}] below {self.band_hz:g} Hz, on {data}"]
+        lines += table_lines(head, rows)
+        lines.append(f"  mass [kg]: {mass_text}")
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def fit(
@@ -157,11 +157,11 @@ def fit(
     >>> result.bodies["shank_link"].realizable
     True
     """
-    told = progress or ignore_progress
-    experiment = load_experiment(model, logs, validate, holdout, told)
+    report_progress = progress or ignore_progress
+    experiment = load_experiment(model, logs, validate, holdout, report_progress)
     options = changed_options(fit, holdout=holdout, method=method, simulation=simulation, quick=quick)
     made_by = call_text("fit", model, logs, validate=validate, **options)
-    return fit_experiment(experiment, made_by, told, simulation and not quick, not quick, method)
+    return fit_experiment(experiment, made_by, report_progress, simulation and not quick, not quick, method)
 
 
 def fit_experiment(
@@ -172,7 +172,7 @@ def fit_experiment(
     analyze_uncertainty: bool = True,
     method: Method = "ls",
 ) -> FitResult:
-    """The same from model and logs put together.
+    """Fit an experiment, which holds model and logs.
 
     Parameters
     ----------
@@ -192,18 +192,16 @@ def fit_experiment(
     IdtoolError
         As in `fit`.
     """
-    found = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
-    if analyze_uncertainty:
-        faults = find_data_faults(experiment, progress)
-        serious = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
-        found = replace(found, notices=(*serious, *found.notices))
+    solved = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
     maps = None
     if analyze_uncertainty:
-        prior_maps = residual_maps(found.experiment, experiment.equation.prior, progress)
-        identified_maps = residual_maps(found.experiment, found.estimate.theta, progress)
+        faults = [fault for fault in find_data_faults(experiment, progress) if fault.code in _UNCORRECTABLE_FAULTS]
+        solved = replace(solved, notices=(*faults, *solved.notices))
+        prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)
+        identified_maps = residual_maps(solved.experiment, solved.estimate.theta, progress)
         maps = (prior_maps, identified_maps)
-    result = FitResult.from_result(fit_report(found))
-    result._fit = found
+    result = FitResult.from_result(fit_report(solved))
+    result._fit = solved
     result._maps = maps
     result._made_by = made_by
     return result

@@ -52,9 +52,11 @@ class InitResult(InitReport):
         return file
 
     def __repr__(self) -> str:
-        todo = [f"  to fill in: {item.key}: {item.what}" for item in self.left]
-        found = [f"  {line}" for line in self.found]
-        return "\n".join([f"InitResult {self.file}", *found, *todo, *notice_lines(self.notices)])
+        lines = [f"InitResult {self.file}"]
+        lines += [f"  {finding}" for finding in self.found]
+        lines += [f"  to fill in: {item.key}: {item.what}" for item in self.left]
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def init(
@@ -85,17 +87,19 @@ def init(
     IdtoolError
         If a log or the configuration cannot be used, or no joint can be identified.
     """
-    given = [Path(path) for path in ([logs] if isinstance(logs, str | os.PathLike) else logs)]
-    known = None if config is None else Path(config)
-    beside = default_configuration(Path(urdf))
-    place = beside if file is None else Path(file)
-    robot, all_logs = read_robot_and_logs(Path(urdf), given)
-    given_config = (read_yaml(known) if known else None) or {}
-    draft = make_initial_config(robot, all_logs, given_config, known, progress or ignore_progress)
+    log_list = [logs] if isinstance(logs, str | os.PathLike) else logs
+    paths = [Path(path) for path in log_list]
+    config_path = None if config is None else Path(config)
+    default_path = default_configuration(Path(urdf))
+    path = default_path if file is None else Path(file)
+    robot, all_logs = read_robot_and_logs(Path(urdf), paths)
+    known_config = (read_yaml(config_path) if config_path else None) or {}
+    draft = make_initial_config(robot, all_logs, known_config, config_path, progress or ignore_progress)
+    is_default_path = path.resolve() == default_path.resolve()
     result = InitResult(
-        file=str(place),
+        file=str(path),
         urdf=str(urdf),
-        logs=[str(path) for path in given],
+        logs=[str(log) for log in paths],
         band_hz=draft.band_hz,
         config=dict(draft.data),
         rms=None if draft.rms is None else StartErrors(**draft.rms),
@@ -104,7 +108,7 @@ def init(
         left=[TodoReport(**asdict(item)) for item in draft.todo],
         needed=[item.key for item in draft.needed],
         **notice_fields(draft.notices),
-        next=_next_command(draft, place, [Path(urdf), *given], place.resolve() == beside.resolve()),
+        next=_next_command(draft, path, [Path(urdf), *paths], is_default_path),
     )
     result._text = draft.text
     return result
@@ -116,7 +120,7 @@ def default_configuration(urdf: Path) -> Path:
 
 
 def check_configuration(file: Path, inputs: Sequence[Path], force: bool) -> None:
-    """Before anything is read: whether the file may and can be written.
+    """Check, before anything is read, that the file may and can be written.
 
     Raises
     ------
@@ -134,10 +138,16 @@ def check_configuration(file: Path, inputs: Sequence[Path], force: bool) -> None
         raise OutputError(folder, "cannot be written to; give another --out")
 
 
-def _next_command(draft: InitialConfig, file: Path, given: Sequence[Path], beside: bool) -> str:
+def _next_command(draft: InitialConfig, file: Path, inputs: Sequence[Path], is_default_path: bool) -> str:
     """The next command: the fit, or `init` again if values that the fit needs have to be filled in."""
-    arguments = list(map(str, given))
+    arguments = [str(path) for path in inputs]
     if draft.needed:
-        out = [] if beside else ["--out", str(file)]
-        return shlex.join(["idtool", "init", *arguments, "--config", str(file), *out, "--force"])
-    return shlex.join(["idtool", "fit", *arguments, *([] if beside else ["--config", str(file)])])
+        words = ["idtool", "init", *arguments, "--config", str(file)]
+        if not is_default_path:
+            words += ["--out", str(file)]
+        words.append("--force")
+    else:
+        words = ["idtool", "fit", *arguments]
+        if not is_default_path:
+            words += ["--config", str(file)]
+    return shlex.join(words)

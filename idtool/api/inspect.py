@@ -1,4 +1,4 @@
-"""`inspect`: what is in a log, and what is wrong with it."""
+"""`inspect`: the contents and faults of a log."""
 
 from __future__ import annotations
 

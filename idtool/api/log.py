@@ -64,7 +64,7 @@ class Log:
         scale: Mapping[str, Mapping[str, float]] | None = None,
     ) -> None:
         record = read_record(path, topic=topic, columns=columns or {}, scale=scale or {})
-        self._take(record, as_logged=not (columns or scale))
+        self._set_record(record, as_logged=not (columns or scale))
 
     @classmethod
     def from_arrays(
@@ -98,43 +98,48 @@ class Log:
         LogError
             If shapes do not fit, or there is no usable run of samples.
         """
-        given = zip(SIGNALS, (q, v, tau, qcmd, vcmd), strict=True)
-        names, times = tuple(joints), np.array(t, dtype=float)
-        signals = {signal: np.array(values, dtype=float) for signal, values in given if values is not None}
+        names = tuple(joints)
+        times = np.array(t, dtype=float)
+        signals = {}
+        for signal, values in zip(SIGNALS, (q, v, tau, qcmd, vcmd), strict=True):
+            if values is not None:
+                signals[signal] = np.array(values, dtype=float)
         if times.ndim != 1 or not names or len(set(names)) != len(names):
             raise LogError(name, "needs times of shape (N,) and one name for each joint, no two alike")
-        for signal, values in signals.items():
-            if values.shape != (len(times), len(names)):
-                raise LogError(name, f"{signal} has the shape {values.shape}; give {(len(times), len(names))}")
+        shape = (len(times), len(names))
+        for signal, array in signals.items():
+            if array.shape != shape:
+                raise LogError(name, f"{signal} has the shape {array.shape}; give {shape}")
         return cls.from_record(make_log(Path(name), times, names, signals))
 
     @classmethod
     def from_record(cls, record: Record, as_logged: bool = False) -> Log:
-        """A log from what idtool itself works on.
+        """A log from its internal record.
 
         Parameters
         ----------
         record
             The record.
         as_logged
-            Whether it is a file's, to which no configuration has been applied.
+            True for the record of a file, read without columns or scale.
         """
         log = cls.__new__(cls)
-        log._take(record, as_logged)
+        log._set_record(record, as_logged)
         return log
 
-    def _take(self, record: Record, as_logged: bool) -> None:
-        views = {name: _locked(values) for name, values in record.signals.items()}
-        self._record, self._as_logged = replace(record, t=_locked(record.t), signals=views), as_logged
+    def _set_record(self, record: Record, as_logged: bool) -> None:
+        signals = {name: _read_only(values) for name, values in record.signals.items()}
+        self._record = replace(record, t=_read_only(record.t), signals=signals)
+        self._as_logged = as_logged
 
     @property
     def record(self) -> Record:
-        """What idtool itself works on."""
+        """The internal record."""
         return self._record
 
     @property
     def as_logged(self) -> bool:
-        """Whether it is a file's, read without columns or scale."""
+        """True for the record of a file, read without columns or scale."""
         return self._as_logged
 
     @property
@@ -194,7 +199,7 @@ class Log:
 
     @property
     def seconds(self) -> float:
-        """From the first to the last sample, gaps between them not counted [s]."""
+        """Duration from the first to the last sample, without gaps [s]."""
         return float(self._record.dt * sum(part.stop - part.start - 1 for part in self.segments))
 
     @property
@@ -204,7 +209,7 @@ class Log:
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """What the reader had to say."""
+        """Notices of the reader."""
         return self._record.notices
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -222,10 +227,13 @@ class Log:
         return len(self._record)
 
     def __repr__(self) -> str:
-        joints = f"{len(self.joints)} joint{'s' * (len(self.joints) != 1)} ({join_names(self.joints)})"
-        gaps = f", {len(self.segments)} segments" if len(self.segments) > 1 else ""
+        count = len(self.joints)
+        noun = "joint" if count == 1 else "joints"
+        joints = f"{count} {noun} ({join_names(self.joints)})"
         time = f"{self.seconds:.4g} s at {self.rate:.4g} Hz"
-        return f"Log {self.path.name}: {joints}, {time}{gaps}: {', '.join(self.signals)}"
+        if len(self.segments) > 1:
+            time += f", {len(self.segments)} segments"
+        return f"Log {self.path.name}: {joints}, {time}: {', '.join(self.signals)}"
 
 
 def read_log(path: str | os.PathLike[str], **options: Any) -> Log:
@@ -233,7 +241,7 @@ def read_log(path: str | os.PathLike[str], **options: Any) -> Log:
     return Log(path, **options)
 
 
-def _locked(array: Array) -> Array:
+def _read_only(array: Array) -> Array:
     """A view that cannot be written to."""
     view = array.view()
     view.flags.writeable = False

@@ -82,13 +82,13 @@ class Model:
             As above.
         """
         model = cls.__new__(cls)
-        model._robot, every = read_robot_and_logs(urdf, logs)
+        model._robot, all_logs = read_robot_and_logs(urdf, logs)
         model._config, model._origin = _load_settings(urdf, config)
-        return model, every
+        return model, all_logs
 
     @classmethod
     def identified(cls, fit: Fit) -> Model:
-        """The model that was identified, as its files would be read back.
+        """The identified model, as its files would be read back.
 
         Parameters
         ----------
@@ -99,7 +99,8 @@ class Model:
         original = fit.experiment.model.robot.path
         robot = parse_robot(original, identified_urdf_text(fit))  # its meshes are found from there
         model._robot = replace(robot, source=replace(robot.source, path=f"{original}, identified"))
-        model._config, model._origin = parse_config(model_config(fit), MODEL_YAML), _IDENTIFIED_ORIGIN
+        model._config = parse_config(model_config(fit), MODEL_YAML)
+        model._origin = _IDENTIFIED_ORIGIN
         return model
 
     @classmethod
@@ -111,32 +112,34 @@ class Model:
 
     @property
     def path(self) -> Path:
-        """The URDF; of an identified model the one that it came from."""
+        """The URDF; for an identified model, the original one."""
         return self._robot.path
 
     @property
     def name(self) -> str:
-        """What to call it: its path, and whether it was identified."""
-        return f"{self.path}, identified" if self._origin == _IDENTIFIED_ORIGIN else str(self.path)
+        """Name in reports: the path, with ``, identified`` for an identified model."""
+        if self._origin == _IDENTIFIED_ORIGIN:
+            return f"{self.path}, identified"
+        return str(self.path)
 
     @property
     def robot(self) -> Robot:
-        """The URDF as idtool itself works on it."""
+        """The parsed URDF."""
         return self._robot
 
     @property
     def settings(self) -> Config:
-        """The configuration as idtool itself works on it."""
+        """The parsed configuration."""
         return self._config
 
     @property
     def configured(self) -> bool:
-        """Whether there was a configuration."""
+        """True if the model has a configuration of its own."""
         return bool(self._origin)
 
     @property
     def config(self) -> dict[str, Any]:
-        """The configuration as plain data, without what is left at its default; a copy."""
+        """The configuration as plain data, without keys at their default; a copy."""
         return self._config.model_dump(mode="json", exclude_unset=True)
 
     @property
@@ -162,22 +165,27 @@ class Model:
 
     @property
     def effects(self) -> ReadOnly[tuple[str, ...]]:
-        """What the model carries beside rigid bodies: effect to the joints or links that have it."""
+        """Effects of the model beside rigid bodies: id to the joints or links that have it."""
         friction = friction_types()
-        found: dict[str, list[str]] = {}
+        owners: dict[str, list[str]] = {}
         for joint in self.joints:
-            for term in (name for name, given in self._config.friction_of(joint) if given is not False):
-                found.setdefault(friction[term].id, []).append(joint)
+            for term, setting in self._config.friction_of(joint):
+                if setting is not False:
+                    owners.setdefault(friction[term].id, []).append(joint)
         for entry in self._config.effects:
-            on = entry.joint or entry.link
-            found.setdefault(entry.effect, []).extend([on] if on else [])
-        return ReadOnly({effect: tuple(names) for effect, names in found.items()})
+            names = owners.setdefault(entry.effect, [])
+            owner = entry.joint or entry.link
+            if owner:
+                names.append(owner)
+        return ReadOnly({effect: tuple(names) for effect, names in owners.items()})
 
     @cached_property
     def _tree(self) -> Tree:
-        locked = self._config.locked_joints
-        turning = [j.name for j in self._robot.joints.values() if j.kind != "fixed" and not j.mimic]
-        return build_model(self._robot, self._config, [name for name in turning if name not in locked])
+        moving = []
+        for joint in self._robot.joints.values():
+            if joint.kind != "fixed" and not joint.mimic and joint.name not in self._config.locked_joints:
+                moving.append(joint.name)
+        return build_model(self._robot, self._config, moving)
 
     def read_log(self, path: Source) -> Log:
         """A log, read as the configuration says.
@@ -193,22 +201,26 @@ class Model:
             If it cannot be read.
         """
         options = self._config.log
-        return Log.from_record(read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale)))
+        record = read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+        return Log.from_record(record)
 
     def __repr__(self) -> str:
         title = f"Model {self.path.name}" + (f" with {self._origin}" if self._origin else "")
         try:
             lines = [f"joints: {join_names(self.joints)}", f"bodies: {join_names(self.bodies)}"]
-            everywhere = ((), self.joints)
-            effects = [e if on in everywhere else f"{e} on {join_names(on)}" for e, on in self.effects.items()]
-            lines += [f"effects: {', '.join(effects)}"] if effects else []
+            effects = []
+            for effect, owners in self.effects.items():
+                is_everywhere = owners in ((), self.joints)
+                effects.append(effect if is_everywhere else f"{effect} on {join_names(owners)}")
+            if effects:
+                lines.append(f"effects: {', '.join(effects)}")
         except IdtoolError as error:  # a prompt shows what is wrong, too
             lines = [f"cannot be used: {error}"]
         return "\n  ".join([title, *lines])
 
 
 def as_model(model: Model | Source) -> Model:
-    """A model, or the one in a URDF with the configuration beside it."""
+    """The model itself, or the one in a URDF with the configuration beside it."""
     return model if isinstance(model, Model) else Model(model)
 
 
@@ -221,10 +233,15 @@ def identified_urdf_text(fit: Fit, folder: Path | None = None) -> bytes:
 
 
 def _load_settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:
-    """The configuration and what to call it: the one given, the one beside the URDF, or the defaults without a name."""
+    """The configuration and its name: the one given, the one beside the URDF, or the defaults without a name."""
     if isinstance(given, Mapping):
         return parse_config(given, "config"), "a configuration"
-    names = [f"{stem(urdf)}.yaml", f"{stem(urdf)}.yml", *([MODEL_YAML] if urdf.stem == "identified" else [])]
-    beside = map(urdf.with_name, names)
-    path = Path(given) if given is not None else next((path for path in beside if path.is_file()), None)
-    return (read_config(path), path.name) if path else (Config(), "")
+    if given is not None:
+        return read_config(Path(given)), Path(given).name
+    names = [f"{stem(urdf)}.yaml", f"{stem(urdf)}.yml"]
+    if urdf.stem == "identified":
+        names.append(MODEL_YAML)
+    for path in map(urdf.with_name, names):
+        if path.is_file():
+            return read_config(path), path.name
+    return Config(), ""

@@ -19,8 +19,8 @@ from idtool.robot.model import Model
 _MEASURED_PATHS = {"measured": "torque/measured", "residual": "torque/residual", "q": "position/measured"}
 
 
-def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Sequence[Trace]], shown: str) -> Path:
-    """Write what was measured, predicted and simulated, with the robot and its bounding ellipsoids.
+def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Sequence[Trace]], curve: str) -> Path:
+    """Write measured, predicted and simulated curves, with the robot and its bounding ellipsoids.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Se
     model
         The robot.
     logs
-        Of each log the torque and, where the model was run forwards, the positions.
-    shown
-        The model that is shown, as the traces have it.
+        For each log, the trace of the torque and, where the model was run forwards, that of the positions.
+    curve
+        Name of the model's curve in the traces.
 
     Raises
     ------
@@ -40,26 +40,36 @@ def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Se
     OutputError
         If the file cannot be written.
     """
-    torque = {**_MEASURED_PATHS, shown: "torque/model"}
-    motion = {"measured": "position/measured", shown: "position/simulated"}
-    takes = [log_recording(traces[0].name, list(zip(traces, (torque, motion), strict=False))) for traces in logs]
+    torque = {**_MEASURED_PATHS, curve: "torque/model"}
+    motion = {"measured": "position/measured", curve: "position/simulated"}
+    recordings = []
+    for traces in logs:
+        parts = list(zip(traces, (torque, motion), strict=False))
+        recordings.append(log_recording(traces[0].name, parts))
     ellipsoids = {body.name: body.ellipsoids for body in model.bodies if body.kind == "link" and body.ellipsoids}
-    write_all(Path(file).parent, {Path(file).name: rerun_recording(model.robot, model.names, ellipsoids, takes)})
-    return Path(file)
+    content = rerun_recording(model.robot, model.names, ellipsoids, recordings)
+    path = Path(file)
+    write_all(path.parent, {path.name: content})
+    return path
 
 
 def fit_traces(fit: Fit) -> list[list[Trace]]:
-    """The logs of a fit: what was held out, else what it was fitted to."""
-    return traces_by_log(fit.evaluation, fit.simulation.traces if fit.simulation else ())
+    """Traces of a fit's logs: of the held-out data, or of the training data if none were held out."""
+    motions = fit.simulation.traces if fit.simulation else ()
+    return traces_by_log(fit.evaluation, motions)
 
 
 def traces_by_log(evaluation: Evaluation, motions: Sequence[Trace]) -> list[list[Trace]]:
-    """Of each log its torque and its positions, where there are some."""
-    return [[trace, *(m for m in motions if m.name == trace.name)] for trace in evaluation.traces]
+    """Traces of each log: its torque and, where the model was run forwards, its positions."""
+    logs = []
+    for trace in evaluation.traces:
+        own_motions = [motion for motion in motions if motion.name == trace.name]
+        logs.append([trace, *own_motions])
+    return logs
 
 
 def motion_traces(name: str, t: Array, measured: Array, simulated: Array) -> list[list[Trace]]:
-    """A log by its positions alone, shape (N, nv) each."""
+    """Traces of one log with positions only, shape (N, nv) each."""
     envelope = Envelope([slice(0, len(t))], t)
     envelope.add(t, {"measured": np.asarray(measured).T, "model": np.asarray(simulated).T})
     motion = envelope.trace(name)

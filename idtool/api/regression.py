@@ -1,4 +1,4 @@
-"""`regression`: every case of a manifest, fitted and held to its recorded bounds."""
+"""`regression`: every case of a manifest, fitted and compared with its recorded bounds."""
 
 from __future__ import annotations
 

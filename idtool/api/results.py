@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from idtool.reporting.results.base import NoticeReport
     from idtool.robot.model import Model as RobotModel
 
-    RecordingData = tuple[
-        RobotModel, Sequence[Sequence[Trace]], str
-    ]  # robot, each log's torque and positions, what is shown
+    #: The robot, the traces of each log, and the name of the model's curve in them.
+    RecordingData = tuple[RobotModel, Sequence[Sequence[Trace]], str]
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 
@@ -25,27 +24,28 @@ _MAX_LINES = 12  # lines of a table at a prompt
 
 
 def ignore_progress(stage: str, share: float) -> None:
-    """Progress that nobody wants to hear of."""
+    """Progress callback that does nothing."""
 
 
 def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table, the first column to the left; of long ones the first lines and the last."""
-    hidden = len(rows) - _MAX_LINES
-    shown = rows if hidden <= 0 else [*rows[: _MAX_LINES - 1], rows[-1]]
-    cells = [list(head), *map(list, shown)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
-    lines = [
-        "  "
-        + "  ".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True)))
-        for row in cells
-    ]
-    if hidden > 0:
-        lines.insert(-1, f"  … {hidden} more")
+    """Lines of a table, the first column flush left; long ones keep the first lines and the last."""
+    omitted = max(len(rows) - _MAX_LINES, 0)
+    if omitted:
+        rows = [*rows[: _MAX_LINES - 1], rows[-1]]
+    table = [head, *rows]
+    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
+    lines = []
+    for first, *others in table:
+        cells = [first.ljust(widths[0])]
+        cells += [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  " + "  ".join(cells))
+    if omitted:
+        lines.insert(-1, f"  … {omitted} more")
     return lines
 
 
 def notice_lines(notices: Sequence[NoticeReport]) -> list[str]:
-    """What a user should know, a line each."""
+    """Lines of the notices; of many, the first ones."""
     lines = [f"  {notice.severity}: {notice.sentence}" for notice in notices[:_MAX_LINES]]
     if len(notices) > _MAX_LINES:
         lines.append(f"  … {len(notices) - _MAX_LINES} more notices")
@@ -76,7 +76,7 @@ class Recordable(ABC):
 
     @abstractmethod
     def _recording_data(self) -> RecordingData:
-        """The robot, of each log the torque and the positions, and the model that is shown."""
+        """The robot, the traces of each log, and the name of the model's curve in them."""
 
 
 class SavableResult(ABC):
@@ -106,13 +106,13 @@ class SavableResult(ABC):
         return self._write(folder, made_by)
 
     def _write(
-        self, folder: str | os.PathLike[str], made_by: str | None, without: Sequence[str] = ()
+        self, folder: str | os.PathLike[str], made_by: str | None, omitted: Sequence[str] = ()
     ) -> tuple[Path, ...]:
-        every = self._files(Path(folder), self._made_by if made_by is None else made_by)
-        files = {name: content for name, content in every.items() if name not in without}
+        all_files = self._files(Path(folder), self._made_by if made_by is None else made_by)
+        files = {name: content for name, content in all_files.items() if name not in omitted}
         write_all(Path(folder), files)
         return tuple(Path(folder, name) for name in files)
 
     @abstractmethod
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        """The files' contents by name."""
+        """Contents of the files, by name."""

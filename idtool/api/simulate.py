@@ -86,12 +86,12 @@ class SimulationResult(Recordable):
 
     @property
     def lost(self) -> int:
-        """Rollouts that diverged; they end where they did."""
+        """Number of rollouts that diverged; they end at that time."""
         return self.report.lost
 
     @property
     def notices(self) -> tuple[NoticeReport, ...]:
-        """What a user should know."""
+        """The notices."""
         return self.report.notices
 
     @property
@@ -100,7 +100,7 @@ class SimulationResult(Recordable):
         return self.report.warnings
 
     def to_json(self, file: str | os.PathLike[str] | None = None) -> dict[str, Any]:
-        """What `idtool simulate --json` prints; a copy.
+        """The content that `idtool simulate --json` prints; a copy.
 
         Parameters
         ----------
@@ -126,7 +126,9 @@ class SimulationResult(Recordable):
         IdtoolError
             If the log cannot be written, or would take the place of the one that was read.
         """
-        file = Path(place) if Path(place).suffix.lower() in log_suffixes() else Path(place, LOG_NAME)
+        file = Path(place)
+        if file.suffix.lower() not in log_suffixes():
+            file = file / LOG_NAME
         check_log_file(file, [self._source])
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -151,19 +153,21 @@ class SimulationResult(Recordable):
 
     def __repr__(self) -> str:
         kinds = dict.fromkeys(self.report.units.values())
-        units, speeds = " or ".join(kinds), " or ".join(f"{unit}/s" for unit in kinds)
+        position_unit = " or ".join(kinds)
+        velocity_unit = " or ".join(f"{unit}/s" for unit in kinds)
         loop = self.kind.replace("_", " ")
-        often = "never restarted" if self.window is None else f"{self.window:g} s at a time"
-        title = f"SimulationResult: {self.seconds:.4g} s {loop}, {often}"
-        position, velocity = self.rmse.position, self.rmse.velocity
-        if position is None:
-            return "\n".join([title, *notice_lines(self.notices)])
-        rows = []
-        for name, error in position.items():
-            velocity_error = velocity[name] if velocity else None
-            rows.append([name, figure(error), figure(velocity_error)])
-        head = ["RMS error", f"position [{units}]", f"velocity [{speeds}]"]
-        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
+        restarts = "never restarted" if self.window is None else f"{self.window:g} s at a time"
+        lines = [f"SimulationResult: {self.seconds:.4g} s {loop}, {restarts}"]
+        velocity = self.rmse.velocity
+        if self.rmse.position is not None:
+            rows = []
+            for name, position_error in self.rmse.position.items():
+                velocity_error = velocity[name] if velocity else None
+                rows.append([name, figure(position_error), figure(velocity_error)])
+            head = ["RMS error", f"position [{position_unit}]", f"velocity [{velocity_unit}]"]
+            lines += table_lines(head, rows)
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def simulate(
@@ -205,15 +209,22 @@ def simulate(
     >>> run.log.joints, run.rollouts
     (('abad', 'hip', 'knee'), 100)
     """
-    started, told, model = time.monotonic(), progress or ignore_progress, as_model(model)
+    start = time.monotonic()
+    report_progress = progress or ignore_progress
+    model = as_model(model)
     _check_options(model.settings, window, closed_loop, track)
-    transform = as_command if track else under_controller if closed_loop else as_logged
-    experiment = load_experiment(model, (), log, progress=told, transform=transform)
-    every = _window(experiment, window)
-    done = simulated_log(experiment, experiment.equation.prior, every, Path(LOG_NAME), told)
-    report = _report(experiment, done, time.monotonic() - started)
+    transform = as_logged
+    if track:
+        transform = as_command
+    elif closed_loop:
+        transform = under_controller
+    experiment = load_experiment(model, (), log, progress=report_progress, transform=transform)
+    used_window = _choose_window(experiment, window)
+    theta = experiment.equation.prior
+    simulated = simulated_log(experiment, theta, used_window, Path(LOG_NAME), report_progress)
+    report = _report(experiment, simulated, time.monotonic() - start)
     source = experiment.runs[0].signals.log.path
-    return SimulationResult(Log.from_record(done.log), report, experiment.model, done.measured, source)
+    return SimulationResult(Log.from_record(simulated.log), report, experiment.model, simulated.measured, source)
 
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:
@@ -226,32 +237,33 @@ def _check_options(settings: Config, window: float | None, closed_loop: bool, tr
         raise ConfigError("--window", f"{window:g} is no time; give seconds, or 0 for never")
 
 
-def _window(experiment: Experiment, given: float | None) -> float | None:
-    """How often to start again [s]; None: never."""
-    if given is not None:
-        return given or None
-    closed = experiment.runs[0].signals.controller.joints.any()
-    return None if closed else experiment.config.simulation.window
+def _choose_window(experiment: Experiment, window: float | None) -> float | None:
+    """Time between restarts [s]; None: never restarted."""
+    if window is not None:
+        return window or None
+    if experiment.runs[0].signals.controller.joints.any():
+        return None
+    return experiment.config.simulation.window
 
 
-def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> SimulationReport:
-    """The result but for the file."""
+def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float) -> SimulationReport:
+    """The record of the result, without the file."""
     notices = list(experiment.notices)
-    if done.diverged:
-        message = f"{done.diverged} of {done.rollouts} rollouts ran away; they end where they did"
+    if simulated.diverged:
+        message = f"{simulated.diverged} of {simulated.rollouts} rollouts ran away; they end where they did"
         notices.append(Notice("simulation_diverged", "warning", None, message))
     return SimulationReport(
         file=None,
-        joints=done.log.joints,
+        joints=simulated.log.joints,
         units={joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
-        kind=done.kind,
-        window=done.window,
-        rollouts=done.rollouts,
-        lost=done.diverged,
-        samples=len(done.log),
-        seconds=done.seconds,
-        wall_seconds=wall,
-        rmse=MotionRmse(position=done.position or None, velocity=done.velocity or None),
+        kind=simulated.kind,
+        window=simulated.window,
+        rollouts=simulated.rollouts,
+        lost=simulated.diverged,
+        samples=len(simulated.log),
+        seconds=simulated.seconds,
+        wall_seconds=wall_seconds,
+        rmse=MotionRmse(position=simulated.position or None, velocity=simulated.velocity or None),
         urdf=str(experiment.model.robot.path),
         log=str(experiment.runs[0].signals.log.path),
         **notice_fields(notices),

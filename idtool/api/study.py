@@ -1,4 +1,4 @@
-"""`study`: what each constraint set, prior and estimator is worth on the same data."""
+"""`study`: comparison of constraint sets, priors and estimators on the same data."""
 
 from __future__ import annotations
 
@@ -32,11 +32,14 @@ class StudyResult(StudyReport, SavableResult):
         units = " or ".join(dict.fromkeys(self.units.values()))
         title = f"StudyResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
         rows = []
-        for name, found in self.sets.items():
-            errors = (found.rms.train["overall"], found.rms.validation["overall"])
-            rows.append([name, *map(figure, errors), str(found.violations)])
-        head = ["constraints", "train", "held out", "unrealizable"]
-        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
+        for name, entry in self.sets.items():
+            train = figure(entry.rms.train["overall"])
+            validation = figure(entry.rms.validation["overall"])
+            rows.append([name, train, validation, str(entry.violations)])
+        lines = [title]
+        lines += table_lines(["constraints", "train", "held out", "unrealizable"], rows)
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
 
 
 def study(
@@ -74,11 +77,11 @@ def study(
 
     if draws < _MIN_DRAWS:
         raise ConfigError("--draws", f"{draws} is too few; give {_MIN_DRAWS} or more")
-    tell = progress or ignore_progress
-    found = compare(load_experiment(model, logs, validate, holdout, tell), tell, draws)
-    result = StudyResult.from_result(study_report(found))
-    result._validation = found.validation
-    result._made_by = call_text(
-        "study", model, logs, validate=validate, **changed_options(study, holdout=holdout, draws=draws)
-    )
+    report_progress = progress or ignore_progress
+    experiment = load_experiment(model, logs, validate, holdout, report_progress)
+    comparison = compare(experiment, report_progress, draws)
+    options = changed_options(study, holdout=holdout, draws=draws)
+    result = StudyResult.from_result(study_report(comparison))
+    result._validation = comparison.validation
+    result._made_by = call_text("study", model, logs, validate=validate, **options)
     return result

@@ -1,4 +1,4 @@
-"""`validate`: how well a model predicts logs."""
+"""`validate`: a model's prediction errors on logs."""
 
 from __future__ import annotations
 
@@ -71,17 +71,34 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
 
     def __repr__(self) -> str:
         units = " or ".join(dict.fromkeys(self.units.values()))
-        prior, bounds = self.rms.prior, self.bound
-        head = ["joint", "model", *(["prior"] if prior else []), "of torque", *(["bound"] if bounds else [])]
+        prior = self.rms.prior
+        head = ["joint", "model"]
+        if prior:
+            head.append("prior")
+        head.append("of torque")
+        if self.bound:
+            head.append("bound")
         rows = []
         for name in (*self.joints, "overall"):
+            row = [name, figure(self.rms.model[name])]
+            if prior:
+                row.append(figure(prior[name]))
             share = self.nrms.get(name)
-            row = [name, figure(self.rms.model[name]), *([figure(prior[name])] if prior else [])]
             row.append("" if share is None else f"{100 * share:.1f}%")
-            missed = "" if self.ok.get(name, True) else " missed"
-            rows.append([*row, *([f"{figure(bounds[name])}{missed}" if name in bounds else ""] if bounds else [])])
-        title = f"ValidationResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
-        return "\n".join([title, *table_lines(head, rows), *notice_lines(self.notices)])
+            if self.bound:
+                row.append(self._bound_text(name))
+            rows.append(row)
+        lines = [f"ValidationResult: RMS torque error [{units}] below {self.band_hz:g} Hz"]
+        lines += table_lines(head, rows)
+        lines += notice_lines(self.notices)
+        return "\n".join(lines)
+
+    def _bound_text(self, name: str) -> str:
+        """The bound of a joint, marked where it was missed; empty without one."""
+        if name not in self.bound:
+            return ""
+        bound = figure(self.bound[name])
+        return bound if self.ok[name] else f"{bound} missed"
 
 
 def validate(
@@ -118,20 +135,23 @@ def validate(
 
     Examples
     --------
-    >>> found = idtool.validate("sample_logs/leg.urdf", "sample_logs/leg_validate.mcap", max_rms=0.5, simulation=False)
-    >>> found.rms.model["overall"] > 0.5
+    >>> result = idtool.validate("sample_logs/leg.urdf", "sample_logs/leg_validate.mcap", max_rms=0.5, simulation=False)
+    >>> result.rms.model["overall"] > 0.5
     True
-    >>> found.ok["overall"]
+    >>> result.ok["overall"]
     False
     """
-    told = progress or ignore_progress
+    report_progress = progress or ignore_progress
     model = as_model(model)
-    experiment = load_experiment(model, (), logs, progress=told)
-    bounds = _bounds(max_rms, experiment)
-    other = prior if prior is None or isinstance(prior, Model) else prior_model(Path(prior))
+    experiment = load_experiment(model, (), logs, progress=report_progress)
+    bounds = _check_bounds(max_rms, experiment)
     options = changed_options(validate, max_rms=max_rms, simulation=simulation)
-    made_by = call_text("validate", model, logs, **({"prior": other.name} if other else {}), **options)
-    return validate_experiment(experiment, other, bounds, made_by, told, simulation)
+    if prior is not None:
+        if not isinstance(prior, Model):
+            prior = prior_model(Path(prior))
+        options = {"prior": prior.name, **options}
+    made_by = call_text("validate", model, logs, **options)
+    return validate_experiment(experiment, prior, bounds, made_by, report_progress, simulation)
 
 
 def prior_model(urdf: Path) -> Model:
@@ -147,7 +167,9 @@ def prior_model(urdf: Path) -> Model:
     IdtoolError
         If it or its configuration cannot be read.
     """
-    return Model(urdf) if urdf.with_suffix(".yaml").is_file() else Model.bare(urdf)
+    if urdf.with_suffix(".yaml").is_file():
+        return Model(urdf)
+    return Model.bare(urdf)
 
 
 def validate_experiment(
@@ -158,7 +180,7 @@ def validate_experiment(
     progress: Progress,
     simulate: bool = True,
 ) -> ValidationResult:
-    """The same from model and logs put together.
+    """Validate the model of an experiment, which holds model and logs.
 
     Parameters
     ----------
@@ -171,7 +193,7 @@ def validate_experiment(
     made_by
         What the page says it was made by.
     progress
-        Told the stage and how far it has come.
+        Called with the stage and the share of it that is done.
     simulate
         Whether to run the models forwards too.
 
@@ -180,13 +202,16 @@ def validate_experiment(
     ModelError
         If ``prior`` is no model of the same robot.
     """
-    models, sources = {"model": experiment.equation.prior}, experiment.sources
+    models = {"model": experiment.equation.prior}
+    sources = experiment.sources
     if prior is not None:
-        own = prior.settings if prior.configured else experiment.config.without_friction_values()
-        models["prior"] = coefficients_of(prior.robot, own, experiment)
+        settings = prior.settings if prior.configured else experiment.config.without_friction_values()
+        models["prior"] = coefficients_of(prior.robot, settings, experiment)
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
     evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
-    rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress) if simulate else None
+    rollouts = None
+    if simulate:
+        rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress)
     simulation = simulation_report(rollouts, "model", experiment)
     notices = [*experiment.notices, *simulation_notices(rollouts, "model")]
     report = validation_report(
@@ -201,13 +226,15 @@ def validate_experiment(
     return result
 
 
-def _bounds(given: float | Mapping[str, float] | None, experiment: Experiment) -> dict[str, float]:
-    """Bounds by joint or ``overall``."""
-    bounds = dict(given) if isinstance(given, Mapping) else {} if given is None else {"overall": given}
-    known = (*experiment.equation.joints, "overall")
+def _check_bounds(max_rms: float | Mapping[str, float] | None, experiment: Experiment) -> dict[str, float]:
+    """Bounds by joint or ``overall``; ConfigError if one cannot be used."""
+    if max_rms is None:
+        return {}
+    bounds = dict(max_rms) if isinstance(max_rms, Mapping) else {"overall": max_rms}
+    names = (*experiment.equation.joints, "overall")
     for name, bound in bounds.items():
-        if name not in known:
-            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, known)}")
+        if name not in names:
+            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, names)}")
         if not 0 < bound < math.inf:
             raise ConfigError("--max-rms", f"{bound} is no bound; give a number above 0")
     return bounds

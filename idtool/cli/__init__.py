@@ -1,4 +1,4 @@
-"""The command line: one thin function a command. What is heavy is imported where it is used, so that help is quick."""
+"""The command line: one thin function for each command. Heavy modules are imported where needed: help is fast."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _ORDER = (  # in which a user needs them
 
 
 class _Commands(TyperGroup):
-    """The commands as the help lists them."""
+    """The commands in the order of the help."""
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
         return sorted(super().list_commands(ctx), key=_ORDER.index)
@@ -48,8 +48,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         from idtool.common.version import VERSION
 
         typer.echo(f"idtool {VERSION}")

@@ -55,7 +55,9 @@ def diagnose_command(
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.diagnosis import show_diagnosis
 
-    terminal, folder = Terminal(quiet, as_json), output_folder(urdf, out)
+    terminal = Terminal(quiet, as_json)
+    folder = output_folder(urdf, out)
+    effect_ids = None if effects is None else effects.split(",")
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         result = diagnose(
@@ -64,7 +66,7 @@ def diagnose_command(
             validate=validate or (),
             holdout=holdout,
             inertia=inertia,
-            effects=None if effects is None else effects.split(","),
+            effects=effect_ids,
             most=max_effects,
             assume=assume or (),
             simulation=not no_simulation,

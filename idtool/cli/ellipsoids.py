@@ -59,7 +59,7 @@ def ellipsoids_command(
 
 
 def _write_ellipsoids(terminal: Terminal, urdf: Path, margin: float, out: Path | None) -> None:
-    """Bounding ellipsoids as YAML."""
+    """Write or print the bounding ellipsoids as YAML."""
     from idtool.api.ellipsoids import ellipsoids
 
     result = ellipsoids(urdf, margin=margin)
@@ -73,7 +73,7 @@ def _write_ellipsoids(terminal: Terminal, urdf: Path, margin: float, out: Path |
 
 
 def _check_links(terminal: Terminal, urdf: Path, config: Path | None, repair: Path | None) -> None:
-    """Links whose inertia no body can have."""
+    """Print the links whose inertia no body can have, and write the repaired URDF if asked for."""
     from idtool.api.ellipsoids import check
     from idtool.api.model import Model
     from idtool.reporting.terminal.check import show_check
@@ -82,5 +82,5 @@ def _check_links(terminal: Terminal, urdf: Path, config: Path | None, repair: Pa
     if repair is not None:
         result.save(repair)
     show_check(terminal, result, repair)
-    met = {} if repair else {name: not link.violations for name, link in result.links.items()}
-    finish(terminal, result, met, "no body can have the inertia of")
+    is_realizable = {} if repair else {name: not link.violations for name, link in result.links.items()}
+    finish(terminal, result, is_realizable, "no body can have the inertia of")

@@ -46,7 +46,7 @@ def excite_command(
         float, typer.Option(help="Fraction of the duration for slow sweeps and standstill (friction).")
     ] = 0.2,
     rate: Annotated[float, typer.Option(help="Sampling rate, Hz.")] = 1000.0,
-    highest: Annotated[
+    max_frequency: Annotated[
         float | None, typer.Option("--max-frequency", help="Highest frequency, Hz; default: from the limits.")
     ] = None,
     noise: Annotated[
@@ -87,7 +87,7 @@ def excite_command(
             duration=duration,
             slow=slow,
             rate=rate,
-            max_frequency=highest,
+            max_frequency=max_frequency,
             noise=_parse_numbers("--noise", noise or [], for_all=True),
             margin=margin,
             clearance=clearance,
@@ -104,17 +104,19 @@ def excite_command(
     finish(terminal, report, {})
 
 
-def _parse_numbers(option: str, given: Sequence[str], for_all: bool) -> dict[str, float]:
-    """JOINT=NUMBER by joint; a number without a joint is for all."""
-    found = {}
-    for text in given:
+def _parse_numbers(option: str, texts: Sequence[str], for_all: bool) -> dict[str, float]:
+    """Numbers of JOINT=NUMBER, by joint; a number without a joint is for all joints."""
+    numbers = {}
+    for text in texts:
         name, separator, number = text.rpartition("=")
         try:
             value = float(number)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value) or not (separator or for_all) or (for_all and value <= 0):
+        lacks_joint = not separator and not for_all
+        is_too_small = for_all and value <= 0
+        if not math.isfinite(value) or lacks_joint or is_too_small:
             form = "NUMBER or JOINT=NUMBER, above 0" if for_all else "JOINT=NUMBER"
             raise ConfigError(option, f"{text or 'nothing'} is not {form}")
-        found[name if separator else _ALL_JOINTS] = value
-    return found
+        numbers[name if separator else _ALL_JOINTS] = value
+    return numbers

@@ -65,4 +65,5 @@ def fit_command(
             result.rerun(rerun)
     show_fit(terminal, result, folder)
     rms = result.rms.validation or result.rms.train
-    finish(terminal, result, {name: rms[name] <= bound for name, bound in bounds.items()})
+    checks = {name: rms[name] <= bound for name, bound in bounds.items()}
+    finish(terminal, result, checks)

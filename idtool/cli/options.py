@@ -1,4 +1,4 @@
-"""What commands share: arguments and options, the configuration, bounds, and how they end."""
+"""Arguments and options that commands share, and the end of a command."""
 
 from __future__ import annotations
 
@@ -22,24 +22,32 @@ if TYPE_CHECKING:
 
 
 def resolve_unnamed(path: Path | None) -> Path | None:
-    """The path with a name, which what is written is called after: the folder one is in has none."""
-    return path.resolve() if path and path.name in ("", "..") else path
+    """The path with a name, after which output is named: ``.`` and ``..`` have none and are resolved."""
+    if path and path.name in ("", ".."):
+        return path.resolve()
+    return path
 
 
-def require_log(context: typer.Context, given: Any) -> Any:
-    """The log or logs as given: none is enough where what stands in the URDF's place is a bag."""
+def require_log(context: typer.Context, logs: Any) -> Any:
+    """The log or logs as given; none is needed if the URDF argument is a bag.
+
+    Raises
+    ------
+    ConfigError
+        If there is no log.
+    """
     from idtool.data.logs import is_bag
 
     urdf = context.params.get("urdf")
-    if not (given or context.resilient_parsing or (urdf and is_bag(urdf))):
-        if urdf and not os.path.exists(urdf):  # of any name, however long
-            raise ModelError(urdf, "there is no such file")
-        raise ConfigError("command", f"missing argument 'LOG'; try {context.command_path} --help")
-    return given
+    if logs or context.resilient_parsing or (urdf and is_bag(urdf)):
+        return logs
+    if urdf and not os.path.exists(urdf):  # of any name, however long
+        raise ModelError(urdf, "there is no such file")
+    raise ConfigError("command", f"missing argument 'LOG'; try {context.command_path} --help")
 
 
 def _check_rerun(file: Path | None) -> Path | None:
-    """The file, where it can be made: asked before the work is done."""
+    """The file as given; ConfigError if rerun is missing, before any work is done."""
     if file is not None:
         from idtool.reporting.rerun_recording import rerun_package
 
@@ -122,38 +130,39 @@ ReportOnlyOption = Annotated[
 ExplainOption = Annotated[bool, typer.Option("--explain", help="Show why each candidate was rejected.")]
 
 
-def output_folder(urdf: Path, given: Path | None) -> Path:
-    """The folder to write to: the one given, or one in the working directory that is called after the URDF.
+def output_folder(urdf: Path, out: Path | None) -> Path:
+    """The folder to write to: the one given, or one in the working directory that is named after the URDF.
 
     Raises
     ------
     OutputError
-        If it cannot be written to; found out before the work is done.
+        If it cannot be written to.
     """
     from idtool.common.outputs import check_folder
 
-    folder = given or Path(f"{stem(urdf)}_idtool")
+    folder = out or Path(f"{stem(urdf)}_idtool")
     check_folder(folder)
     return folder
 
 
-def parse_bounds(given: list[str], experiment: Experiment) -> dict[str, float]:
+def parse_bounds(texts: list[str], experiment: Experiment) -> dict[str, float]:
     """Bounds by joint or ``overall`` from the options."""
     from idtool.common.names import suggestion
 
+    names = (*experiment.equation.joints, "overall")
     bounds = {}
-    for text in given:
+    for text in texts:
         name, _, number = text.rpartition("=")
         name = name or "overall"
-        known = (*experiment.equation.joints, "overall")
-        if name not in known:
-            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, known)}")
+        if name not in names:
+            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, names)}")
         try:
-            bounds[name] = float(number)
+            bound = float(number)
         except ValueError:
-            bounds[name] = math.nan
-        if not 0 < bounds[name] < math.inf:
+            bound = math.nan
+        if not 0 < bound < math.inf:
             raise ConfigError("--max-rms", f"{text or 'nothing'} is not NUMBER or JOINT=NUMBER, with a number above 0")
+        bounds[name] = bound
     return bounds
 
 
@@ -162,10 +171,20 @@ def command_line() -> str:
     return shlex.join(["idtool", *sys.argv[1:]])
 
 
-def finish(terminal: Terminal, result: Result, met: Mapping[str, bool], missing: str = "bound not met") -> None:
-    """Print the result where asked for; exit with 1 where a bound was not met."""
+def finish(terminal: Terminal, result: Result, checks: Mapping[str, bool], failure: str = "bound not met") -> None:
+    """Print the result as JSON if asked for; exit with 1 if a check failed.
+
+    Parameters
+    ----------
+    terminal, result
+        The terminal and the result.
+    checks
+        Outcome of each check, by name.
+    failure
+        Message for the checks that failed, before their names.
+    """
     terminal.result(result.to_json())
-    missed = [name for name, ok in met.items() if not ok]
-    if missed:
-        terminal.say(f"{missing}: {', '.join(missed)}")
+    failed = [name for name, ok in checks.items() if not ok]
+    if failed:
+        terminal.say(f"{failure}: {', '.join(failed)}")
         raise typer.Exit(1)

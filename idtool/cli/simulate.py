@@ -100,10 +100,10 @@ def simulate_command(
 
 
 def _show_simulation(terminal: Terminal, report: SimulationReport, measured: str) -> None:
-    """What was run, how far it is from what was measured, and where it is."""
-    how = "closed loop under the controller" if report.kind == "closed_loop" else "open loop under the logged torque"
-    often = "never restarted" if report.window is None else f"{report.window:g} s at a time"
-    terminal.say(f"{how}, {often}: {report.seconds:.4g} s simulated in {report.wall_seconds:.1f} s")
+    """Print the kind of simulation, its distance from ``measured``, the notices, and the file."""
+    loop = "closed loop under the controller" if report.kind == "closed_loop" else "open loop under the logged torque"
+    restarts = "never restarted" if report.window is None else f"{report.window:g} s at a time"
+    terminal.say(f"{loop}, {restarts}: {report.seconds:.4g} s simulated in {report.wall_seconds:.1f} s")
     if position := report.rmse.position:
         units = " or ".join(dict.fromkeys(report.units.values()))
         joints = ", ".join(f"{name} {position[name]:.4g}" for name in report.joints)

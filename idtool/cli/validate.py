@@ -61,15 +61,16 @@ def validate_command(
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
-        _run_regression(terminal, any((config, prior, out, max_rms, no_simulation, rerun)))
+        has_options = any((config, prior, out, max_rms, no_simulation, rerun))
+        _run_regression(terminal, has_options)
         return
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
-        model, every = Model.with_logs(urdf, logs or (), config)
-        experiment = load_experiment(model, (), every, progress=progress)
+        model, all_logs = Model.with_logs(urdf, logs or (), config)
+        experiment = load_experiment(model, (), all_logs, progress=progress)
         bounds = parse_bounds(max_rms or [], experiment)
-        other = None if prior is None else prior_model(prior)
-        result = validate_experiment(experiment, other, bounds, command_line(), progress, not no_simulation)
+        compared_model = None if prior is None else prior_model(prior)
+        result = validate_experiment(experiment, compared_model, bounds, command_line(), progress, not no_simulation)
         result.save(folder)
         if rerun:
             result.rerun(rerun)
@@ -77,9 +78,9 @@ def validate_command(
     finish(terminal, result, dict(result.ok))
 
 
-def _run_regression(terminal: Terminal, options: bool) -> None:
-    """`idtool validate` without arguments."""
-    if options:
+def _run_regression(terminal: Terminal, has_options: bool) -> None:
+    """Run `idtool validate` without arguments."""
+    if has_options:
         raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
     from idtool.api.regression import regression
     from idtool.reporting.terminal.validation import show_regression
