@@ -9,7 +9,7 @@ from idtool.api.model import Model, Source
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json
 from idtool.reporting.adaptation_report import adaptation_report
-from idtool.reporting.figures import figure
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.adaptation import AdaptationReport
 
 
@@ -27,7 +27,7 @@ class AdaptationResult(AdaptationReport, SavableResult):
         title = f"AdaptationResult: {self.samples} updates at {self.update_hz:.4g} Hz"
         rows = []
         for name, body in self.final.bodies.items():
-            rows.append([name, figure(body.mass), "yes" if body.realizable else "no"])
+            rows.append([name, four_digits(body.mass), "yes" if body.realizable else "no"])
         lines = [title]
         lines += table_lines(["body", "mass [kg]", "realizable"], rows)
         lines += notice_lines(self.notices)

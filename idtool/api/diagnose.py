@@ -16,9 +16,9 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.diagnosis_words import on
-from idtool.reporting.figures import figure
+from idtool.reporting.diagnosis_text import owner_name
 from idtool.reporting.fit_report import model_config
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import DiagnosisReport
 
 if TYPE_CHECKING:
@@ -66,10 +66,10 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
 
     def plot(self) -> Figure:
         """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""
-        from idtool.reporting.plots.figure import stacked
+        from idtool.reporting.plots.figure import stack_figures
         from idtool.reporting.plots.gap import gap_figures
 
-        return stacked(gap_figures(self)).to_plotly()
+        return stack_figures(gap_figures(self)).to_plotly()
 
     def __repr__(self) -> str:
         before = self.before.torque
@@ -78,11 +78,11 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         for name in before:
             share = self.gap_closed[name]
             gap_closed = "–" if share is None else f"{100 * share:.0f} %"
-            errors = [figure(before[name]), figure(after[name]), figure(self.noise_floor[name])]
+            errors = [four_digits(before[name]), four_digits(after[name]), four_digits(self.noise_floor[name])]
             rows.append([name, *errors, gap_closed])
         lines = [f"DiagnosisResult: {self.summary}"]
         for i, step in enumerate(self.steps, 1):
-            lines.append(f"  {i}. {step.effect} on {on(step)}")
+            lines.append(f"  {i}. {step.effect} on {owner_name(step)}")
         lines += table_lines(["torque RMS", "before", "after", "noise floor", "gap closed"], rows)
         lines += notice_lines(self.notices)
         return "\n".join(lines)

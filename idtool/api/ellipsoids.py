@@ -11,7 +11,7 @@ from idtool.common.notice import Notice
 from idtool.common.outputs import as_yaml, check_file, write_all
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.reporting.check_report import check_report
-from idtool.reporting.figures import figure
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.base import LinkEllipsoid, notice_fields
 from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
 from idtool.robot.bounding import bounding_ellipsoids
@@ -59,7 +59,7 @@ class CheckResult(CheckReport):
     def __repr__(self) -> str:
         rows = []
         for name, link in self.links.items():
-            rows.append([name, figure(link.mass), "; ".join(link.violations) or "ok"])
+            rows.append([name, four_digits(link.mass), "; ".join(link.violations) or "ok"])
         table = table_lines(["link", "mass [kg]", "inertia"], rows)
         return "\n".join([f"CheckResult {self.urdf}", *table])
 

@@ -27,7 +27,7 @@ from idtool.excitation.criteria import Criterion
 from idtool.excitation.design import Design, DesignOptions, LoggedData, design
 from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
-from idtool.reporting.figures import figure
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.excitation import ExcitationReport
 from idtool.robot.model import build_model
 
@@ -79,7 +79,7 @@ class ExcitationResult(ExcitationReport):
         title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
         rows = []
         for p in self.base_parameters:
-            rows.append([p.name, figure(p.prior), figure(p.standard_error), p.unit])
+            rows.append([p.name, four_digits(p.prior), four_digits(p.standard_error), p.unit])
         lines = [title]
         lines += table_lines(["base parameter", "prior", "± se", "unit"], rows)
         lines += notice_lines(self.notices)

@@ -19,8 +19,8 @@ from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as run_fit
 from idtool.estimation.identification import Method
-from idtool.reporting.figures import figure
 from idtool.reporting.fit_report import fit_report, model_config
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.fit import FitReport
 
 Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]  # of the prior and the identified model
@@ -91,12 +91,12 @@ class FitResult(FitReport, SavableResult, Recordable):
         head += ["viscous", "coulomb"]
         rows = []
         for name in (*self.joints, "overall"):
-            row = [name, figure(rms[name])]
+            row = [name, four_digits(rms[name])]
             if prior:
-                row.append(figure(prior[name]))
+                row.append(four_digits(prior[name]))
             friction = self.friction.get(name)
-            row.append(figure(friction.viscous if friction else None))
-            row.append(figure(friction.coulomb if friction else None))
+            row.append(four_digits(friction.viscous if friction else None))
+            row.append(four_digits(friction.coulomb if friction else None))
             rows.append(row)
         masses = [f"{name} {body.mass:.4g}" for name, body in self.bodies.items()]
         mass_text = ", ".join(masses[:_MAX_MASSES])

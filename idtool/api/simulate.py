@@ -26,7 +26,7 @@ from idtool.estimation.evaluation.simulated_log import (
     simulated_log,
     under_controller,
 )
-from idtool.reporting.figures import figure
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.base import NoticeReport, notice_fields
 from idtool.reporting.results.simulation import MotionRmse, SimulationReport
 from idtool.reporting.simulation_report import POSITION_UNITS
@@ -163,7 +163,7 @@ class SimulationResult(Recordable):
             rows = []
             for name, position_error in self.rmse.position.items():
                 velocity_error = velocity[name] if velocity else None
-                rows.append([name, figure(position_error), figure(velocity_error)])
+                rows.append([name, four_digits(position_error), four_digits(velocity_error)])
             head = ["RMS error", f"position [{position_unit}]", f"velocity [{velocity_unit}]"]
             lines += table_lines(head, rows)
         lines += notice_lines(self.notices)

@@ -10,7 +10,7 @@ from idtool.api.results import Progress, SavableResult, ignore_progress, notice_
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json
 from idtool.estimation.evaluation.validation import Evaluation
-from idtool.reporting.figures import figure
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.study_report import study_report
 
@@ -33,8 +33,8 @@ class StudyResult(StudyReport, SavableResult):
         title = f"StudyResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
         rows = []
         for name, entry in self.sets.items():
-            train = figure(entry.rms.train["overall"])
-            validation = figure(entry.rms.validation["overall"])
+            train = four_digits(entry.rms.train["overall"])
+            validation = four_digits(entry.rms.validation["overall"])
             rows.append([name, train, validation, str(entry.violations)])
         lines = [title]
         lines += table_lines(["constraints", "train", "held out", "unrealizable"], rows)

@@ -18,8 +18,8 @@ from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.validation import Evaluation, evaluate
-from idtool.reporting.figures import figure
 from idtool.reporting.fit_report import validation_report
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.simulation_report import simulation_report
 from idtool.robot.model import Model as RobotModel
@@ -80,9 +80,9 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
             head.append("bound")
         rows = []
         for name in (*self.joints, "overall"):
-            row = [name, figure(self.rms.model[name])]
+            row = [name, four_digits(self.rms.model[name])]
             if prior:
-                row.append(figure(prior[name]))
+                row.append(four_digits(prior[name]))
             share = self.nrms.get(name)
             row.append("" if share is None else f"{100 * share:.1f}%")
             if self.bound:
@@ -97,7 +97,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         """The bound of a joint, marked where it was missed; empty without one."""
         if name not in self.bound:
             return ""
-        bound = figure(self.bound[name])
+        bound = four_digits(self.bound[name])
         return bound if self.ok[name] else f"{bound} missed"
 
 

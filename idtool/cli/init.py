@@ -27,7 +27,7 @@ def init_command(
     """Write a commented configuration from URDF and logs, with templates for what has to be filled in."""
     from idtool.api.init import check_configuration, default_configuration, init
     from idtool.reporting.terminal import Terminal
-    from idtool.reporting.terminal.init import show_start
+    from idtool.reporting.terminal.init import show_initial_config
 
     terminal = Terminal(quiet, as_json)
     file = out or default_configuration(urdf)
@@ -36,5 +36,5 @@ def init_command(
         progress("reading", 0.0)
         result = init(urdf, logs, config=config, file=file, progress=progress)
         result.save(force=force)
-    show_start(terminal, result)
+    show_initial_config(terminal, result)
     finish(terminal, result, {})

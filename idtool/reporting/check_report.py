@@ -33,7 +33,7 @@ def check_report(robot: Robot, checks: Sequence[LinkCheck], nearest: Mapping[str
         links[name] = CheckedLink(
             mass=float(pi[0]),
             violations=link.violations,
-            nearest=_repaired(pi, nearest[name]) if name in nearest else None,
+            nearest=_repaired_link(pi, nearest[name]) if name in nearest else None,
         )
     notices = [
         Notice("not_realizable", "problem", link.body.name, violation)
@@ -43,7 +43,7 @@ def check_report(robot: Robot, checks: Sequence[LinkCheck], nearest: Mapping[str
     return CheckReport(links=links, urdf=str(robot.path), **notice_fields(notices))
 
 
-def _repaired(pi: Array, nearest: Array) -> RepairedLink:
+def _repaired_link(pi: Array, nearest: Array) -> RepairedLink:
     mass, com, inertia = mass_com_inertia(nearest)
     before = mass_com_inertia(pi)[2]
     moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0

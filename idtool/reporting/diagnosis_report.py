@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from idtool.common.notice import Notice
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
-from idtool.reporting.diagnosis_words import next_steps, summary
+from idtool.reporting.diagnosis_text import next_steps, summary
 from idtool.reporting.fit_report import fit_report, parameter_units
 from idtool.reporting.results.base import notice_fields, plain
 from idtool.reporting.results.diagnosis import (
@@ -24,8 +24,8 @@ from idtool.reporting.results.diagnosis import (
 )
 from idtool.robot.model import Model
 
-_LITTLE = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
-_WORSE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
+_MIN_RELATIVE_GAP = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
+_MIN_RELATIVE_INCREASE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
 
 
 def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
@@ -52,8 +52,8 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         before=_level(diagnosis.before),
         after=_level(diagnosis.after),
         noise_floor=plain(diagnosis.floor),
-        gap_closed=_closed(diagnosis),
-        rollout_worse=_worse(diagnosis.before, diagnosis.after),
+        gap_closed=_gap_closed(diagnosis),
+        rollout_worse=_worse_rollouts(diagnosis.before, diagnosis.after),
         steps=[_step(step, diagnosis.last.experiment.model) for step in diagnosis.steps],
         removed=diagnosis.removed,
         data_faults=[_data_fault(fault) for fault in diagnosis.faults],
@@ -96,12 +96,12 @@ def gap_closed(
     """
     gaps = {name: value - floor[name] for name, value in before.items()}
     return {
-        name: min((before[name] - after[name]) / gap, 1.0) if gap > _LITTLE * before[name] else None
+        name: min((before[name] - after[name]) / gap, 1.0) if gap > _MIN_RELATIVE_GAP * before[name] else None
         for name, gap in gaps.items()
     }
 
 
-def _closed(diagnosis: Diagnosis) -> dict[str, float | None]:
+def _gap_closed(diagnosis: Diagnosis) -> dict[str, float | None]:
     """``gap_closed``; None of it where model and data do not disagree."""
     before, after = diagnosis.before.torque, diagnosis.after.torque
     if diagnosis.verdict == "no_disagreement":
@@ -110,10 +110,12 @@ def _closed(diagnosis: Diagnosis) -> dict[str, float | None]:
 
 
 def _level(level: ErrorSummary) -> ErrorLevel:
-    return ErrorLevel(train=plain(level.train), validation=plain(level.validation), simulation=plain(level.simulation))
+    return ErrorLevel(
+        train=plain(level.train), validation=plain(level.validation), simulation=plain(level.simulation)
+    )
 
 
-def _worse(before: ErrorSummary, after: ErrorSummary) -> list[str]:
+def _worse_rollouts(before: ErrorSummary, after: ErrorSummary) -> list[str]:
     """Joints, and ``overall``, whose rollouts a change has made worse although the torque of all has become better.
 
     An error that is not finite is that of rollouts that ran away.
@@ -123,7 +125,8 @@ def _worse(before: ErrorSummary, after: ErrorSummary) -> list[str]:
     return [
         name
         for name, error in after.simulation.items()
-        if math.isfinite(before.simulation[name]) and not error <= (1 + _WORSE) * before.simulation[name]
+        if math.isfinite(before.simulation[name])
+        and not error <= (1 + _MIN_RELATIVE_INCREASE) * before.simulation[name]
     ]
 
 
@@ -158,7 +161,7 @@ def _step(step: DiagnosisStep, model: Model) -> StepReport:
             separate=step.distinguishing_experiment,
             simulation_before=plain(step.before.simulation),
             simulation_after=plain(step.after.simulation),
-            rollout_worse=_worse(step.before, step.after),
+            rollout_worse=_worse_rollouts(step.before, step.after),
             sentence=step.sentence,
             doubt=step.doubt,
         ),

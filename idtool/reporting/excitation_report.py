@@ -29,13 +29,13 @@ from idtool.reporting.results.excitation import (
     LimitUtilization,
     MotionPart,
 )
-from idtool.reporting.uncertainty_report import combination_name, quantity, terms_report
+from idtool.reporting.uncertainty_report import coefficient_name, combination_name, terms_report
 from idtool.robot.inertia import PI_SIZE
 
-_CURVE = 500  # instants of each curve
-_TINY = 1e-3  # of a base parameter's size: a prior that small is none to compare with
+_CURVE_POINTS = 500  # instants of each curve
+_MIN_RELATIVE_PRIOR = 1e-3  # of a base parameter's size: a prior that small is none to compare with
 _ROUNDING = 1e-9  # of its size
-_LARGE = 1.0  # relative standard error from which a parameter is as good as unknown
+_MAX_RELATIVE_ERROR = 1.0  # relative standard error from which a parameter is as good as unknown
 
 
 def excitation_report(
@@ -76,7 +76,7 @@ def excitation_report(
         noise=_by_joint(task, task.noise),
         criterion=task.criterion.kind,
         criteria={
-            name: Criteria(**{kind: _finite(value) for kind, value in values.items()})
+            name: Criteria(**{kind: _finite_or_none(value) for kind, value in values.items()})
             for name, values in design.criteria.items()
         },
         base_parameters=_base_parameters(design),
@@ -95,7 +95,7 @@ def excitation_report(
     )
 
 
-def _finite(x: float) -> float | None:
+def _finite_or_none(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
 
 
@@ -112,7 +112,7 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
     for i, own in enumerate(base.own):
         error = float(design.errors.base[i])
         before = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
-        comparable = abs(prior[i]) > _TINY * task.scales[i]
+        comparable = abs(prior[i]) > _MIN_RELATIVE_PRIOR * task.scales[i]
         value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.scales[i] else 0.0
         found.append(
             ExpectedParameter(
@@ -120,9 +120,9 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
                 terms=terms_report(base, i, coefficients),
                 unit=coefficients[own].unit,
                 prior=value,
-                standard_error=_finite(error),
-                relative=_finite(error / abs(prior[i])) if comparable else None,
-                logged_standard_error=_finite(before),
+                standard_error=_finite_or_none(error),
+                relative=_finite_or_none(error / abs(prior[i])) if comparable else None,
+                logged_standard_error=_finite_or_none(before),
                 favoured=bool(chosen and i in task.criterion.favoured),
             )
         )
@@ -135,7 +135,7 @@ def _bodies(design: Design) -> dict[str, ExpectedBody]:
     bodies = {}
     for i, body in enumerate(design.task.model.bodies):
         own = errors[PI_SIZE * i : PI_SIZE * (i + 1)]
-        bodies[body.name] = ExpectedBody(standard_error=[_finite(error) for error in own])
+        bodies[body.name] = ExpectedBody(standard_error=[_finite_or_none(error) for error in own])
     return bodies
 
 
@@ -145,7 +145,7 @@ def _terms(design: Design) -> dict[str, dict[str, ExpectedTerm]]:
     coefficients = design.task.equation.coefficients[inertial:]
     terms: dict[str, dict[str, ExpectedTerm]] = {}
     for c, error in zip(coefficients, design.errors.coefficients[inertial:], strict=True):
-        term = ExpectedTerm(prior=c.prior, standard_error=_finite(error), unit=c.unit)
+        term = ExpectedTerm(prior=c.prior, standard_error=_finite_or_none(error), unit=c.unit)
         terms.setdefault(c.owner, {})[c.name] = term
     return terms
 
@@ -156,7 +156,7 @@ def _limits(task: DesignTask, j: int) -> JointLimitsReport:
         position=[float(full.lower[j]), float(full.upper[j])],
         velocity=float(full.velocity[j]),
         acceleration=float(full.acceleration[j]),
-        effort=_finite(full.effort[j]),
+        effort=_finite_or_none(full.effort[j]),
     )
 
 
@@ -164,13 +164,13 @@ def _clearance(design: Design) -> Clearance | None:
     if design.nearest is None:
         return None
     links, distance, at = design.nearest
-    return Clearance(links=links, distance=_finite(distance), t=at, wanted=design.task.clearance)
+    return Clearance(links=links, distance=_finite_or_none(distance), t=at, wanted=design.task.clearance)
 
 
 def _curves(design: Design) -> ExcitationCurves:
     """The motion and its predicted torque at a few instants."""
     task, trajectory = design.task, design.trajectory
-    t = np.linspace(0, trajectory.duration, _CURVE)
+    t = np.linspace(0, trajectory.duration, _CURVE_POINTS)
     samples = trajectory.motion(t)
     q, v, a = samples
     tau = task.torque(samples, t)
@@ -192,7 +192,7 @@ def _notices(design: Design) -> list[Notice]:
         notices.append(Notice("self_collision_unchecked", "warning", None, message, "run it slowly first"))
     if task.collision:
         notices += task.collision.notices
-    untold = untold_names(design, task.base)
+    untold = undetermined_names(design, task.base)
     if untold:
         message = f"as good as untold by this trajectory: {join_names(untold)}"
         advice = "make it longer, or choose another pattern"
@@ -203,8 +203,8 @@ def _notices(design: Design) -> list[Notice]:
     return notices
 
 
-def untold_names(design: Design, base: BaseParameters) -> list[str]:
+def undetermined_names(design: Design, base: BaseParameters) -> list[str]:
     """The base parameters whose standard error is larger than their size, by their own coefficients' names."""
     coefficients = design.task.equation.coefficients
-    large = design.errors.base > _LARGE * design.task.scales
-    return [quantity(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]
+    large = design.errors.base > _MAX_RELATIVE_ERROR * design.task.scales
+    return [coefficient_name(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]

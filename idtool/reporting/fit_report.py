@@ -42,9 +42,9 @@ from idtool.reporting.uncertainty_report import (
     bias_report,
     controller_report,
     intervals,
-    reflected_inertia,
+    parameter_sources,
+    reflected_inertia_report,
     repeatability_report,
-    rests_on,
     uncertainty_report,
 )
 from idtool.robot.body import Body
@@ -83,14 +83,14 @@ def fit_report(fit: Fit) -> FitReport:
         friction={joint: friction_report(fit, joint) for joint in joints},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in joints},
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
-        rotors=reflected_inertia(fit),
+        rotors=reflected_inertia_report(fit),
         controller=controller_report(fit),
         uncertainty=uncertainty_report(fit),
         base_parameters=base_report(fit, analysis.identifiability) if analysis.identifiability else None,
         bias=bias_report(fit, analysis.identifiability, analysis.bias),
         repeatability=repeatability_report(fit, analysis.identifiability, analysis.repeatability),
         regularization=regularization_report(fit),
-        known=[_known(constraint, fit) for constraint in experiment.equalities.constraints],
+        known=[_known_value(constraint, fit) for constraint in experiment.equalities.constraints],
         solver=SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields}),
         seconds=fit.seconds,
         **notice_fields(fit.notices),
@@ -107,8 +107,8 @@ def regularization_report(fit: Fit) -> RegularizationReport:
         automatic = AutomaticWeight(
             limit=path.limit,
             reason=path.reason,
-            best=_or_none(path.best),
-            standard_error=_or_none(path.standard_error),
+            best=_finite_or_none(path.best),
+            standard_error=_finite_or_none(path.standard_error),
             chosen=_point(path.chosen),
             weaker=_point(path.weaker),
             stronger=_point(path.stronger),
@@ -124,14 +124,14 @@ def regularization_report(fit: Fit) -> RegularizationReport:
 
 
 def _point(point: PathPoint) -> PathPointReport:
-    return PathPointReport(**{name: _or_none(value) for name, value in asdict(point).items()})
+    return PathPointReport(**{name: _finite_or_none(value) for name, value in asdict(point).items()})
 
 
-def _or_none(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _known(constraint: Constraint, fit: Fit) -> KnownValue:
+def _known_value(constraint: Constraint, fit: Fit) -> KnownValue:
     return KnownValue(
         what=constraint.label,
         value=constraint.value,
@@ -173,7 +173,7 @@ def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
         pi=pi.tolist(),
         standard_error=[error if np.isfinite(error) else None for error in errors.tolist()],
         interval=intervals(fit)[part],
-        rests_on=rests_on(fit, index),
+        rests_on=parameter_sources(fit, index),
         min_eig_pseudo_inertia=least,
         ellipsoid_margin=ellipsoid_margin(body, pi, verdict.pieces),
         realizable=least > 0 and not verdict.violations,
@@ -217,13 +217,13 @@ def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | Non
 
 def _coefficient(fit: Fit, effect: str, owner: str) -> tuple[float, float | None] | None:
     """Value and standard error of a joint's coefficient, if the model has it."""
-    if (i := _place(fit, effect, owner)) is None:
+    if (i := _coefficient_index(fit, effect, owner)) is None:
         return None
     error = float(fit.uncertainty.standard_error[i])
     return float(fit.estimate.theta[i]), error if np.isfinite(error) else None
 
 
-def _place(fit: Fit, effect: str, owner: str) -> int | None:
+def _coefficient_index(fit: Fit, effect: str, owner: str) -> int | None:
     """Index of a joint's coefficient, if the model has it."""
     names = [(c.effect, c.owner) for c in fit.experiment.equation.coefficients]
     return names.index((effect, owner)) if (effect, owner) in names else None
@@ -238,7 +238,7 @@ def friction_report(fit: Fit, joint: str) -> FrictionReport:
 
 def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
     """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
-    places = {key: _place(fit, kind.id, joint) for key, kind in friction_types().items()}
+    places = {key: _coefficient_index(fit, kind.id, joint) for key, kind in friction_types().items()}
     return FrictionIntervals(
         **{name: None if place is None else intervals(fit)[place] for name, place in places.items()}
     )
@@ -246,10 +246,10 @@ def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
 
 def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
     """Friction for the URDF."""
-    return {joint: _dynamics(fit, joint) for joint in fit.experiment.equation.joints}
+    return {joint: _urdf_dynamics(fit, joint) for joint in fit.experiment.equation.joints}
 
 
-def _dynamics(fit: Fit, joint: str) -> JointDynamics:
+def _urdf_dynamics(fit: Fit, joint: str) -> JointDynamics:
     """What a URDF has of a joint's friction."""
     report = friction_report(fit, joint)
     kinds = {key: kind for key, kind in friction_types().items() if kind.urdf_attribute}
@@ -265,7 +265,7 @@ def model_config(fit: Fit) -> dict[str, Any]:
     data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
     data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.equation.joints}
     for entry, given in zip(data.get("effects", ()), config.effects, strict=True):
-        entry["parameters"].update(_parameters(fit, given))
+        entry["parameters"].update(_effect_parameters(fit, given))
     robot_links = experiment.model.robot.links
     for i, body in enumerate(experiment.model.bodies):
         if body.kind == "rotor":
@@ -277,10 +277,10 @@ def model_config(fit: Fit) -> dict[str, Any]:
     return data
 
 
-def _parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
+def _effect_parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
     """An effect's identified parameters, as the configuration has them."""
-    found = config_parameters(_identified_parameters(fit, entry))
-    return {name: _written(**pair) for name, pair in found.items()}
+    pairs = config_parameters(_identified_parameters(fit, entry))
+    return {name: _config_value(**pair) for name, pair in pairs.items()}
 
 
 def _identified_parameters(fit: Fit, entry: EffectEntry) -> dict[str, ParameterValue]:
@@ -317,18 +317,18 @@ def parameter_units(effect: NamedEffect, names: Iterable[str]) -> dict[str, str 
 
 
 def _friction_terms(fit: Fit, joint: str) -> dict[str, Any]:
-    return {key: _term(fit, kind.id, joint) for key, kind in friction_types().items()}
+    return {key: _friction_term(fit, kind.id, joint) for key, kind in friction_types().items()}
 
 
-def _term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:
+def _friction_term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:
     """A joint's coefficient as the configuration has it; False where the model lacks it."""
     pair = _coefficient(fit, effect, joint)
     if pair is None:
         return False
-    return _written(*pair)
+    return _config_value(*pair)
 
 
-def _written(value: Any, standard_error: Any = None) -> dict[str, Any]:
+def _config_value(value: Any, standard_error: Any = None) -> dict[str, Any]:
     """A number or a list of them, with its error, to the digits that stand in a configuration."""
     written = {"value": round_to_digits(value).tolist()}
     return (

@@ -41,14 +41,18 @@ def study_report(study: Study) -> StudyReport:
             draws=study.draws,
             unit_overall=" or ".join(dict.fromkeys(experiment.model.units.values())),
             curves={
-                name: LearningCurve(median=_plain(c.median), lower=_plain(c.lower), upper=_plain(c.upper))
+                name: LearningCurve(
+                    median=_finite_or_none(c.median), lower=_finite_or_none(c.lower), upper=_finite_or_none(c.upper)
+                )
                 for name, c in study.curves.items()
             },
             advantage={
-                name: Advantage(advantage=_plain(c.advantage), advantage_error=_plain(c.advantage_error))
+                name: Advantage(
+                    advantage=_finite_or_none(c.advantage), advantage_error=_finite_or_none(c.advantage_error)
+                )
                 for name, c in study.curves.items()
             },
-            violation={name: _plain(c.violation) for name, c in study.curves.items()},
+            violation={name: _finite_or_none(c.violation) for name, c in study.curves.items()},
         ),
         adaptation=Convergence(
             t=online.t.tolist(),
@@ -70,7 +74,7 @@ def _not_certified(study: Study) -> Iterator[Notice]:
             yield Notice("not_certified", "warning", None, message)
 
 
-def _plain(values: Array) -> list[float | None]:
+def _finite_or_none(values: Array) -> list[float | None]:
     """A curve's values; None where no draw was solved."""
     return [x if np.isfinite(x) else None for x in values.tolist()]
 
@@ -83,7 +87,7 @@ def _rms(study: Study, name: str) -> StudyErrors:
 def _set_report(study: Study, name: str, outcome: StudyEntry) -> SetReport:
     certificate, bodies = outcome.certificate, study.experiment.model.bodies
     bounded = [(s, b) for s, b in zip(outcome.sets, bodies, strict=True) if f"set {s.name}" == name]
-    forms = [_form(inequality) for inequality in bounded[0][0].pieces(bounded[0][1])[0].inequalities]
+    forms = [_inequality_size(inequality) for inequality in bounded[0][0].pieces(bounded[0][1])[0].inequalities]
     return SetReport(
         rms=_rms(study, name),
         seconds=outcome.seconds,
@@ -97,7 +101,7 @@ def _set_report(study: Study, name: str, outcome: StudyEntry) -> SetReport:
     )
 
 
-def _form(inequality: Inequality) -> str:
+def _inequality_size(inequality: Inequality) -> str:
     n = inequality.G.shape[-1]
     return f"{n}×{n}" if inequality.G.ndim == 3 else f"{n} linear"
 

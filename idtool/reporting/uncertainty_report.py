@@ -29,25 +29,25 @@ from idtool.reporting.results.fit import (
 )
 from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
 
-_WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in PARAMETER_NAMES[1:4]}}
-_NAMED = 4  # terms of a combination that its name holds
-PULLED = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
+_PARAMETER_WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in PARAMETER_NAMES[1:4]}}
+_MAX_NAME_TERMS = 4  # terms of a combination that its name holds
+MAX_PULL = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
 
 
-def quantity(coefficient: Coefficient) -> str:
+def coefficient_name(coefficient: Coefficient) -> str:
     """What a coefficient is called: its owner and what it is of it."""
-    return f"{coefficient.owner} {_WORDS.get(coefficient.name, coefficient.name)}"
+    return f"{coefficient.owner} {_PARAMETER_WORDS.get(coefficient.name, coefficient.name)}"
 
 
 def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> str:
     """A base parameter in words: ``thigh I_xx − thigh I_zz + 0.117 shank mass``."""
     terms = combination(base, i, coefficients)
     name = ""
-    for k, share in terms[:_NAMED]:
+    for k, share in terms[:_MAX_NAME_TERMS]:
         factor = "" if np.isclose(abs(share), 1) else f"{abs(share):.3g} "
         sign = ("−" if share < 0 else "") if not name else (" − " if share < 0 else " + ")
-        name += f"{sign}{factor}{quantity(coefficients[k])}"
-    return name + (" + …" if len(terms) > _NAMED else "")
+        name += f"{sign}{factor}{coefficient_name(coefficients[k])}"
+    return name + (" + …" if len(terms) > _MAX_NAME_TERMS else "")
 
 
 def terms_report(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> list[CombinationTerm]:
@@ -127,12 +127,12 @@ def base_report(fit: Fit, asked: Identifiability) -> BaseParametersResult:
         of=len(coefficients),
         structural=len(asked.base),
         determined=int(np.count_nonzero(asked.determined)),
-        held_away=int(np.count_nonzero(pulls > PULLED)),
+        held_away=int(np.count_nonzero(pulls > MAX_PULL)),
         parameters=entries,
     )
 
 
-def rests_on(fit: Fit, index: int) -> list[ParameterSource] | None:
+def parameter_sources(fit: Fit, index: int) -> list[ParameterSource] | None:
     """What the ten parameters of a body rest on; None where it was not asked for."""
     asked = fit.uncertainty_analysis.identifiability
     if asked is None:
@@ -153,19 +153,19 @@ def _source_report(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
             for i, tied in source.moves_with
         ],
         combinations=list(source.combinations),
-        text=basis_text(fit, asked, k),
+        text=source_text(fit, asked, k),
     )
 
 
-def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
+def source_text(fit: Fit, asked: Identifiability, k: int) -> str:
     """What a parameter rests on, in words."""
     coefficients, source = fit.experiment.equation.coefficients, asked.sources[k]
-    names = [quantity(coefficients[i]) for i, _ in source.moves_with[:2]]
+    names = [coefficient_name(coefficients[i]) for i, _ in source.moves_with[:2]]
     moves = f"; moves with {' and '.join(names)}" if names and source.information_source != "data" else ""
-    return f"{quantity(coefficients[k])}: {_source_text(source, asked, coefficients)}{moves}"
+    return f"{coefficient_name(coefficients[k])}: {_main_source_text(source, asked, coefficients)}{moves}"
 
 
-def _source_text(source: InformationShares, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
+def _main_source_text(source: InformationShares, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
     if source.information_source == "data":
         return "determined by the data"
     if source.information_source == "constraints":
@@ -234,7 +234,7 @@ def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | Non
     )
 
 
-def reflected_inertia(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]:
+def reflected_inertia_report(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]:
     """The entry ``rotors``: what each rotor's inertia about its axis is at the joints that it turns with [kg·m²]."""
     model, p = fit.experiment.model, len(fit.estimate.theta)
     found = {}

@@ -25,7 +25,7 @@ from idtool.estimation.uncertainty.identifiability import (
     identifiability,
 )
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
-from idtool.reporting.uncertainty_report import basis_text, combination_name
+from idtool.reporting.uncertainty_report import combination_name, source_text
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
 from idtool.robot.sets import choose_set
@@ -88,7 +88,7 @@ class Asked:
 
     def text(self, owner: str, name: str) -> str:
         fit = SimpleNamespace(experiment=SimpleNamespace(equation=self.s.linear))
-        return basis_text(fit, self.answer, self.place(owner, name))  # type: ignore[arg-type]
+        return source_text(fit, self.answer, self.place(owner, name))  # type: ignore[arg-type]
 
 
 def ask(

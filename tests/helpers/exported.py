@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from reference import Reference
 from robots import inertial, joint
 
-from idtool.reporting.export import Export, Identified, Part, identified
+from idtool.reporting.export import Export, IdentifiedModel, Part, identified_model
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -32,9 +32,9 @@ def unsupported_parts(export: Export, what: str) -> list[Part]:
     return [part for part in export.not_carried if part.what == what]
 
 
-def model_of(urdf: Path, **config: Any) -> Identified:
+def model_of(urdf: Path, **config: Any) -> IdentifiedModel:
     """The model of a URDF and a configuration."""
-    return identified(read_robot(urdf), parse_config(config, "model.yaml"))
+    return identified_model(read_robot(urdf), parse_config(config, "model.yaml"))
 
 
 def with_couplings(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from paths import CONFIGS, REAL
 from robots import chain, link
 
 from idtool.dynamics.simulation.rigid_body_dynamics import RigidBodyDynamics
-from idtool.reporting.export import identified, to_drake, to_mujoco
+from idtool.reporting.export import identified_model, to_drake, to_mujoco
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -112,7 +112,7 @@ def test_other_mistakes_are_refused(out: Path) -> None:
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="the shared development data is not here")
 def test_go2_has_every_rotor_once() -> None:
-    model = identified(read_robot(REAL / "go2" / "go2.urdf"), read_config(CONFIGS / "go2.yaml"))
+    model = identified_model(read_robot(REAL / "go2" / "go2.urdf"), read_config(CONFIGS / "go2.yaml"))
     export = to_mujoco(model)
     assert {part.what for part in export.not_carried} <= {"geometry"}
     found = InMujoco(export, model.model.names)

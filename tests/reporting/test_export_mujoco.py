@@ -16,7 +16,7 @@ from reference import Reference
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.simulation.rollouts import Rollouts
-from idtool.reporting.export import Identified, to_mujoco
+from idtool.reporting.export import IdentifiedModel, to_mujoco
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def swinging(t: Array, middle: Array) -> Array:
     return np.asarray(middle + np.array([0.4, 0.6, 0.6]) * np.sin(2 * np.pi * np.outer(t, [0.8, 1.1, 1.4])))
 
 
-def idtools_rollout(identified: Identified, target: Array) -> Array:
+def idtools_rollout(identified: IdentifiedModel, target: Array) -> Array:
     """Positions at every millisecond under a sampled controller, shape (steps, nv)."""
     equation = LinearModel(identified.model.names, build_effects(identified.model, identified.config))
     mechanism = equation.mechanism(identified.model, equation.prior)

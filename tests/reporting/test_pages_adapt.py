@@ -11,7 +11,7 @@ from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete, notice_of
 from records import partial
 
 from idtool.reporting.pages import adapt_page
-from idtool.reporting.plots.sampling import significant, thinned
+from idtool.reporting.plots.sampling import round_significant, subsample_indices
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.sections.adapt import settling_time
 
@@ -185,8 +185,14 @@ def test_tables_hold_the_reports_figures(report: dict[str, Any]) -> None:
 
 
 def test_what_a_page_holds_of_many_values() -> None:
-    assert thinned(10, 4).tolist() == [0, 3, 6, 9]
-    assert thinned(3, 100).tolist() == [0, 1, 2]
-    assert thinned(0, 5).tolist() == []
-    assert len(thinned(1001, 10)) <= 10
-    assert significant([1.23456, 1e-9 / 3, None, float("inf"), float("nan")]) == [1.235, 3.333e-10, None, None, None]
+    assert subsample_indices(10, 4).tolist() == [0, 3, 6, 9]
+    assert subsample_indices(3, 100).tolist() == [0, 1, 2]
+    assert subsample_indices(0, 5).tolist() == []
+    assert len(subsample_indices(1001, 10)) <= 10
+    assert round_significant([1.23456, 1e-9 / 3, None, float("inf"), float("nan")]) == [
+        1.235,
+        3.333e-10,
+        None,
+        None,
+        None,
+    ]

@@ -17,7 +17,7 @@ from rollouts import experiment_of, rollouts_of
 from idtool.diagnosis.records import Diagnosis, ErrorSummary, ResidualLocation
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.figures import figure
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.pages import diagnosis_page
 from idtool.reporting.pages.diagnosis import parameter_texts
 from idtool.reporting.results.base import NoticeReport
@@ -202,7 +202,7 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     hip = page.table("stays")["hip"]
     for column, fitted in (("model", found.last), ("prior", found.first)):
         assert fitted.simulation is not None
-        assert hip[column] == figure(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
+        assert hip[column] == four_digits(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
     assert hip["model"] != hip["prior"]
 
 

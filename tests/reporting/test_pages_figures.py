@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from idtool.reporting.pages import by_unit, metres, number, percent, with_error
+from idtool.reporting.number_text import metres, number, percent, rows_by_unit, with_error
 
 
 @pytest.mark.parametrize(
@@ -33,5 +33,5 @@ def test_lengths_and_shares() -> None:
 
 
 def test_joints_of_one_kind_share_a_table() -> None:
-    assert by_unit({"a": "N·m", "b": "N·m"}) == [("N·m", ["a", "b", "overall"])]
-    assert [names for _, names in by_unit({"a": "N·m", "b": "N", "c": "N·m"})] == [["a", "c"], ["b"], ["overall"]]
+    assert rows_by_unit({"a": "N·m", "b": "N·m"}) == [("N·m", ["a", "b", "overall"])]
+    assert [names for _, names in rows_by_unit({"a": "N·m", "b": "N", "c": "N·m"})] == [["a", "c"], ["b"], ["overall"]]

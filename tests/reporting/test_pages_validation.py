@@ -13,7 +13,7 @@ from records import partial
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.pages import validation_page
-from idtool.reporting.plots.sampling import merged, rounded
+from idtool.reporting.plots.sampling import merge_stretches, round_curve
 from idtool.reporting.results.validation import ValidationReport
 
 Array = NDArray[np.float64]
@@ -75,28 +75,28 @@ def test_late_stamps_keep_their_digits(noisy: dict[str, Array]) -> None:
 def test_merging_loses_no_extreme(rng: np.random.Generator) -> None:
     x = rng.normal(size=(2, 50))
     x[0, :20] = np.nan
-    coarse = merged(x, 4)
+    coarse = merge_stretches(x, 4)
     assert coarse.shape == (2, 14)
     assert np.isnan(coarse[0, :4]).all()
     assert not np.isnan(coarse[:, 4:]).any()
     for row, full in zip(coarse, x, strict=True):
         assert (np.nanmin(row), np.nanmax(row)) == (np.nanmin(full), np.nanmax(full))
-    assert np.sort(merged(x[1:], 1).reshape(-1, 2)).tolist() == np.sort(x[1:].reshape(-1, 2)).tolist()
+    assert np.sort(merge_stretches(x[1:], 1).reshape(-1, 2)).tolist() == np.sort(x[1:].reshape(-1, 2)).tolist()
 
 
 def test_a_smooth_curve_is_drawn_smooth() -> None:
     """In stretches of time in which it falls, the least value comes last: no saw teeth."""
     x = np.sin(np.linspace(0, 20, 4000))[None]
     pairs = np.sort(x.reshape(-1, 2)).reshape(1, -1)  # as they are collected
-    drawn = merged(pairs, 8)
+    drawn = merge_stretches(pairs, 8)
     assert np.abs(np.diff(drawn)).sum() < 1.1 * np.abs(np.diff(x)).sum()
 
 
 def test_rounding_keeps_five_digits_of_the_largest() -> None:
-    assert rounded(np.array([12.345678, -0.001234, np.nan])) == [12.346, -0.001, None]
-    assert rounded(np.array([np.nan])) == [None]
-    assert rounded(np.array([0.0, 1e-300])) == [0.0, 0.0]
-    assert rounded(np.array([123456789.0])) == [123460000.0]
+    assert round_curve(np.array([12.345678, -0.001234, np.nan])) == [12.346, -0.001, None]
+    assert round_curve(np.array([np.nan])) == [None]
+    assert round_curve(np.array([0.0, 1e-300])) == [0.0, 0.0]
+    assert round_curve(np.array([123456789.0])) == [123460000.0]
 
 
 def test_joints_of_two_kinds_have_two_units(noisy: dict[str, Array]) -> None:

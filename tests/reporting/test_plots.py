@@ -17,7 +17,7 @@ from records import partial
 import idtool
 from idtool.reporting.pages.base import render
 from idtool.reporting.plots.comparison import advantage_figure, learning_figure, online_figure
-from idtool.reporting.plots.figure import Figure, Panel, curve, figure, stacked, styled_curve
+from idtool.reporting.plots.figure import Figure, Panel, curve, figure, stack_figures, styled_curve
 from idtool.reporting.plots.gap import gap_figure
 from idtool.reporting.plots.residuals import residual_figures
 from idtool.reporting.plots.simulation import motion_figures
@@ -45,7 +45,7 @@ def drawn() -> list[Figure]:
     maps = {"hip": residual(1.0)}
     return [
         *torques(),
-        stacked(torques(), "a log"),
+        stack_figures(torques(), "a log"),
         *motion_figures(T, motion, {"hip": "rad", "lift": "m"}).figures,
         gap_figure("hip", ["the model given", "1: drift"], ([2.0, 1.0], "N·m"), ([0.2, 0.1], "rad"), 0.5, 340),
         *residual_figures(maps, maps, {"hip": "N·m"}, ("prior", "identified"), "both").groups[0].figures,
@@ -112,7 +112,7 @@ def test_panels_share_the_height_and_the_lowest_has_the_x_axis() -> None:
 
 def test_figures_stacked_for_a_notebook_keep_their_curves_and_have_one_legend() -> None:
     own = torques()
-    shown = stacked(own, "leg.mcap").to_plotly()
+    shown = stack_figures(own, "leg.mcap").to_plotly()
     assert shown.layout.title.text == "leg.mcap"
     names = [trace["name"] for one in own for trace in one.data]
     assert [trace.name for trace in shown.data] == names

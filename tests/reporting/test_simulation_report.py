@@ -12,7 +12,7 @@ from rollouts import experiment_of, rollouts_of
 from sentences import sentences
 
 from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation, simulation_notices
-from idtool.reporting.figures import number
+from idtool.reporting.number_text import number
 from idtool.reporting.simulation_report import simulation_report
 
 UNITS = {"j0": "N·m", "j1": "N"}

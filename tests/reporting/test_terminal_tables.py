@@ -25,7 +25,7 @@ from idtool.reporting.results.validation import RegressionReport
 from idtool.reporting.sections import Cell, Column, Table
 from idtool.reporting.terminal import Terminal
 from idtool.reporting.terminal.diagnosis import show_diagnosis
-from idtool.reporting.terminal.init import show_start
+from idtool.reporting.terminal.init import show_initial_config
 from idtool.reporting.terminal.layout import table_lines
 from idtool.reporting.terminal.study import show_study
 from idtool.reporting.terminal.validation import show_regression
@@ -99,7 +99,7 @@ def shows(folder: Path) -> dict[str, Callable[[], object]]:
     quick = ("--iterations", "1", "--duration", "3")
     return {
         "inspect": command("inspect", "one.csv"),
-        "init": lambda: show_start(terminal, partial(InitReport, start)),
+        "init": lambda: show_initial_config(terminal, partial(InitReport, start)),
         "fit": command("fit", *logs, "--out", "fit"),
         "validate": command("validate", *logs, "--prior", "leg.urdf", "--max-rms", "100"),
         "regression": lambda: show_regression(terminal, cases),

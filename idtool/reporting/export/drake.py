@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.simulator_element import Damping
 from idtool.reporting.export.base import Export, Part
-from idtool.reporting.export.existence import can_exist, refused
-from idtool.reporting.export.identified import NOTHING, EffectTorque, Identified
-from idtool.reporting.export.rotors import Rotor, rotors_of
+from idtool.reporting.export.identified import NO_EQUIVALENT, EffectTorque, IdentifiedModel
+from idtool.reporting.export.inertia_check import is_acceptable, unrealizable_error
+from idtool.reporting.export.rotors import Rotor, averaged_rotors
 from idtool.reporting.export.transmissions import transmissions
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.urdf.reading import UrdfJoint
@@ -27,11 +27,11 @@ from idtool.robot.urdf.writing import JointDynamics, replace_parameters
 
 FILE = "drake.urdf"
 
-_EARTH = (0.0, 0.0, -9.81)  # m/s², Drake's own
+_DRAKE_GRAVITY = (0.0, 0.0, -9.81)  # m/s², Drake's own
 _ROUNDING = 1e-12  # relative
 
 
-def to_drake(identified: Identified) -> Export:
+def to_drake(identified: IdentifiedModel) -> Export:
     """The identified model as a URDF with Drake's rotor inertias and gear ratios.
 
     Raises
@@ -39,24 +39,24 @@ def to_drake(identified: Identified) -> Export:
     ModelError
         If a body has an inertia that no body can have: Drake would put another in its place.
     """
-    rotors = rotors_of(identified)
+    rotors = averaged_rotors(identified)
     moving = {body.name for body in identified.model.bodies if body.kind == "link"}
     fixed = [j for j in identified.robot.joints.values() if j.kind != "fixed" and j.child not in moving]
-    text = replace_parameters(identified.robot.text, _links(identified, rotors), _dynamics(identified))
+    text = replace_parameters(identified.robot.text, _link_parameters(identified, rotors), _dynamics(identified))
     root = root_element(text)
     edits: list[Edit] = []
     elements = {element.name: element for element in root.with_tag("joint")}
     for joint in fixed:
-        edits += _fixing(text, elements[joint.name], joint, identified.value(joint))
-    edits += transmissions(text, root, _gears(identified, rotors))
+        edits += _fix_joint(text, elements[joint.name], joint, identified.value(joint))
+    edits += transmissions(text, root, _transmission_values(identified, rotors))
     if "xmlns:drake" not in root.attributes:
         after = root.start + len(b"<robot")
         edits.append(Edit(after, after, b' xmlns:drake="http://drake.mit.edu"'))
-    carried, not_carried = _told(identified, rotors, fixed)
+    carried, not_carried = _list_parts(identified, rotors, fixed)
     return Export(FILE, apply_edits(text, edits), tuple(carried), tuple(not_carried))
 
 
-def _links(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, Array | None]:
+def _link_parameters(identified: IdentifiedModel, rotors: tuple[Rotor, ...]) -> dict[str, Array | None]:
     """New parameters of links, in their frames: with what the URDF does not know of in the body that they carry."""
     robot, model = identified.robot, identified.model
     more = {-1: np.zeros(PI_SIZE)}
@@ -77,11 +77,11 @@ def _links(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, Array
         if (np.abs(pi) > _ROUNDING * max(1.0, float(np.abs(own).max()))).any():
             links[link] = own + pi
         if i >= 0:
-            links |= _together(identified, i, own + pi)
+            links |= _merge_links(identified, i, own + pi)
     return links
 
 
-def _together(identified: Identified, index: int, own: Array) -> dict[str, Array | None]:
+def _merge_links(identified: IdentifiedModel, index: int, own: Array) -> dict[str, Array | None]:
     """Where one of a body's links cannot exist by itself, all its mass in the link that carries the others.
 
     Parameters
@@ -95,15 +95,15 @@ def _together(identified: Identified, index: int, own: Array) -> dict[str, Array
     """
     body, robot = identified.model.bodies[index], identified.robot
     others = [member for member in body.members[1:] if member.link in robot.links]
-    if all(can_exist(pi) for pi in (own, *(member.pi for member in others))):
+    if all(is_acceptable(pi) for pi in (own, *(member.pi for member in others))):
         return {}
     whole = own + sum((member.pi_in_body for member in others), np.zeros(PI_SIZE))
-    if not can_exist(whole):
-        raise refused(robot, body.name)
+    if not is_acceptable(whole):
+        raise unrealizable_error(robot, body.name)
     return {body.name: whole, **{member.link: None for member in others}}
 
 
-def _dynamics(identified: Identified) -> dict[str, JointDynamics]:
+def _dynamics(identified: IdentifiedModel) -> dict[str, JointDynamics]:
     """Damping where it is not the URDF's."""
     damping = dict.fromkeys(identified.robot.joints, 0.0)
     for term in identified.terms:
@@ -121,7 +121,7 @@ def _is_damping(term: EffectTorque) -> bool:
     return bool(term.elements) and all(isinstance(element, Damping) for element in term.elements)
 
 
-def _fixing(text: bytes, element: Element, joint: UrdfJoint, value: float) -> list[Edit]:
+def _fix_joint(text: bytes, element: Element, joint: UrdfJoint, value: float) -> list[Edit]:
     """The edits that make a joint a fixed one, at its value."""
     edits = [set_attribute(text, element, "type", "fixed")]
     edits += [Edit(child.start, child.stop, b"") for child in element.with_tag("mimic")]
@@ -139,7 +139,7 @@ def _fixing(text: bytes, element: Element, joint: UrdfJoint, value: float) -> li
     return edits
 
 
-def _gears(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, tuple[float, float]]:
+def _transmission_values(identified: IdentifiedModel, rotors: tuple[Rotor, ...]) -> dict[str, tuple[float, float]]:
     """Rotor inertia [kg·m²] and gear ratio by joint; inertia times ratio² is all that reflects there."""
     gears = {}
     for j, name in enumerate(identified.model.names):
@@ -150,7 +150,9 @@ def _gears(identified: Identified, rotors: tuple[Rotor, ...]) -> dict[str, tuple
     return gears
 
 
-def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoint]) -> tuple[list[Part], list[Part]]:
+def _list_parts(
+    identified: IdentifiedModel, rotors: tuple[Rotor, ...], fixed: list[UrdfJoint]
+) -> tuple[list[Part], list[Part]]:
     """What is carried and what is not."""
     robot, model = identified.robot, identified.model
     links = {body.name: pi for body, pi in zip(model.bodies, identified.pi, strict=True) if body.kind == "link"}
@@ -158,12 +160,12 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoi
         Part("inertial", link, "mass with all that is fixed to it", float(pi[0]), "kg") for link, pi in links.items()
     ]
     carried += identified.inertias
-    lacking = [*identified.others, *(replace(part, detail=NOTHING) for part in identified.offsets)]
+    lacking = [*identified.others, *(replace(part, detail=NO_EQUIVALENT) for part in identified.offsets)]
     for term in identified.terms:
         if _is_damping(term):
             carried.append(term.part("damping"))
         else:
-            lacking.append(term.unused)
+            lacking.append(term.not_carried_part)
     lacking = list(dict.fromkeys(lacking))  # an effect of several terms is one
     for rotor in rotors:
         carried += [
@@ -171,7 +173,7 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoi
             for name, ratio in zip(model.names, rotor.ratios, strict=True)
             if ratio
         ]
-        lacking += _lacking(identified, rotor)
+        lacking += _omitted_rotor_parts(identified, rotor)
     carried += [Part("locked_joint", joint.name, f"fixed at {identified.value(joint):g}") for joint in fixed]
     for joint in robot.joints.values():
         if joint.name in model.names and not joint.effort > 0:
@@ -180,7 +182,7 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoi
             )
         if joint.mimic is not None and joint.child in links:
             lacking.append(Part("mimic", joint.name, "Drake holds it in a discrete plant only"))
-    if tuple(identified.gravity) != _EARTH:
+    if tuple(identified.gravity) != _DRAKE_GRAVITY:
         values = ", ".join(f"{x:.6g}" for x in identified.gravity)
         lacking.append(Part("gravity", robot.root, f"is the plant's; set its gravity vector to [{values}]"))
     if robot.root != "world":
@@ -188,7 +190,7 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoi
     return carried, lacking
 
 
-def _lacking(identified: Identified, rotor: Rotor) -> list[Part]:
+def _omitted_rotor_parts(identified: IdentifiedModel, rotor: Rotor) -> list[Part]:
     """What reflected inertia leaves out of a rotor."""
     found = []
     entries = [abs(a * b) for a, b in combinations(rotor.ratios, 2)]

@@ -1,4 +1,4 @@
-"""`Identified`: the model that `idtool fit` wrote, taken apart for simulators that have a place for each part.
+"""`IdentifiedModel`: the model that `idtool fit` wrote, taken apart for simulators that have a place for each part.
 
 Every effect is asked for its forward form, the one that idtool itself simulates: inertias, gravity and position offsets
 need no word about which effect they come from; of torque on joints the effect says which elements of simulators it is.
@@ -23,7 +23,7 @@ from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint, read_robot
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
-NOTHING = "the simulator has nothing like it"
+NO_EQUIVALENT = "the simulator has nothing like it"
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class EffectTorque:
         return Part(self.effect, self.joint, detail, *self.amount)
 
     @property
-    def unused(self) -> Part:
+    def not_carried_part(self) -> Part:
         """What to say of it where nothing carries it."""
-        return self.part(NOTHING)
+        return self.part(NO_EQUIVALENT)
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifiedModel:
     """An identified model.
 
     Attributes
@@ -105,7 +105,7 @@ class Identified:
         return value + scale * self.config.locked_joints.get(joint.name, 0.0)
 
 
-def read_identified(folder: Path) -> Identified:
+def read_identified(folder: Path) -> IdentifiedModel:
     """The model in a folder that `idtool fit` wrote.
 
     Raises
@@ -116,10 +116,10 @@ def read_identified(folder: Path) -> Identified:
     for name in (URDF, CONFIG):
         if not (folder / name).is_file():
             raise ModelError(folder / name, "is missing; give the folder that idtool fit wrote to")
-    return identified(read_robot(folder / URDF), read_config(folder / CONFIG))
+    return identified_model(read_robot(folder / URDF), read_config(folder / CONFIG))
 
 
-def identified(robot: Robot, config: Config) -> Identified:
+def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
     """The identified model of a URDF and a configuration.
 
     Raises
@@ -131,12 +131,12 @@ def identified(robot: Robot, config: Config) -> Identified:
     model = build_model(robot, config, config.joints or free)
     equation = LinearModel(model.names, build_effects(model, config))
     model = next(effect.model for effect in equation.effects if isinstance(effect, RigidBodies))
-    sorts = _Sorts(model)
+    sorts = _EffectsByForm(model)
     for effect in equation.effects:
         if isinstance(effect, NamedEffect):
             sorts.add(effect)
     mechanism = equation.mechanism(model, equation.prior)
-    return Identified(
+    return IdentifiedModel(
         robot=robot,
         config=config,
         model=model,
@@ -149,7 +149,7 @@ def identified(robot: Robot, config: Config) -> Identified:
 
 
 @dataclass
-class _Sorts:
+class _EffectsByForm:
     """Effects by the form that they have when the model is run forwards."""
 
     model: Model
@@ -179,4 +179,4 @@ class _Sorts:
         if alone.torque_sensors or alone.torque_delay.any():
             self.others.append(Part(*whose, "it is the sensors', not the robot's", *amount))
         elif alone.transmissions or alone.extra_torques or any(value for _, value in alone.hysteresis_terms):
-            self.others.append(Part(*whose, NOTHING, *amount))
+            self.others.append(Part(*whose, NO_EQUIVALENT, *amount))

@@ -30,7 +30,7 @@ class JointForces:
     ----------
     stops
         Side, position and stiffness of springs that act beyond a position.
-    leaks
+    torque_shares
         Share of its motor's torque that acts on other joints, by name.
     """
 
@@ -43,7 +43,7 @@ class JointForces:
     bias: float = 0.0
     ref: float = 0.0
     stops: list[tuple[float, float, float]] = field(default_factory=list)
-    leaks: dict[str, float] = field(default_factory=dict)
+    torque_shares: dict[str, float] = field(default_factory=dict)
 
     def add_spring(self, stiffness: float, springref: float) -> str:
         """Add a spring, to which one that is there already adds; how the file carries it."""
@@ -74,9 +74,9 @@ class ForcesByJoint(dict[str, JointForces]):
     def __init__(self, joints: Sequence[str]) -> None:
         super().__init__({name: JointForces() for name in joints})
 
-    def carry(self, term: EffectTorque) -> Part | None:
+    def add_term(self, term: EffectTorque) -> Part | None:
         """Add a term; None where MuJoCo has nothing like it."""
-        if not term.elements or not all(map(_is_known, term.elements)):
+        if not term.elements or not all(map(_is_supported, term.elements)):
             return None
         details = [self._add(element) for element in term.elements]
         return term.part(" and ".join(details))
@@ -104,14 +104,14 @@ class ForcesByJoint(dict[str, JointForces]):
                 forces.stops.append((side, position + forces.ref, stiffness))
                 return f"a tendon's spring beyond {position + forces.ref:.4g}"
             case TorqueTransfer(source=source, share=share):
-                leaks = self[names[source]].leaks
+                leaks = self[names[source]].torque_shares
                 joint = names[element.joint]
                 leaks[joint] = leaks.get(joint, 0.0) + share
                 return f"the motor of {names[source]} drives a tendon"
         raise TypeError(type(element).__name__)
 
 
-def _is_known(element: SimulatorElement) -> bool:
+def _is_supported(element: SimulatorElement) -> bool:
     """True for an element that MuJoCo has."""
     if isinstance(element, FrictionLoss):
         return element.level >= 0  # MuJoCo would take it for a force along the motion

@@ -26,12 +26,12 @@ def add_links(scene: Scene, world: etree._Element) -> None:
     """Put all links into the world, with joints, inertials, geometry and actuators."""
     robot = scene.identified.robot
     scene.bodies[robot.root] = world
-    geoms = _geoms(scene)
+    geoms = _collect_geoms(scene)
     if robot.root != _WORLD:
         scene.bodies[robot.root] = etree.SubElement(world, "body", name=robot.root)
         scene.add_inertial(robot.root, scene.pi[-1], moves=False)
     lumped = {member.link for body in scene.identified.model.bodies for member in body.members}
-    _draw(scene, robot.root, geoms)
+    _add_geoms(scene, robot.root, geoms)
     for joint in robot.joints.values():
         link = joint.child
         _add_body(scene, joint)
@@ -39,8 +39,8 @@ def add_links(scene: Scene, world: etree._Element) -> None:
             scene.add_inertial(link, scene.pi[scene.moving[link]], moves=True)
             _add_joint(scene, joint)
         elif link not in lumped and link not in scene.identified.config.rotors:  # it is fixed to the root
-            scene.add_inertial(link, scene.own(link), moves=False)
-        _draw(scene, link, geoms)
+            scene.add_inertial(link, scene.urdf_parameters(link), moves=False)
+        _add_geoms(scene, link, geoms)
 
 
 def _add_body(scene: Scene, joint: UrdfJoint) -> None:
@@ -92,7 +92,7 @@ def _add_follower(scene: Scene, joint: UrdfJoint) -> None:
     scene.carried.append(Part("mimic", joint.name, how))
 
 
-def _geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
+def _collect_geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
     """The geoms of every link; says what stays behind."""
     geoms: dict[str, list[dict[str, str]]] = {}
     lacking: dict[str, None] = {}
@@ -108,6 +108,6 @@ def _geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
     return geoms
 
 
-def _draw(scene: Scene, link: str, geoms: Mapping[str, list[dict[str, str]]]) -> None:
+def _add_geoms(scene: Scene, link: str, geoms: Mapping[str, list[dict[str, str]]]) -> None:
     for geom in geoms.get(link, ()):
         etree.SubElement(scene.bodies[link], "geom", geom)

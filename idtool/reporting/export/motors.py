@@ -23,9 +23,9 @@ def add_motor(scene: Scene, joint: UrdfJoint) -> None:
     motor = {"name": joint.name, "joint": joint.name, "ctrllimited": "false"}
     if 0 < joint.effort < math.inf:
         motor["ctrlrange"] = text([-joint.effort, joint.effort])
-    if forces.leaks:
+    if forces.torque_shares:
         del motor["joint"]
-        motor["tendon"] = scene.add_tendon(f"{joint.name}_drive", {joint.name: 1.0, **forces.leaks})
+        motor["tendon"] = scene.add_tendon(f"{joint.name}_drive", {joint.name: 1.0, **forces.torque_shares})
         if forces.bias:
             name = f"{joint.name}_offset"
             while name in scene.identified.robot.joints:

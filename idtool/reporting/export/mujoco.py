@@ -6,12 +6,12 @@ from lxml import etree
 
 from idtool.common.version import VERSION
 from idtool.reporting.export.base import Export, Part
-from idtool.reporting.export.identified import CONFIG, URDF, Identified
+from idtool.reporting.export.identified import CONFIG, URDF, IdentifiedModel
 from idtool.reporting.export.links import add_links
+from idtool.reporting.export.mujoco_rotors import add_reflected_inertia, add_rotor_body, omitted_parts
 from idtool.reporting.export.primitives import GROUPS
-from idtool.reporting.export.rotors import rotors_of
+from idtool.reporting.export.rotors import averaged_rotors
 from idtool.reporting.export.scene import Scene, comment, text
-from idtool.reporting.export.spinning import add_body, lacking, reflect
 from idtool.robot.urdf.reading import parse_xml
 
 FILE = "mujoco.xml"
@@ -21,7 +21,7 @@ FILE = "mujoco.xml"
 _SOLREF, _SOLIMP = "0.002 1", "0.9999 0.9999 0.001 0.5 2"
 
 
-def to_mujoco(identified: Identified, rotor_bodies: bool = False) -> Export:
+def to_mujoco(identified: IdentifiedModel, rotor_bodies: bool = False) -> Export:
     """The identified model as MJCF.
 
     Parameters
@@ -38,23 +38,23 @@ def to_mujoco(identified: Identified, rotor_bodies: bool = False) -> Export:
     """
     scene = Scene(identified)
     _add_effects(scene)
-    rotors = rotors_of(identified)
-    apart = [rotor for rotor in rotors if rotor_bodies and lacking(scene, rotor)]
+    rotors = averaged_rotors(identified)
+    apart = [rotor for rotor in rotors if rotor_bodies and omitted_parts(scene, rotor)]
     for rotor in rotors:
         if rotor not in apart:
-            reflect(scene, rotor)
+            add_reflected_inertia(scene, rotor)
     world = etree.Element("worldbody")
     add_links(scene, world)
     for rotor in apart:
-        add_body(scene, rotor)
-    root = etree.Element("mujoco", model=_name(identified))
-    root.append(comment(_header(scene, bool(apart))))
+        add_rotor_body(scene, rotor)
+    root = etree.Element("mujoco", model=_model_name(identified))
+    root.append(comment(_header_lines(scene, bool(apart))))
     _add_head(scene, root)
     scene.actuators.extend(scene.constants)
     sections = (world, scene.tendons, scene.equalities, scene.actuators)
     root.extend([section for section in sections if len(section)])
     if identified.config.controller is not None:
-        root.append(comment(_controller(scene)))
+        root.append(comment(_controller_lines(scene)))
     written = bytes(etree.tostring(root, pretty_print=True, encoding="utf-8"))
     return Export(FILE, written, tuple(scene.carried), tuple(scene.not_carried))
 
@@ -66,7 +66,7 @@ def _add_effects(scene: Scene) -> None:
     for j, forces in enumerate(scene.forces.values()):
         forces.armature = float(identified.mechanism.armature[j])
         forces.ref = -float(identified.mechanism.position_offset[j])
-    parts = [(scene.forces.carry(term), term.unused) for term in identified.terms]
+    parts = [(scene.forces.add_term(term), term.not_carried_part) for term in identified.terms]
     scene.carried += [part for part, _ in parts if part]
     lacking = [*identified.others, *(unused for part, unused in parts if not part)]
     scene.not_carried += dict.fromkeys(lacking)  # an effect of several terms is one
@@ -87,7 +87,7 @@ def _add_head(scene: Scene, root: etree._Element) -> None:
         etree.SubElement(kind, "geom", group=group, contype="0", conaffinity="0")
 
 
-def _header(scene: Scene, has_rotor_bodies: bool) -> list[str]:
+def _header_lines(scene: Scene, has_rotor_bodies: bool) -> list[str]:
     needed = "3.7" if any(forces.drag for forces in scene.forces.values()) else "3.3.1"
     lines = [
         f"Written by idtool {VERSION} from {URDF} and {CONFIG}; needs MuJoCo {needed} or newer.",
@@ -100,7 +100,7 @@ def _header(scene: Scene, has_rotor_bodies: bool) -> list[str]:
     return lines
 
 
-def _controller(scene: Scene) -> list[str]:
+def _controller_lines(scene: Scene) -> list[str]:
     """The controller in words: a motor's control is a torque, so that any controller can drive it."""
     controller = scene.identified.config.controller
     if controller is None:
@@ -115,6 +115,6 @@ def _controller(scene: Scene) -> list[str]:
     return lines
 
 
-def _name(identified: Identified) -> str:
+def _model_name(identified: IdentifiedModel) -> str:
     name = parse_xml(identified.robot.path, identified.robot.text).get("name", "")
     return name if name.isprintable() and name else "robot"

@@ -16,16 +16,18 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
-from idtool.reporting.export.existence import refused
-from idtool.reporting.export.identified import Identified
+from idtool.reporting.export.identified import IdentifiedModel
+from idtool.reporting.export.inertia_check import unrealizable_error
 from idtool.robot.body import Body
 from idtool.robot.inertia import parameter_transform, symmetric_entries, symmetric_matrix
 from idtool.robot.kinematics import body_motions
 
 _POSES = 256  # in which w is looked at; a function of the pose that is the same in all of them is constant
-_CONSTANT = 1e-3  # of w per unit of joint velocity, in all poses: angles written as 1.571 are meant to be right ones
+_MAX_VARIATION = (
+    1e-3  # of w per unit of joint velocity, in all poses: angles written as 1.571 are meant to be right ones
+)
 _ROUNDING = 1e-9  # relative
-_LEAST = 1e-12  # kg, kg·m²
+_MIN_VALUE = 1e-12  # kg, kg·m²
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +38,13 @@ class Rotor:
     ----------
     body
         How it is mounted and driven.
-    own
+    own_pi
         Its parameters in its own frame, shape (10,).
     inertia
         About its axis [kg·m²].
     carrier
         w = carrier · v where that does not depend on the pose, shape (nv,); None where it does.
-    swing
+    largest_carrier_ratio
         The largest coefficient of w found in any pose.
     pi
         Parameters in the frame of the body that carries it, shape (10,).
@@ -53,10 +55,10 @@ class Rotor:
     """
 
     body: Body
-    own: Array
+    own_pi: Array
     inertia: float
     carrier: Array | None
-    swing: float
+    largest_carrier_ratio: float
     pi: Array
     without_spin: Array
     unbalance: tuple[float, float]
@@ -77,12 +79,12 @@ class Rotor:
 
     def coupling(self) -> Part:
         """What to say where the coupling with the carrier's rotation is left out."""
-        size = self.inertia * self.largest_ratio * self.swing
+        size = self.inertia * self.largest_ratio * self.largest_carrier_ratio
         return self.part("its coupling with its carrier's rotation in the mass matrix", size)
 
     def imbalance(self, gravity: Array) -> list[Part]:
         """What to say of what averaging leaves out, if it is more than rounding."""
-        mass, size = max(self.pi[0], _LEAST), max(float(np.trace(symmetric_matrix(self.pi[4:]))), _LEAST)
+        mass, size = max(self.pi[0], _MIN_VALUE), max(float(np.trace(symmetric_matrix(self.pi[4:]))), _MIN_VALUE)
         moment, change = self.unbalance
         torque = moment * self.largest_ratio * float(np.linalg.norm(gravity))
         found = []
@@ -93,7 +95,7 @@ class Rotor:
         return found
 
 
-def rotors_of(identified: Identified) -> tuple[Rotor, ...]:
+def averaged_rotors(identified: IdentifiedModel) -> tuple[Rotor, ...]:
     """The model's rotors.
 
     Raises
@@ -110,14 +112,14 @@ def rotors_of(identified: Identified) -> tuple[Rotor, ...]:
     for body, pi, motion in zip(model.bodies, identified.pi, motions, strict=True):
         if body.kind == "rotor":
             if body.axis @ symmetric_matrix(pi[4:]) @ body.axis < 0:
-                raise refused(identified.robot, f"rotor {body.name}")
+                raise unrealizable_error(identified.robot, f"rotor {body.name}")
             turning = np.zeros((len(q), _POSES))
             turning[motion.coordinates] = np.tensordot(body.axis, motion.S_w, axes=1)
-            found.append(_averaged(body, pi, turning - body.ratios[:, None]))
+            found.append(_average_rotor(body, pi, turning - body.ratios[:, None]))
     return tuple(found)
 
 
-def _averaged(body: Body, pi: Array, w: Array) -> Rotor:
+def _average_rotor(body: Body, pi: Array, w: Array) -> Rotor:
     """A rotor from its parameters in its own frame and the coefficients of w in some poses, shape (nv, poses)."""
     a = body.axis
     h, inertia = pi[1:4], symmetric_matrix(pi[4:])
@@ -127,15 +129,15 @@ def _averaged(body: Body, pi: Array, w: Array) -> Rotor:
     mean = _pi(pi[0], a * (a @ h), axial * along + across * (np.eye(3) - along))
     spun = _pi(0.0, np.zeros(3), axial * along)
     constant = w.mean(axis=1)
-    constant[np.abs(constant) < _CONSTANT] = 0.0
-    is_constant = np.abs(w - constant[:, None]).max() < _CONSTANT
+    constant[np.abs(constant) < _MAX_VARIATION] = 0.0
+    is_constant = np.abs(w - constant[:, None]).max() < _MAX_VARIATION
     to_carrier = parameter_transform(body.mount.R, body.mount.p)
     return Rotor(
         body=body,
-        own=pi,
+        own_pi=pi,
         inertia=axial,
         carrier=constant if is_constant else None,
-        swing=float(np.abs(w).max()),
+        largest_carrier_ratio=float(np.abs(w).max()),
         pi=to_carrier @ mean,
         without_spin=to_carrier @ (mean - spun),
         unbalance=(

@@ -11,12 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
-from idtool.reporting.export.existence import can_exist, refused, slack
-from idtool.reporting.export.identified import Identified
+from idtool.reporting.export.identified import IdentifiedModel
+from idtool.reporting.export.inertia_check import is_acceptable, slack, unrealizable_error
 from idtool.reporting.export.joints import ForcesByJoint
 from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
 
-LEAST = 1e-12  # kg, kg·m²: what MuJoCo takes for a body that can move, and by how much triangle inequalities must hold
+MUJOCO_MINIMUM = (
+    1e-12  # kg, kg·m²: what MuJoCo takes for a body that can move, and by how much triangle inequalities must hold
+)
 
 
 @dataclass
@@ -43,7 +45,7 @@ class Scene:
         What the user is told.
     """
 
-    identified: Identified
+    identified: IdentifiedModel
     moving: dict[str, int] = field(init=False)
     pi: dict[int, Array] = field(init=False)
     forces: ForcesByJoint = field(init=False)
@@ -59,10 +61,10 @@ class Scene:
         bodies = self.identified.model.bodies
         self.moving = {body.name: i for i, body in enumerate(bodies) if body.kind == "link"}
         self.pi = {i: self.identified.pi[i].copy() for i in self.moving.values()}
-        self.pi[-1] = self.own(self.identified.robot.root)
+        self.pi[-1] = self.urdf_parameters(self.identified.robot.root)
         self.forces = ForcesByJoint(self.identified.model.names)
 
-    def own(self, link: str) -> Array:
+    def urdf_parameters(self, link: str) -> Array:
         """A link's parameters in the URDF, shape (10,)."""
         pi = self.identified.robot.links[link]
         return np.zeros(PI_SIZE) if pi is None else pi.copy()
@@ -92,19 +94,23 @@ class Scene:
         """
         if not moves and not pi[0] > 0:
             return
-        if not can_exist(pi):
+        if not is_acceptable(pi):
             if moves:
-                raise refused(self.identified.robot, name)
+                raise unrealizable_error(self.identified.robot, name)
             return
         mass, com, inertia = mass_com_inertia(pi)
         if not mass:
-            self.not_carried.append(Part("inertial", name, "MuJoCo refuses a body without mass; it has", LEAST, "kg"))
+            self.not_carried.append(
+                Part("inertial", name, "MuJoCo refuses a body without mass; it has", MUJOCO_MINIMUM, "kg")
+            )
         if moves:
             self.carried.append(Part("inertial", name, "mass with all that is fixed to it", mass, "kg"))
-        inertia = inertia + max(0.0, LEAST - slack(inertia)) * np.eye(3)
+        inertia = inertia + max(0.0, MUJOCO_MINIMUM - slack(inertia)) * np.eye(3)
         xx, xy, yy, xz, yz, zz = symmetric_entries(inertia)
         full = text([xx, yy, zz, xy, xz, yz])
-        etree.SubElement(self.bodies[name], "inertial", pos=text(com), mass=repr(max(mass, LEAST)), fullinertia=full)
+        etree.SubElement(
+            self.bodies[name], "inertial", pos=text(com), mass=repr(max(mass, MUJOCO_MINIMUM)), fullinertia=full
+        )
 
 
 def text(values: Array | list[float]) -> str:

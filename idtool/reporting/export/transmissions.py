@@ -22,7 +22,7 @@ def transmissions(text: bytes, root: Element, gears: Mapping[str, tuple[float, f
     taken: set[str] = set()
     for transmission in root.with_tag("transmission"):
         actuators = [actuator.name for actuator in transmission.with_tag("actuator")]
-        joint = _joint(text, transmission, gears)
+        joint = _joint_of(text, transmission, gears)
         if joint is None:
             taken.update(actuators)
         else:
@@ -35,19 +35,19 @@ def transmissions(text: bytes, root: Element, gears: Mapping[str, tuple[float, f
         while name in taken:
             name += "_"
         taken.add(name)
-        written += end.join([*_rows(joint, name, inertia, ratio), b""])
+        written += end.join([*_transmission_lines(joint, name, inertia, ratio), b""])
     last = text.rindex(b"</", root.start, root.stop)
     return [*edits, Edit(last, last, written)]
 
 
-def _joint(text: bytes, element: Element, joints: Collection[str]) -> str | None:
+def _joint_of(text: bytes, element: Element, joints: Collection[str]) -> str | None:
     """The joint, of those given, whose transmission this is in Drake's eyes."""
     named = [joint.name for joint in element.with_tag("joint")]
     is_simple = b"SimpleTransmission" in text[element.start : element.stop]
     return named[0] if is_simple and len(named) == 1 and named[0] in joints else None
 
 
-def _rows(joint: str, actuator: str, inertia: float, ratio: float) -> list[bytes]:
+def _transmission_lines(joint: str, actuator: str, inertia: float, ratio: float) -> list[bytes]:
     return [
         b"  <transmission name=" + quoted_attribute(f"{actuator}_transmission") + b">",
         b"    <type>transmission_interface/SimpleTransmission</type>",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from idtool.reporting.figures import by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import Sections, render
 from idtool.reporting.plots.adaptation import center_figure, joint_figures, mass_figure
 from idtool.reporting.results.adaptation import AdaptationReport
@@ -40,7 +40,7 @@ def adapt_page(report: AdaptationReport, command: str) -> str:
         [],
         {},
         report=report,
-        groups=by_unit(report.units),
+        groups=rows_by_unit(report.units),
         settled=settling_times(report),
         masses=mass_figure(report),
         frictions=joint_figures(report),

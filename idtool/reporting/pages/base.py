@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jinja2
 from plotly.offline import get_plotlyjs
 
-from idtool.reporting.figures import metres, number, percent, with_error
+from idtool.reporting.number_text import metres, number, percent, with_error
 from idtool.reporting.pages.embedding import EmbeddedFigures
 from idtool.reporting.plots.figure import Figure
 from idtool.reporting.sections.base import Section
@@ -24,7 +24,7 @@ from idtool.reporting.sections.base import Section
 Sections = Sequence[tuple[str, str | Sequence[Figure]] | Section[Any]]
 
 
-class Passage(NamedTuple):
+class TemplateSection(NamedTuple):
     """A section without a table of its own.
 
     Attributes
@@ -34,7 +34,7 @@ class Passage(NamedTuple):
     template
         The file under ``templates/`` that shows it.
     figures
-        What ``figures.html`` shows.
+        The figures that ``figures.html`` shows.
     """
 
     title: str
@@ -52,11 +52,11 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
     sections
         In the order of the page; a tuple is a heading and a template, or figures.
     scripts
-        Files under `templates/` that draw what no `Figure` holds, such as bodies in 3D.
+        Scripts under `templates/` that draw what no `Figure` holds, such as bodies in 3D.
     data
-        What they draw, for JSON; NaN is not allowed.
+        Data of these scripts, for JSON; NaN is not allowed.
     context
-        What the templates read, beside ``data``.
+        Variables of the templates, beside ``data``.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("idtool.reporting"),
@@ -70,16 +70,20 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
     environment.globals.update(embed=figures.add, embedded=figures.to_json)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     page = environment.get_template("page.html")
-    shown = [_passage(*section) if isinstance(section, tuple) else section for section in sections]
-    html = page.render(title=title, sections=shown, scripts=scripts, data=data, plotly=_library(), **context)
+    page_sections = [_template_section(*section) if isinstance(section, tuple) else section for section in sections]
+    html = page.render(
+        title=title, sections=page_sections, scripts=scripts, data=data, plotly=_compressed_plotly(), **context
+    )
     return html.encode(errors="replace").decode()  # a path need not be text
 
 
-def _passage(title: str, content: str | Sequence[Figure]) -> Passage:
-    return Passage(title, content) if isinstance(content, str) else Passage(title, figures=content)
+def _template_section(title: str, content: str | Sequence[Figure]) -> TemplateSection:
+    if isinstance(content, str):
+        return TemplateSection(title, content)
+    return TemplateSection(title, figures=content)
 
 
 @cache
-def _library() -> str:
+def _compressed_plotly() -> str:
     """plotly.js as `templates/load.js` takes it: gzip in base64."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), compresslevel=6, mtime=0)).decode()

@@ -1,8 +1,8 @@
-"""Bodies in three dimensions: what `templates/bodies.js` and `robot.js` draw."""
+"""Bodies in three dimensions, as data for `templates/bodies.js` and `robot.js`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +15,12 @@ from idtool.robot.model import Model
 from idtool.robot.witness import deviation_ellipsoid, unrealizable_reasons
 
 _DECIMALS = 6  # of lengths in m
-_MOST_NUMBERS = 60_000  # that all bodies hold together
-_MOST_MASSES = 300  # of a witness that are drawn
+_MAX_NUMBERS = 60_000  # that all bodies hold together
+_MAX_MASSES = 300  # of a witness that are drawn
 
 
 @dataclass(frozen=True)
-class DrawnBody:
+class BodyDrawing:
     """A body to draw, in its own frame [m].
 
     Attributes
@@ -40,28 +40,28 @@ class DrawnBody:
 
 
 def report_views(bodies: Mapping[str, BodyReport]) -> dict[str, Any]:
-    """What is drawn of identified bodies, see `body_views`.
+    """Views of identified bodies, see `body_views`.
 
     Parameters
     ----------
     bodies
         ``bodies`` of report.json.
     """
-    drawn = {}
+    drawings = {}
     for name, body in bodies.items():
         ellipsoids = [{"kind": "ellipsoid", **ellipsoid.model_dump()} for ellipsoid in body.ellipsoids]
         deviation = body.deviation_ellipsoid
-        drawn[name] = DrawnBody(
+        drawings[name] = BodyDrawing(
             bounds=[*ellipsoids, *body.shapes],
             spread=deviation.model_dump() if deviation else None,
-            prior_spread=_spread(body.prior.tolist()),
-            masses=_heaviest(body.witness),
+            prior_spread=_deviation_view(body.prior.tolist()),
+            masses=_witness_view(body.witness),
         )
-    return body_views(drawn)
+    return body_views(drawings)
 
 
 def model_views(model: Model, theta: Array, prior: Array | None) -> dict[str, Any]:
-    """What is drawn of bodies that were not identified, see `body_views`.
+    """Views of bodies that were not identified, see `body_views`.
 
     Parameters
     ----------
@@ -70,21 +70,21 @@ def model_views(model: Model, theta: Array, prior: Array | None) -> dict[str, An
     theta, prior
         Coefficients of the torque equation, shape (p,), the bodies' first; of the prior None where there is none.
     """
-    drawn = {}
+    drawings = {}
     for i, body in enumerate(model.bodies):
         part = slice(PI_SIZE * i, PI_SIZE * (i + 1))
         ellipsoids = [{"kind": "ellipsoid", **ellipsoid.to_dict()} for ellipsoid in body.ellipsoids]
-        drawn[body.name] = DrawnBody(
+        drawings[body.name] = BodyDrawing(
             bounds=[*ellipsoids, *(shape.to_dict() for shape in body.shapes)],
-            spread=_spread(theta[part].tolist()),
-            prior_spread=None if prior is None else _spread(prior[part].tolist()),
+            spread=_deviation_view(theta[part].tolist()),
+            prior_spread=None if prior is None else _deviation_view(prior[part].tolist()),
             masses=None,
         )
-    return body_views(drawn)
+    return body_views(drawings)
 
 
-def body_views(bodies: Mapping[str, DrawnBody]) -> dict[str, Any]:
-    """What `bodies.js` draws, of bounded size.
+def body_views(bodies: Mapping[str, BodyDrawing]) -> dict[str, Any]:
+    """Views of bodies for `bodies.js`, of bounded size.
 
     Parameters
     ----------
@@ -100,15 +100,15 @@ def body_views(bodies: Mapping[str, DrawnBody]) -> dict[str, Any]:
     views: list[dict[str, Any]] = []
     numbers = 0
     for name, body in bodies.items():
-        view = _view(name, body)
-        numbers += _count(view)
-        if numbers > _MOST_NUMBERS:
+        view = _body_view(name, body)
+        numbers += _number_count(view)
+        if numbers > _MAX_NUMBERS:
             break
         views.append(view)
     return {"bodies": views, "hidden": len(bodies) - len(views)}
 
 
-def _view(name: str, body: DrawnBody) -> dict[str, Any]:
+def _body_view(name: str, body: BodyDrawing) -> dict[str, Any]:
     return {
         "name": name,
         "bounds": _rounded(body.bounds),
@@ -118,21 +118,21 @@ def _view(name: str, body: DrawnBody) -> dict[str, Any]:
     }
 
 
-def _spread(pi: list[float]) -> dict[str, Any] | None:
+def _deviation_view(pi: list[float]) -> dict[str, Any] | None:
     """The standard-deviation ellipsoid, if some density has these parameters."""
     if len(pi) != PI_SIZE or unrealizable_reasons(pi):
         return None
     return deviation_ellipsoid(pi).to_dict()
 
 
-def _heaviest(witness: PointMasses | None) -> dict[str, Any] | None:
-    """The witness, of many point masses the heaviest."""
+def _witness_view(witness: PointMasses | None) -> dict[str, Any] | None:
+    """The witness; of many point masses, the heaviest."""
     if witness is None:
         return None
-    kept = np.sort(np.argsort(witness.masses)[::-1][:_MOST_MASSES])
+    heaviest = np.sort(np.argsort(witness.masses)[::-1][:_MAX_MASSES])
     return {
-        "masses": [float(f"{witness.masses[i]:.5g}") for i in kept],
-        "points": _rounded([witness.points[i] for i in kept]),
+        "masses": [float(f"{witness.masses[i]:.5g}") for i in heaviest],
+        "points": _rounded([witness.points[i] for i in heaviest]),
         "of": len(witness.masses),
     }
 
@@ -143,10 +143,15 @@ def _rounded(value: Any) -> Any:
         return round(value, _DECIMALS) + 0.0
     if isinstance(value, Mapping):
         return {key: _rounded(inner) for key, inner in value.items()}
-    return [_rounded(inner) for inner in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [_rounded(inner) for inner in value]
+    return value
 
 
-def _count(value: Any) -> int:
-    """How many numbers plain data hold."""
-    inner: Iterable[Any] = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
-    return int(isinstance(value, int | float)) + sum(map(_count, inner))
+def _number_count(value: Any) -> int:
+    """Number of numbers in plain data."""
+    if isinstance(value, Mapping):
+        return sum(map(_number_count, value.values()))
+    if isinstance(value, list):
+        return sum(map(_number_count, value))
+    return int(isinstance(value, int | float))

@@ -18,13 +18,15 @@ class EmbeddedFigures:
 
     def add(self, figure: Figure) -> int:
         """Embed a figure; its index, which `templates/figures.js` draws it by."""
-        data = [{key: self._stored(key, value) for key, value in trace.items()} for trace in figure.data]
+        data = [{key: self._embed_value(key, value) for key, value in trace.items()} for trace in figure.data]
         self._figures.append({"data": data, "layout": figure.layout})
         return len(self._figures) - 1
 
-    def _stored(self, key: str, value: Any) -> Any:
-        """A trace's attribute; of an array its index among all arrays."""
-        return self._arrays.setdefault(tuple(value), len(self._arrays)) if key in _ARRAYS else value
+    def _embed_value(self, key: str, value: Any) -> Any:
+        """A trace's attribute; for an array, its index among all arrays."""
+        if key not in _ARRAYS:
+            return value
+        return self._arrays.setdefault(tuple(value), len(self._arrays))
 
     def to_json(self) -> dict[str, Any]:
         """``figures``, each with traces whose ``x``, ``y`` and ``text`` are indices into ``arrays``."""

@@ -1,4 +1,4 @@
-"""excitation.html: a designed trajectory against its limits, and what it will tell."""
+"""excitation.html: a designed trajectory against its limits, and the standard errors to expect."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def excite_page(report: ExcitationReport, command: str) -> str:
         {},
         report=report,
         trajectories=trajectory_figures(report),
-        gain=_gain(report),
+        gain=_information_gain(report),
         command=command,
     )
 
 
-def _gain(report: ExcitationReport) -> float | None:
-    """How many times smaller the criterion is than of a random motion."""
-    kind = report.criterion
-    before, after = (getattr(report.criteria[motion], kind) for motion in ("random", "design"))
-    return before / after if before and after else None
+def _information_gain(report: ExcitationReport) -> float | None:
+    """Criterion of a random motion over that of the design; None if one is not determined."""
+    random = getattr(report.criteria["random"], report.criterion)
+    design = getattr(report.criteria["design"], report.criterion)
+    return random / design if random and design else None

@@ -8,12 +8,19 @@ from pathlib import Path
 from idtool.diagnosis.records import ResidualProfile
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.certificate import GAP, ROUNDING
-from idtool.reporting.figures import by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import Sections, render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_simulation
-from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
+from idtool.reporting.pages.uncertainty import (
+    BASE_PARAMETERS,
+    BIAS,
+    REPEATABILITY,
+    SOURCES,
+    uncertainty_view,
+    with_uncertainty,
+)
 from idtool.reporting.plots.regularization import regularization_figure
 from idtool.reporting.plots.residuals import residual_figures
 from idtool.reporting.plots.torques import torque_figures
@@ -31,7 +38,8 @@ Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]
 _PRIOR = PriorWeightsSection()
 _EFFECTS = EffectsSection()
 _RESIDUALS = ("Where the torque error lives", "residuals.html")
-_NAMES, _MODELS = ("prior", "identified"), "the URDF given and of the identified model"
+_MODEL_NAMES = ("prior", "identified")
+_MODELS_TEXT = "the URDF given and of the identified model"
 _SECTIONS = (
     ("What was found", "fit_findings.html"),
     TorqueErrorsSection(),
@@ -42,9 +50,9 @@ _SECTIONS = (
     _EFFECTS,
     BodiesSection(),
     _PRIOR,
-    RESTS,
-    BASE,
-    LOGS,
+    SOURCES,
+    BASE_PARAMETERS,
+    REPEATABILITY,
     BIAS,
     ROBOT,
     ("Bodies in 3D", "bodies_3d.html"),
@@ -65,34 +73,41 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
     command
         The command line that made it.
     maps
-        What the prior and the identified model leave of the torque, by joint; None: not asked for.
+        Torque residuals of the prior and of the identified model, by joint; None: not asked for.
     """
     units = report.units
-    own, prior = report.rms.validation, report.rms.prior_validation
-    held_out = own is not None
-    shown = fit.evaluation
+    rms = report.rms.validation or report.rms.train
+    prior_rms = report.rms.prior_validation
+    held_out = report.rms.validation is not None
     views = report_views(report.bodies)
-    robot = robot_view(fit.experiment.model, views["bodies"], shown.traces)
+    robot = robot_view(fit.experiment.model, views["bodies"], fit.evaluation.traces)
+    gap = max(abs(report.solver.duality_gap), ROUNDING)
+    worse = []
+    if held_out and prior_rms:
+        worse = [name for name in report.joints if rms[name] >= prior_rms[name]]
     automatic = report.regularization.automatic
     shown_if = {_RESIDUALS: bool(maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
+    sections = with_simulation(sections, report.simulation)
+    sections = with_uncertainty(sections, report)
+    sections = with_robot(sections, robot)
     return render(
         f"{Path(report.urdf).stem}: identified dynamics",
-        with_robot(with_trust(with_simulation(sections, report.simulation), report), robot),
+        sections,
         ["solids.js", "robot.js", "bodies.js", "trust.js"],
         {**views, **robot},
         report=report,
-        groups=by_unit(units),
-        torques=torque_figures(shown, "identified", units),
-        residuals=residual_figures(*maps, units, _NAMES, _MODELS) if maps else None,
+        groups=rows_by_unit(units),
+        torques=torque_figures(fit.evaluation, "identified", units),
+        residuals=residual_figures(*maps, units, _MODEL_NAMES, _MODELS_TEXT) if maps else None,
         weights=regularization_figure(automatic) if automatic else None,
         **simulation_view(fit.simulation, report.simulation, "identified"),
-        **trust_view(report),
+        **uncertainty_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
-        worse=[name for name in report.joints if own and prior and own[name] >= prior[name]],
-        worst=max(report.joints, key=lambda name: (own or report.rms.train)[name]),
+        worse=worse,
+        worst=max(report.joints, key=lambda name: rms[name]),
         determined=fit.uncertainty.identifiable,
-        gap=(gap := max(abs(report.solver.duality_gap), ROUNDING)),
+        gap=gap,
         certified=gap <= GAP,
         closest=fit.estimate.certificate.where,
         command=command,

@@ -1,4 +1,4 @@
-"""The robot in three dimensions, as it stood along a log: what `templates/robot.js` draws."""
+"""The robot in three dimensions along a log, as data for `templates/robot.js`."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from idtool.robot.model import Model
 from idtool.robot.urdf.reading import Robot
 
 ROBOT = ("The robot in 3D", "robot_3d.html")
-_POSTURES = 60  # at the most
-_MOST_PLACES = 1000  # of bodies in postures
+_MAX_POSTURES = 60  # at the most
+_MAX_FRAMES = 1000  # of bodies in postures
 _DECIMALS = 4
-_FINE = 3  # of its surface [m]
-_MOST_FACES = 10_000  # of all bodies
-_FEWEST_FACES = 60  # of a body
+_SURFACE_DECIMALS = 3  # of its surface [m]
+_MAX_FACES = 10_000  # of all bodies
+_MIN_FACES = 60  # of a body
 
 
 def robot_view(
     model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace], shown: str = "identified"
 ) -> dict[str, Any]:
-    """What is drawn of the robot, of bounded size.
+    """The view of the robot for `robot.js`, of bounded size.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def robot_view(
     traces
         The first with the joints' positions, ``q``, shape (nv, 2 stretches), gives the postures.
     shown
-        What the bodies are, beside the prior's.
+        Name of the bodies' parameters, beside the prior's.
 
     Returns
     -------
@@ -52,20 +52,27 @@ def robot_view(
     trace = next((trace for trace in traces if "q" in trace.curves), None)
     if trace is None:
         return {"robot": None}
-    t, q = _postures(trace, min(_POSTURES, max(_MOST_PLACES // max(len(bodies), 1), 1)))
-    places, known = body_placements(model, q), {view["name"]: view for view in bodies}
-    drawn = [(i, body) for i, body in enumerate(model.bodies) if body.name in known][:_MOST_PLACES]
-    most = max(_MOST_FACES // (len(drawn) + 1), _FEWEST_FACES)
-    views = [_base(model.robot, most)]
-    views += [{**known[body.name], "masses": None, "surface": _surface(model.robot, body, most)} for _, body in drawn]
-    frames = [[_frame(places[i], n) for i in (-1, *(i for i, _ in drawn))] for n in range(len(t))]
+    max_postures = max(_MAX_FRAMES // max(len(bodies), 1), 1)
+    t, q = _postures(trace, min(_MAX_POSTURES, max_postures))
+    placements = body_placements(model, q)
+    views_by_name = {view["name"]: view for view in bodies}
+    indices = [i for i, body in enumerate(model.bodies) if body.name in views_by_name][:_MAX_FRAMES]
+    max_faces = max(_MAX_FACES // (len(indices) + 1), _MIN_FACES)
+    views = [_base_view(model.robot, max_faces)]
+    for i in indices:
+        body = model.bodies[i]
+        surface = _body_surface(model.robot, body, max_faces)
+        views.append({**views_by_name[body.name], "masses": None, "surface": surface})
+    frames = []
+    for n in range(len(t)):
+        frames.append([_frame(placements[i], n) for i in (-1, *indices)])
     view = {
         "bodies": views,
         "shown": shown,
         "log": trace.name,
         "t": t.round(2).tolist(),
         "frames": frames,
-        "hidden": len(model.bodies) - len(drawn),
+        "hidden": len(model.bodies) - len(indices),
     }
     return {"robot": view}
 
@@ -75,39 +82,48 @@ def with_robot(sections: Sections, view: Mapping[str, Any]) -> Sections:
     return [section for section in sections if section != ROBOT or view["robot"]]
 
 
-def _postures(trace: Trace, most: int) -> tuple[Array, Array]:
-    """Times, shape (n,), and positions then, (nv, n): the middles of stretches in which something was measured."""
-    t, q = trace.t.reshape(-1, 2).mean(axis=1), trace.curves["q"].reshape(len(trace.curves["q"]), -1, 2).mean(axis=2)
+def _postures(trace: Trace, max_postures: int) -> tuple[Array, Array]:
+    """Times, shape (n,), and positions, shape (nv, n): the middles of stretches in which something was measured."""
+    q_pairs = trace.curves["q"]
+    t = trace.t.reshape(-1, 2).mean(axis=1)
+    q = q_pairs.reshape(len(q_pairs), -1, 2).mean(axis=2)
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
-    chosen = known[np.unique(np.linspace(0, len(known) - 1, most).round().astype(int))]
-    return t[chosen], q[:, chosen]
+    spread = np.unique(np.linspace(0, len(known) - 1, max_postures).round().astype(int))
+    return t[known[spread]], q[:, known[spread]]
 
 
-def _frame(place: tuple[Array, Array], n: int) -> list[float]:
-    R, p = (x[min(n, len(x) - 1)] for x in place)
+def _frame(placement: tuple[Array, Array], n: int) -> list[float]:
+    """Quaternion x, y, z, w and position [m] of a body in a posture."""
+    rotations, positions = placement
+    R = rotations[min(n, len(rotations) - 1)]
+    p = positions[min(n, len(positions) - 1)]
     return [round(float(x), _DECIMALS) for x in (*Rotation.from_matrix(R).as_quat(), *p)]
 
 
-def _base(robot: Robot, most: int) -> dict[str, Any]:
+def _base_view(robot: Robot, max_faces: int) -> dict[str, Any]:
     """The root link and those fixed to it."""
     frames = {robot.root: Frame(-1, np.eye(3), np.zeros(3))}
     for joint in robot.joints.values():
         if joint.kind == "fixed" and joint.parent in frames:
             frames[joint.child] = frames[joint.parent].compose(joint.R, joint.p)
-    seen: dict[str, Any] = {"bounds": [], "found": None, "prior": None, "masses": None}
-    return {"name": robot.root, **seen, "surface": _drawn(robot, frames.items(), most)}
+    empty: dict[str, Any] = {"bounds": [], "found": None, "prior": None, "masses": None}
+    return {"name": robot.root, **empty, "surface": _surface_of_links(robot, frames.items(), max_faces)}
 
 
-def _surface(robot: Robot, body: Body, most: int) -> dict[str, Any] | None:
+def _body_surface(robot: Robot, body: Body, max_faces: int) -> dict[str, Any] | None:
     """The geometry of a body's links in its frame."""
-    return _drawn(robot, [(member.link, member.frame) for member in body.members if member.link in robot.links], most)
+    return _surface_of_links(
+        robot, [(member.link, member.frame) for member in body.members if member.link in robot.links], max_faces
+    )
 
 
-def _drawn(robot: Robot, places: Iterable[tuple[str, Frame]], most: int) -> dict[str, Any] | None:
-    """How links at some places look, of so many faces at the most; None without any."""
-    found = []
-    for link, frame in places:
+def _surface_of_links(robot: Robot, links: Iterable[tuple[str, Frame]], max_faces: int) -> dict[str, Any] | None:
+    """Surface of links in their frames, simplified to a number of faces; None without geometry."""
+    meshes = []
+    for link, frame in links:
         mesh = link_surface(robot, link)
-        found.append(Mesh(mesh.points @ frame.R.T + frame.p, mesh.faces))
-    whole = simplify_mesh(merge_meshes(found), most)
-    return {"points": whole.points.round(_FINE).tolist(), "faces": whole.faces.tolist()} if len(whole.faces) else None
+        meshes.append(Mesh(mesh.points @ frame.R.T + frame.p, mesh.faces))
+    surface = simplify_mesh(merge_meshes(meshes), max_faces)
+    if not len(surface.faces):
+        return None
+    return {"points": surface.points.round(_SURFACE_DECIMALS).tolist(), "faces": surface.faces.tolist()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
-from idtool.reporting.figures import by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import Sections
 from idtool.reporting.plots.simulation import horizon_figure, position_figures
 from idtool.reporting.results.rollouts import Simulation
@@ -20,7 +20,7 @@ def with_simulation(sections: Sections, simulation: Simulation | None) -> Sectio
 
 
 def simulation_view(rollouts: RolloutEvaluation | None, simulation: Simulation | None, model: str) -> dict[str, Any]:
-    """What the template reads of a simulation.
+    """Template variables of a simulation.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def simulation_view(rollouts: RolloutEvaluation | None, simulation: Simulation |
     simulation
         Its record; None where there was none.
     model
-        Whose motion is the ``simulated`` one.
+        The model whose motion is the ``simulated`` one.
     """
     if rollouts is None or simulation is None:
         return {"simulation": None}
@@ -37,5 +37,5 @@ def simulation_view(rollouts: RolloutEvaluation | None, simulation: Simulation |
         "simulation": simulation,
         "positions": position_figures(rollouts, simulation, model),
         "horizon": horizon_figure(simulation),
-        "position_groups": by_unit(simulation.units),
+        "position_groups": rows_by_unit(simulation.units),
     }

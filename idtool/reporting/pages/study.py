@@ -11,7 +11,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.estimation.evaluation.validation import Evaluation
-from idtool.reporting.figures import by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.plots.comparison import advantage_figure, learning_figure, online_figure, violation_figure
 from idtool.reporting.plots.torques import torque_figures
@@ -33,10 +33,10 @@ _SECTIONS = (
     OnlineSection(),
     ("How this was made", "origin.html"),
 )
-_ALIKE = 0.05  # what the sets' errors differ by where the curves have come together
-_SHORT = 30  # samples: what a short log is called in the findings
-_SURE = 3.0  # standard errors: several sets are compared, and twice would be passed by chance too often
-_SOLVED = 1e-4  # logarithmic differences below this may be the solver's
+_MAX_DIFFERENCE = 0.05  # what the sets' errors differ by where the curves have come together
+_SHORT_LOG_SAMPLES = 30  # samples: what a short log is called in the findings
+_MIN_SIGNIFICANCE = 3.0  # standard errors: several sets are compared, and twice would be passed by chance too often
+_SOLVER_ACCURACY = 1e-4  # logarithmic differences below this may be the solver's
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Comparison:
     clear
         Whether that is beyond three standard errors, either way.
     most
-        Where it is largest: the number of samples, the gain there and its standard error.
+        The largest gain: its number of samples, the gain and its standard error.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class LearningSummary:
-    """What Fig. 5 says.
+    """Findings of Fig. 5: the order of the sets, and the number of samples at which they meet.
 
     Attributes
     ----------
@@ -109,72 +109,83 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
         advantages=advantage_figure(report),
         violations=violation_figure(report),
         online_errors=online_figure(report),
-        groups=by_unit(units),
+        groups=rows_by_unit(units),
         learning=learning(report.learning),
-        **_short(report.learning),
-        online=_online(report.adaptation),
+        **_short_log_view(report.learning),
+        online=_online_view(report.adaptation),
         where="Fig. 4 of the paper: on the held-out data, with the tightest set",
         command=command,
     )
 
 
-def learning(found: LearningCurves) -> LearningSummary:
-    """What Fig. 5 says in words.
+def learning(report: LearningCurves) -> LearningSummary:
+    """Findings of Fig. 5.
 
     Parameters
     ----------
-    found
+    report
         ``learning`` of study.json.
     """
-    counts, names = found.counts, list(found.curves)
-    medians = _table(found.curves, "median")
-    advantage, error = (_table(found.advantage, kind) for kind in ("advantage", "advantage_error"))
-    # A single draw, of all the data, has a median only. NaN is apart.
-    single, near = np.isnan(advantage).any(axis=0), np.ptp(medians, axis=0) <= _ALIKE * medians.min(axis=0)
-    apart = np.flatnonzero(~np.where(single, near, np.ptp(advantage, axis=0) <= np.log1p(_ALIKE)))
-    few = int(apart[-1]) + 1 if len(apart) else 0
+    counts = report.counts
+    names = list(report.curves)
+    medians = _values(report.curves, "median")
+    advantage = _values(report.advantage, "advantage")
+    error = _values(report.advantage, "advantage_error")
+    # A single draw, of all the data, has a median only. NaN counts as different.
+    is_single = np.isnan(advantage).any(axis=0)
+    similar_medians = np.ptp(medians, axis=0) <= _MAX_DIFFERENCE * medians.min(axis=0)
+    similar_advantages = np.ptp(advantage, axis=0) <= np.log1p(_MAX_DIFFERENCE)
+    different = np.flatnonzero(~np.where(is_single, similar_medians, similar_advantages))
+    few = int(different[-1]) + 1 if len(different) else 0
     together = counts[few] if few < len(counts) else None
-    few = few if together is not None else (len(counts) + 1) // 2
+    if together is None:
+        few = (len(counts) + 1) // 2
     if not few:
         return LearningSummary(together=together)
     mean = advantage[:, :few].mean(axis=1)
     order = [i for i in np.argsort(-mean, kind="stable") if np.isfinite(mean[i])]
     return LearningSummary(
         order=tuple(names[i] for i in order),
-        compared=tuple(_compared(names[i], counts, advantage[i, :few], error[i, :few]) for i in order if i),
+        compared=tuple(_compare(names[i], counts, advantage[i, :few], error[i, :few]) for i in order if i),
         counts=tuple(counts[:few]),
         together=together,
     )
 
 
-def _compared(name: str, counts: Sequence[int], advantage: Array, error: Array) -> Comparison:
+def _compare(name: str, counts: Sequence[int], advantage: Array, error: Array) -> Comparison:
     """A set beside the first one, by its advantages, shape (few,), and their standard errors."""
     # A draw's samples at one count are among those at the next, so that more counts need not make the mean surer.
-    mean, sure, at = advantage.mean(), error.mean(), int(advantage.argmax())
-    clear = bool(abs(mean) > max(_SURE * sure, _SOLVED))
-    return Comparison(name, *_share(mean, sure), clear, (counts[at], *_share(advantage[at], error[at])))
+    mean = advantage.mean()
+    mean_error = error.mean()
+    clear = bool(abs(mean) > max(_MIN_SIGNIFICANCE * mean_error, _SOLVER_ACCURACY))
+    gain, gain_error = _gain_and_error(mean, mean_error)
+    best = int(advantage.argmax())
+    return Comparison(name, gain, gain_error, clear, (counts[best], *_gain_and_error(advantage[best], error[best])))
 
 
-def _table(found: Mapping[str, LearningCurve | Advantage], kind: str) -> Array:
-    """The values of a kind, shape (sets, counts)."""
-    return np.array([getattr(values, kind) for values in found.values()])
+def _values(curves: Mapping[str, LearningCurve | Advantage], field: str) -> Array:
+    """A field of the sets' curves, shape (sets, counts)."""
+    return np.array([getattr(curve, field) for curve in curves.values()])
 
 
-def _share(advantage: float, error: float) -> tuple[float, float]:
+def _gain_and_error(advantage: float, error: float) -> tuple[float, float]:
     """An advantage, the logarithm of a ratio, as the share by which the error is less, and its standard error."""
     return float(-np.expm1(-advantage)), float(np.exp(-advantage) * error)
 
 
-def _short(found: LearningCurves) -> dict[str, Any]:
-    """The number of samples nearest to a short log's, and by how much sets violate realizability there."""
-    index = int(np.argmin(np.abs(np.log(np.array(found.counts) / _SHORT))))
-    amounts = {name: float(values[index]) for name, values in found.violation.items()}
-    return {"short": found.counts[index], "breaking": {name: x for name, x in amounts.items() if x > 0}}
+def _short_log_view(report: LearningCurves) -> dict[str, Any]:
+    """The number of samples nearest to a short log's, and the violations of realizability there, by set."""
+    index = int(np.argmin(np.abs(np.log(np.array(report.counts) / _SHORT_LOG_SAMPLES))))
+    violations = {}
+    for name, values in report.violation.items():
+        if values[index] > 0:
+            violations[name] = float(values[index])
+    return {"short": report.counts[index], "breaking": violations}
 
 
-def _online(found: Convergence) -> tuple[list[tuple[str, float]], list[str]]:
-    """The sets whose error fell below 10 % with their times, the first first, and the others."""
-    times = found.time_to_10_percent
+def _online_view(report: Convergence) -> tuple[list[tuple[str, float]], list[str]]:
+    """The sets whose error fell below 10 %, with their times, earliest first; and the other sets."""
+    times = report.time_to_10_percent
     reached: dict[float, list[str]] = {}
     for name, t in times.items():
         if t is not None:

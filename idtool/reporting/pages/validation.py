@@ -8,7 +8,7 @@ from typing import Any
 from idtool.common.arrays import Array
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.estimation.evaluation.validation import Evaluation
-from idtool.reporting.figures import by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import model_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
@@ -61,7 +61,7 @@ def validation_page(
         ["solids.js", "robot.js"],
         robot,
         report=report,
-        groups=by_unit(units),
+        groups=rows_by_unit(units),
         torques=torque_figures(evaluation, "model", units),
         **simulation_view(rollouts, report.simulation, "model"),
         where="On the validation logs",

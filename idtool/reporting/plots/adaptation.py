@@ -6,30 +6,26 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.reporting.plots.figure import Figure, Panel, Trace, figure, styled_curve, time_axis
-from idtool.reporting.plots.sampling import thinned
+from idtool.reporting.plots.sampling import subsample_indices
 from idtool.reporting.results.adaptation import AdaptationReport
+from idtool.reporting.sections.adapt import coefficient_history
 
-_MOST_VALUES = 80_000  # that all curves hold together
-_MOST_TIMES = 1500
+_MAX_VALUES = 80_000  # that all curves hold together
+_MAX_TIMES = 1500
 _MOMENTS = ("mc_x", "mc_y", "mc_z")
 
 
-def history(report: AdaptationReport) -> tuple[Array, Array]:
-    """Times [s], shape (T,), and coefficients, shape (T, p), NaN where there is none."""
-    p = len(report.coefficients)
-    return np.array(report.t, dtype=float), np.array(report.theta, dtype=float).reshape(-1, p)
-
-
-def thinned_history(report: AdaptationReport) -> tuple[Array, Array]:
-    """The same at every so many of the times."""
-    t, theta = history(report)
-    kept = thinned(len(t), min(_MOST_TIMES, _MOST_VALUES // max(theta.shape[1], 1)))
-    return t[kept], theta[kept]
+def plotted_history(report: AdaptationReport) -> tuple[Array, Array]:
+    """`coefficient_history` at evenly spread times, few enough to draw."""
+    t, theta = coefficient_history(report)
+    max_times = min(_MAX_TIMES, _MAX_VALUES // max(theta.shape[1], 1))
+    indices = subsample_indices(len(t), max_times)
+    return t[indices], theta[indices]
 
 
 def mass_figure(report: AdaptationReport) -> Figure:
     """Mass of each body."""
-    times, theta = thinned_history(report)
+    times, theta = plotted_history(report)
     t, title = time_axis(times)
     columns = _columns(report)
     curves = [styled_curve(body, t, theta[:, columns[body, "m"]], i) for i, body in _bodies(report)]
@@ -38,7 +34,7 @@ def mass_figure(report: AdaptationReport) -> Figure:
 
 def center_figure(report: AdaptationReport) -> Figure:
     """Centre of mass of each body; none where its mass is not positive."""
-    times, theta = thinned_history(report)
+    times, theta = plotted_history(report)
     t, title = time_axis(times)
     columns = _columns(report)
     panels = []
@@ -55,7 +51,7 @@ def center_figure(report: AdaptationReport) -> Figure:
 
 def joint_figures(report: AdaptationReport) -> list[Figure]:
     """One figure for each kind of coefficient that is not a body's, a curve a joint."""
-    times, theta = thinned_history(report)
+    times, theta = plotted_history(report)
     t, title = time_axis(times)
     joints = report.joints
     kinds: dict[tuple[str, str, str], list[Trace]] = {}

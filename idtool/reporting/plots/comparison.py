@@ -7,15 +7,15 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.reporting.figures import by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.plots.figure import Figure, Panel, Trace, banded_curve, figure, styled_curve, time_axis
-from idtool.reporting.plots.sampling import thinned
+from idtool.reporting.plots.sampling import subsample_indices
 from idtool.reporting.results.study import StudyReport
 
 # A set has one colour in all figures; the rest follow.
 _ORDER = ("none", "semi", "known_com", "com_ellipsoid", "points", "full", "ellipsoid", "shape")
-_MOST_TIMES = 1000
-_BAND = 2.0  # standard errors
+_MAX_TIMES = 1000
+_BAND_ERRORS = 2.0  # standard errors to either side
 _SAMPLES = "samples to fit"
 
 
@@ -26,25 +26,28 @@ def learning_figure(report: StudyReport) -> Figure:
     for name, error in learning.curves.items():
         color = _color(name, learning.curves)
         curves += banded_curve(name, learning.counts, error.median, error.lower, error.upper, color)
-    panel = Panel(f"RMS torque error [{by_unit(report.units)[-1][0]}]", curves, log=True)
+    panel = Panel(f"RMS torque error [{rows_by_unit(report.units)[-1][0]}]", curves, log=True)
     return figure("Fig. 5: held-out error", _SAMPLES, [panel], x_log=True)
 
 
 def advantage_figure(report: StudyReport) -> Figure:
-    """By how much the held-out error is below that with the first set."""
+    """Advantage in held-out error over the first set, against the number of samples."""
     learning = report.learning
     first, *others = learning.curves
     curves: list[Trace] = []
     for name in others:
-        advantage, error = learning.advantage[name].advantage, learning.advantage[name].advantage_error
-        y, lower, upper = (-100 * np.expm1(-advantage - k * error) for k in (0, -_BAND, _BAND))
+        advantage = learning.advantage[name].advantage
+        deviation = _BAND_ERRORS * learning.advantage[name].advantage_error
+        y = -100 * np.expm1(-advantage)
+        lower = -100 * np.expm1(-advantage + deviation)
+        upper = -100 * np.expm1(-advantage - deviation)
         curves += banded_curve(name, learning.counts, y, lower, upper, _color(name, learning.curves))
     panel = Panel("error less by [%]", curves, level=0)
     return figure(f"Held-out error below that with {first}", _SAMPLES, [panel], x_log=True)
 
 
 def violation_figure(report: StudyReport) -> Figure:
-    """By how much the worst body violates realizability, against the number of samples."""
+    """Violation of realizability by the worst body, against the number of samples."""
     learning = report.learning
     panel = Panel("violation, relative", _curves(learning.counts, learning.violation))
     return figure("Worst violation of realizability", _SAMPLES, [panel], x_log=True)
@@ -53,9 +56,9 @@ def violation_figure(report: StudyReport) -> Figure:
 def online_figure(report: StudyReport) -> Figure:
     """Error of the parameters over time, identified online."""
     online = report.adaptation
-    kept = thinned(len(online.t), _MOST_TIMES)
-    t, title = time_axis(online.t[kept])
-    curves = _curves(t, {name: values[kept] for name, values in online.error.items()})
+    indices = subsample_indices(len(online.t), _MAX_TIMES)
+    t, title = time_axis(online.t[indices])
+    curves = _curves(t, {name: values[indices] for name, values in online.error.items()})
     panel = Panel("relative error", curves, log=True, level=0.1)
     return figure("Remark 5: error of the parameters, online", title, [panel])
 
@@ -65,4 +68,7 @@ def _curves(x: Sequence[float | None], values: Mapping[str, Sequence[float | Non
 
 
 def _color(name: str, names: Collection[str]) -> int:
-    return _ORDER.index(name) if name in _ORDER else len(_ORDER) + list(names).index(name)
+    """Index of a set's colour."""
+    if name in _ORDER:
+        return _ORDER.index(name)
+    return len(_ORDER) + list(names).index(name)

@@ -1,4 +1,4 @@
-"""`Figure`: what plotly draws, without its theme, so that a page and a notebook draw the same one.
+"""`Figure`: a plotly figure without its theme, so that a page and a notebook draw the same one.
 
 Traces and layout are plain dictionaries, as plotly.js takes them: plotly's own Python classes would add about 5 ms a
 figure to a page of a hundred. Colours are names in `templates/style.css`, an opacity behind them where they have one,
@@ -16,7 +16,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from idtool.common.arrays import Array
-from idtool.reporting.plots.sampling import significant
+from idtool.reporting.plots.sampling import round_significant
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
@@ -30,9 +30,9 @@ _COLORS = 8  # c0 to c7 in style.css
 _DASHES = ("solid", "dash", "dot")  # of curves beyond the number of colours
 _BAND_OPACITY = 0.18
 _GAP = 0.07  # between panels, of the height
-_MARKED = 40  # points that are marked at the most
+_MAX_MARKERS = 40  # points of a curve with markers
 _X_DIGITS = 8
-_LATE = 1e4  # s: later times are drawn as time since the first whole second
+_LATE_TIME = 1e4  # s: later times are drawn as time since the first whole second
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class Figure:
     @property
     def legend(self) -> list[tuple[str, str, str]]:
         """Name, colour and dash of each named curve, once."""
-        named = [trace for trace in self.data if "name" in trace]
-        lines = {trace["name"]: trace["line"] for trace in reversed(named)}
+        curves = [trace for trace in self.data if "name" in trace]
+        lines = {trace["name"]: trace["line"] for trace in reversed(curves)}
         return [(name, line["color"], line.get("dash", "solid")) for name, line in reversed(lines.items())]
 
     def to_plotly(self) -> PlotlyFigure:
@@ -78,7 +78,7 @@ class FigureGroup:
 
     def to_plotly(self) -> PlotlyFigure:
         """All of them as one of plotly's own, one below the other."""
-        return stacked(self.figures, self.title).to_plotly()
+        return stack_figures(self.figures, self.title).to_plotly()
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ def curve(name: str, x: Values, y: Values, color: str, width: float = 2, dash: s
 def styled_curve(name: str, x: Values, y: Iterable[float | None], index: int) -> Trace:
     """A curve in the colour and dash of its index, marked where it has few points."""
     color, dash = _style(index)
-    more: dict[str, Any] = {} if len(x) > _MARKED else {"mode": "lines+markers", "marker": {"size": 5}}
-    return curve(name, significant(x, _X_DIGITS), significant(y), color, dash=dash, **more)
+    more: dict[str, Any] = {} if len(x) > _MAX_MARKERS else {"mode": "lines+markers", "marker": {"size": 5}}
+    return curve(name, round_significant(x, _X_DIGITS), round_significant(y), color, dash=dash, **more)
 
 
 def banded_curve(
@@ -140,12 +140,12 @@ def banded_curve(
     upper: Iterable[float | None],
     index: int,
 ) -> list[Trace]:
-    """The same with a band between lower and upper values."""
+    """`styled_curve` with a band between lower and upper values."""
     color, _ = _style(index)
-    edge: Trace = {"type": "scatter", "mode": "lines", "x": significant(x, _X_DIGITS), "line": {"width": 0}}
+    edge: Trace = {"type": "scatter", "mode": "lines", "x": round_significant(x, _X_DIGITS), "line": {"width": 0}}
     edge |= {"hoverinfo": "skip", "showlegend": False}
-    below = {**edge, "y": significant(lower)}
-    above = {**edge, "y": significant(upper), "fill": "tonexty", "fillcolor": f"{color} {_BAND_OPACITY}"}
+    below = {**edge, "y": round_significant(lower)}
+    above = {**edge, "y": round_significant(upper), "fill": "tonexty", "fillcolor": f"{color} {_BAND_OPACITY}"}
     return [below, above, styled_curve(name, x, y, index)]
 
 
@@ -202,8 +202,10 @@ def figure(
             y |= {"type": "log", "exponentformat": "power"}
         layout[_axis("yaxis", i)] = y | dict(panel.axis)
         for trace in panel.curves:
-            values = _positive(trace["y"]) if panel.log else trace["y"]
-            data.append({**trace, "y": values, **({"yaxis": _axis("y", i)} if i else {})})
+            placed = {**trace, "y": _positive(trace["y"]) if panel.log else trace["y"]}
+            if i:
+                placed["yaxis"] = _axis("y", i)
+            data.append(placed)
         if panel.level is not None:
             line = {"color": "quiet", "width": 1, "dash": "dot"}
             ends = {"x0": 0, "x1": 1, "y0": panel.level, "y1": panel.level}
@@ -233,7 +235,7 @@ def _positive(values: Values) -> Values:
 
 def time_axis(t: Array) -> tuple[list[float], str]:
     """Times, shape (T,), to draw, and the title of their axis: late ones count from the first whole second [s]."""
-    start = math.floor(t[0]) if len(t) and abs(t[0]) > _LATE else 0
+    start = math.floor(t[0]) if len(t) and abs(t[0]) > _LATE_TIME else 0
     return (t - start).tolist(), time_title(start)
 
 
@@ -242,7 +244,7 @@ def time_title(start: int) -> str:
     return f"t − {start} [s]" if start else "t [s]"
 
 
-def stacked(figures: Sequence[Figure], title: str = "") -> Figure:
+def stack_figures(figures: Sequence[Figure], title: str = "") -> Figure:
     """Figures one below the other as one, with a legend; captions stand at their first y axes.
 
     Parameters
@@ -256,33 +258,38 @@ def stacked(figures: Sequence[Figure], title: str = "") -> Figure:
     share, gap = 1 / count, 0.2 / count
     layout: dict[str, Any] = {"height": max(_STACKED * count, 400), "showlegend": True, "title": {"text": title}}
     data: list[Trace] = []
-    known: set[str] = set()
+    legend_names: set[str] = set()
     rows = 0
-    for k, one in enumerate(figures):
-        bottom, height = 1 - (k + 1) * share + (gap if k + 1 < count else 0), share - (gap if k + 1 < count else 0)
-        axes = [name for name in one.layout if name.startswith("yaxis")]
+    for k, figure in enumerate(figures):
+        gap_below = gap if k + 1 < count else 0
+        bottom = 1 - (k + 1) * share + gap_below
+        height = share - gap_below
+        axes = [name for name in figure.layout if name.startswith("yaxis")]
         new_y = {_axis("y", i): _axis("y", rows + i) for i in range(len(axes))}
         new_x = _axis("x", k)
-        x = one.layout["xaxis"]
-        layout[_axis("xaxis", k)] = {**x, "anchor": new_y[x["anchor"]], **({"matches": "x"} if k else {})}
+        x = figure.layout["xaxis"]
+        x_axis = {**x, "anchor": new_y[x["anchor"]]}
+        if k:
+            x_axis["matches"] = "x"
+        layout[_axis("xaxis", k)] = x_axis
         for i, name in enumerate(axes):
-            axis = one.layout[name]
+            axis = figure.layout[name]
             text = axis["title"]["text"]
             layout[_axis("yaxis", rows + i)] = {
                 **axis,
                 "domain": [bottom + height * end for end in axis["domain"]],
-                "title": {"text": text if i else f"{one.caption}: {text}"},
+                "title": {"text": text if i else f"{figure.caption}: {text}"},
                 "anchor": new_x,
             }
-        for trace in one.data:
+        for trace in figure.data:
             placed = {**trace, "xaxis": new_x, "yaxis": new_y[trace.get("yaxis", "y")], "visible": True}
             if "name" in trace:
-                own = trace["name"]
-                placed |= {"legendgroup": own, "showlegend": own not in known}
-                known.add(own)
+                curve_name = trace["name"]
+                placed |= {"legendgroup": curve_name, "showlegend": curve_name not in legend_names}
+                legend_names.add(curve_name)
             data.append(placed)
         for name in ("hovermode", "hoverlabel"):
-            layout[name] = one.layout[name]
+            layout[name] = figure.layout[name]
         rows += len(axes)
     return Figure(title, title, data, layout)
 

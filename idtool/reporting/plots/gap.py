@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
+from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, effect_name, owner_name, position_units
 from idtool.reporting.plots.figure import MEDIUM, SHORT, Figure, Panel, Values, curve, figure
-from idtool.reporting.plots.sampling import significant
+from idtool.reporting.plots.sampling import round_significant
 from idtool.reporting.results.diagnosis import DiagnosisReport
 
 
@@ -19,26 +19,32 @@ def gap_figures(report: DiagnosisReport) -> list[Figure]:
         The content of diagnosis.json.
     """
     steps = [(i, step) for i, step in enumerate(report.steps, 1) if step.effect != UNKNOWN]
-    models = ["the model given", *(f"{i}: {effect_name(step.effect)} on {on(step)}" for i, step in steps)]
-    first, last = report.before, report.after
-    torques = [first.torque, *(step.validation_rms_after for _, step in steps)]
-    rollouts = [first.simulation, *(step.evidence.simulation_after for _, step in steps)]
-    if len(models) > 1 and torques[-1] != last.torque:  # what came to be superfluous was taken out again
+    models = ["the model given"]
+    torques = [report.before.torque]
+    rollouts = [report.before.simulation]
+    for i, step in steps:
+        models.append(f"{i}: {effect_name(step.effect)} on {owner_name(step)}")
+        torques.append(step.validation_rms_after)
+        rollouts.append(step.evidence.simulation_after)
+    if len(models) > 1 and torques[-1] != report.after.torque:  # a superfluous effect was removed again
         models.append("in the end")
-        torques.append(last.torque)
-        rollouts.append(last.simulation)
-    torque_units = {"overall": together(report.units), **report.units}
-    lengths = {"overall": together(position_units(report.units)), **position_units(report.units)}
+        torques.append(report.after.torque)
+        rollouts.append(report.after.simulation)
+    torque_units = {"overall": common_unit(report.units), **report.units}
+    lengths = {"overall": common_unit(position_units(report.units)), **position_units(report.units)}
     figures = []
     for joint, unit in torque_units.items():
-        moved = significant([errors[joint] if errors else None for errors in rollouts]) if any(rollouts) else None
+        rollout = None
+        if any(rollouts):
+            errors = [error[joint] if error else None for error in rollouts]
+            rollout = (round_significant(errors), lengths[joint])
         figures.append(
             gap_figure(
                 "all joints" if joint == "overall" else joint,
                 models,
-                (significant([errors[joint] for errors in torques]), unit),
-                None if moved is None else (moved, lengths[joint]),
-                significant([report.noise_floor[joint]])[0],
+                (round_significant([error[joint] for error in torques]), unit),
+                rollout,
+                round_significant([report.noise_floor[joint]])[0],
                 MEDIUM if joint == "overall" else SHORT,
             )
         )
@@ -76,17 +82,17 @@ def gap_figure(
         torques.append(curve("noise floor", ends, [floor, floor], "quiet", 2, "dot", hoverinfo="skip"))
     zero = {"rangemode": "tozero"}
     domain = (0.0, 1.0) if rollout is None else (0.55, 1.0)
-    panels = [Panel(f"torque [{_short(torque[1])}]", torques, domain=domain, axis=zero)]
+    panels = [Panel(f"torque [{_unit_text(torque[1])}]", torques, domain=domain, axis=zero)]
     if rollout is not None:
         errors = [curve("rollout", at, rollout[0], "c2", **marked)]
-        panels.append(Panel(f"rollout [{_short(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
-    steps = [_step(i, model) for i, model in enumerate(models)]
+        panels.append(Panel(f"rollout [{_unit_text(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
+    steps = [_step_label(i, model) for i, model in enumerate(models)]
     x_axis = {"range": ends, "tickvals": at, "ticktext": steps, "zeroline": False}
     description = f"Errors of {name} by step, against the noise floor"
     return figure(name, "step", panels, description, height, x_axis=x_axis)
 
 
-def _step(i: int, model: str) -> str:
+def _step_label(i: int, model: str) -> str:
     """A model's name below the axis."""
     if i == 0:
         return "given"
@@ -94,5 +100,5 @@ def _step(i: int, model: str) -> str:
     return number if colon else "end"
 
 
-def _short(unit: str) -> str:
+def _unit_text(unit: str) -> str:
     return unit.replace(" together", "")

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.reporting.plots.figure import Figure, FigureGroup
-from idtool.reporting.plots.sampling import merged, rounded
+from idtool.reporting.plots.sampling import merge_stretches, round_curve
 
-_MOST_LOGS = 6  # that are drawn
-_LATE = 1e4  # s: later times are drawn as time since the curve's first whole second
+_MAX_LOGS = 6  # that are drawn
+_LATE_TIME = 1e4  # s: later times are drawn as time since the curve's first whole second
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class LogSeries:
 
 
 @dataclass(frozen=True)
-class DrawnLogs:
+class LogFigures:
     """Figures of the first logs, and how many more are ``omitted``.
 
     Attributes
@@ -76,24 +76,26 @@ def log_series(
     most_values
         Values that all curves hold together.
     """
-    drawn = traces[:_MOST_LOGS]
+    drawn = traces[:_MAX_LOGS]
     values = sum(x.size for trace in drawn for x in trace.curves.values())
     stretches = max(math.ceil(values / most_values), 1)
     logs = []
     for trace in drawn:
-        start = math.floor(trace.t[0]) if abs(trace.t[0]) > _LATE else 0
-        t = merged(trace.t[None] - start, stretches)[0].round(5).tolist()
-        coarse = {name: merged(trace.curves[key], stretches) for name, key in names.items() if key in trace.curves}
+        start = math.floor(trace.t[0]) if abs(trace.t[0]) > _LATE_TIME else 0
+        t = merge_stretches(trace.t[None] - start, stretches)[0].round(5).tolist()
+        coarse = {
+            name: merge_stretches(trace.curves[key], stretches) for name, key in names.items() if key in trace.curves
+        }
         joints = [
-            JointSeries(joint, unit, {name: rounded(x[j]) for name, x in coarse.items()})
+            JointSeries(joint, unit, {name: round_curve(x[j]) for name, x in coarse.items()})
             for j, (joint, unit) in enumerate(units.items())
         ]
         logs.append(LogSeries(trace.name, start, t, joints))
     return logs
 
 
-def drawn_logs(logs: Sequence[LogSeries], of: int, draw: Callable[[LogSeries, JointSeries], Figure]) -> DrawnLogs:
-    """Figures of logs, which are the first ``of`` so many, by a function of a log and a joint."""
+def log_figures(logs: Sequence[LogSeries], total: int, draw: Callable[[LogSeries, JointSeries], Figure]) -> LogFigures:
+    """Figures of the first of ``total`` logs, drawn by a function of a log and a joint."""
     groups = [FigureGroup(log.name, [draw(log, joint) for joint in log.joints]) for log in logs]
     with_prior = any("prior" in joint.curves for log in logs[:1] for joint in log.joints)
-    return DrawnLogs(groups, of - len(logs), with_prior)
+    return LogFigures(groups, total - len(logs), with_prior)

@@ -1,4 +1,4 @@
-"""What other weights of the prior would have given."""
+"""Fits with other weights of the prior."""
 
 from __future__ import annotations
 

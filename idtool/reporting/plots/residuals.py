@@ -1,4 +1,4 @@
-"""What two models leave of the torque, by state and by frequency."""
+"""Torque residuals of two models, by state and by frequency."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from idtool.common.arrays import Array
 from idtool.diagnosis.records import ResidualProfile
-from idtool.reporting.diagnosis_words import position_units
+from idtool.reporting.diagnosis_text import position_units
 from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, Trace, curve, figure
-from idtool.reporting.plots.sampling import largest, significant
+from idtool.reporting.plots.sampling import largest_indices, round_significant
 
-_MOST_VALUES = 16_000  # that all residuals hold together: some 130 kB of text
-_LEAST_POINTS = 12  # of a curve
-_MOST_POINTS = 200
-_CURVES = 38  # of a joint: 2 models, each with 5 views of 3 and 2 spectra of 2
+_MAX_VALUES = 16_000  # that all residuals hold together: some 130 kB of text
+_MIN_POINTS = 12  # of a curve
+_MAX_POINTS = 200
+_CURVES_PER_JOINT = 38  # of a joint: 2 models, each with 5 views of 3 and 2 spectra of 2
 _COLORS = ("c1", "c5")  # of the two models
 _AXES = {
     "position": "position [{q}]",
@@ -32,9 +32,9 @@ class ResidualFigures:
     Attributes
     ----------
     names
-        What the two are called.
+        Names of the two models.
     models
-        The same, in a sentence.
+        The two models in a sentence.
     groups
         A joint's figures.
     """
@@ -63,21 +63,21 @@ def residual_figures(
         See `ResidualFigures`.
     """
     joints = [joint for joint in units if joint in before and joint in after]
-    points = min(max(_MOST_VALUES // max(_CURVES * len(joints), 1), _LEAST_POINTS), _MOST_POINTS)
+    points = min(max(_MAX_VALUES // max(_CURVES_PER_JOINT * len(joints), 1), _MIN_POINTS), _MAX_POINTS)
     groups = []
     for joint in joints:
         pair = (before[joint], after[joint])
         q = position_units({joint: units[joint]})[joint]
         drawn = [
-            *(_binned(joint, pair, name, units[joint], q, names, points) for name in before[joint].against),
-            _density(joint, pair, units[joint], names, points),
-            _amplitude(joint, pair, units[joint], q, names, points),
+            *(_bin_figure(joint, pair, name, units[joint], q, names, points) for name in before[joint].against),
+            _density_figure(joint, pair, units[joint], names, points),
+            _amplitude_figure(joint, pair, units[joint], q, names, points),
         ]
         groups.append(FigureGroup(joint, [one for one in drawn if one.data and one.data[0]["x"]]))
     return ResidualFigures(names, models, groups)
 
 
-def _binned(
+def _bin_figure(
     joint: str, pair: Sequence[ResidualProfile], name: str, tau: str, q: str, names: tuple[str, str], points: int
 ) -> Figure:
     """Mean and root mean square in bins of a quantity."""
@@ -85,15 +85,17 @@ def _binned(
     for residual, model, color in zip(pair, names, _COLORS, strict=True):
         if name not in residual.against:
             continue
-        kept = largest(residual.rms[name], points)
-        at = significant(residual.against[name][kept].tolist())
-        mean = significant(residual.mean[name][kept].tolist())
-        rms = significant(residual.rms[name][kept].tolist())
+        kept = largest_indices(residual.rms[name], points)
+        at = round_significant(residual.against[name][kept].tolist())
+        mean = round_significant(residual.mean[name][kept].tolist())
+        rms = round_significant(residual.rms[name][kept].tolist())
         curves += [curve(f"mean {model}", at, mean, color, 1.6), curve(f"RMS {model}", at, rms, color, 1.6, "dot")]
     return _figure(joint, _AXES.get(name, name).format(q=q, tau=tau), f"residual [{tau}]", curves, names)
 
 
-def _density(joint: str, pair: Sequence[ResidualProfile], tau: str, names: tuple[str, str], points: int) -> Figure:
+def _density_figure(
+    joint: str, pair: Sequence[ResidualProfile], tau: str, names: tuple[str, str], points: int
+) -> Figure:
     """Amplitude density over frequency."""
     curves = [
         _spectrum(residual.frequency, residual.density, model, color, points)
@@ -102,7 +104,7 @@ def _density(joint: str, pair: Sequence[ResidualProfile], tau: str, names: tuple
     return _figure(joint, "frequency [Hz]", f"residual [{tau}/√Hz]", curves, names, log=True)
 
 
-def _amplitude(
+def _amplitude_figure(
     joint: str, pair: Sequence[ResidualProfile], tau: str, q: str, names: tuple[str, str], points: int
 ) -> Figure:
     """Amplitude over periods per turn."""
@@ -116,8 +118,8 @@ def _amplitude(
 
 def _spectrum(at: Array, height: Array, name: str, color: str, points: int) -> Trace:
     """A spectrum; of lines that are too many, the highest of every few."""
-    kept = largest(height, points)
-    return curve(name, significant(at[kept].tolist()), significant(height[kept].tolist()), color, 1.6)
+    kept = largest_indices(height, points)
+    return curve(name, round_significant(at[kept].tolist()), round_significant(height[kept].tolist()), color, 1.6)
 
 
 def _figure(

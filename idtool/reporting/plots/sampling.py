@@ -1,4 +1,4 @@
-"""Values for drawing: of bounded number, and with as many digits as can be seen."""
+"""Values for drawing: limited in number, rounded to visible digits."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from idtool.common.arrays import Array
 
 _DIGITS = 5  # of a curve's largest value
-_MOST_DECIMALS = 12
+_MAX_DECIMALS = 12
 
 
-def merged(x: Array, count: int) -> Array:
+def merge_stretches(x: Array, count: int) -> Array:
     """The least and greatest value of ``count`` stretches at a time; NaN only where all are.
 
     Where the curve falls, the greatest comes first, so that a smooth one is drawn smooth.
@@ -25,7 +25,7 @@ def merged(x: Array, count: int) -> Array:
     x
         Pairs of values, shape (rows, 2 stretches).
     count
-        How many to take together.
+        Number of stretches to merge.
 
     Returns
     -------
@@ -40,26 +40,27 @@ def merged(x: Array, count: int) -> Array:
     return np.asarray(pairs.reshape(len(x), -1))
 
 
-def rounded(x: Array) -> list[float | None]:
+def round_curve(x: Array) -> list[float | None]:
     """A curve to five digits of its largest value; None breaks the line."""
     largest = float(np.fmax.reduce(np.abs(x), initial=0.0))
     decimals = _DIGITS - 1 - math.floor(math.log10(largest)) if largest else 0
-    return [None if math.isnan(value) else value for value in x.round(min(decimals, _MOST_DECIMALS)).tolist()]
+    values = x.round(min(decimals, _MAX_DECIMALS)).tolist()
+    return [None if math.isnan(value) else value for value in values]
 
 
-def significant(x: Iterable[float | None], digits: int = 4) -> list[float | None]:
+def round_significant(x: Iterable[float | None], digits: int = 4) -> list[float | None]:
     """Values to so many digits each, as a logarithmic axis needs them; None for what is not finite."""
     return [None if v is None or not math.isfinite(v) else float(f"{v:.{digits}g}") for v in x]
 
 
-def thinned(count: int, most: int) -> NDArray[np.int64]:
-    """Indices of at most about ``most`` of so many values, evenly spread, the last among them."""
-    step = max(math.ceil(count / max(most, 1)), 1)
+def subsample_indices(count: int, max_count: int) -> NDArray[np.int64]:
+    """Indices of about ``max_count`` of ``count`` values, evenly spread, with the last one."""
+    step = max(math.ceil(count / max(max_count, 1)), 1)
     return np.arange(count - 1, -1, -step)[::-1] if count else np.arange(0)
 
 
-def largest(x: Array, points: int) -> NDArray[np.int64]:
-    """Indices of at most so many values: of every few that lie beside each other, the largest."""
+def largest_indices(x: Array, points: int) -> NDArray[np.int64]:
+    """Indices of the largest value in each of so many intervals."""
     if len(x) <= points:
         return np.arange(len(x))
     edges = np.linspace(0, len(x), points + 1).astype(int)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.reporting.plots.figure import MEDIUM, TALL, Figure, Panel, curve, figure, time_title
-from idtool.reporting.plots.log_series import DrawnLogs, JointSeries, LogSeries, drawn_logs, log_series
+from idtool.reporting.plots.log_series import JointSeries, LogFigures, LogSeries, log_figures, log_series
 
-_MOST_VALUES = 60_000  # that all curves of torque hold together: some 450 kB of text
+_MAX_VALUES = 60_000  # that all curves of torque hold together: some 450 kB of text
 
 
-def torque_figures(evaluation: Evaluation, model: str, units: Mapping[str, str], position: bool = False) -> DrawnLogs:
+def torque_figures(evaluation: Evaluation, model: str, units: Mapping[str, str], position: bool = False) -> LogFigures:
     """Measured and predicted torque of the first few logs, of bounded size.
 
     Parameters
@@ -28,8 +28,8 @@ def torque_figures(evaluation: Evaluation, model: str, units: Mapping[str, str],
     names = {"measured": "measured", "predicted": model, "prior": "prior", "residual": "residual"}
     if position:
         names["position"] = "q"
-    series = log_series(evaluation.traces, names, units, _MOST_VALUES)
-    return drawn_logs(series, len(evaluation.traces), torque_figure)
+    series = log_series(evaluation.traces, names, units, _MAX_VALUES)
+    return log_figures(series, len(evaluation.traces), torque_figure)
 
 
 def torque_figure(log: LogSeries, joint: JointSeries) -> Figure:

@@ -30,7 +30,11 @@ def trajectory_figure(report: ExcitationReport, joint: str) -> Figure:
     panels = []
     for signal, quantity in _SIGNALS:
         limit = getattr(limits, quantity)
-        ends = limit if isinstance(limit, tuple) else () if limit is None else (-limit, limit)
+        ends: tuple[float, ...] = ()
+        if isinstance(limit, tuple):
+            ends = limit
+        elif limit is not None:
+            ends = (-limit, limit)
         name = "predicted torque" if quantity == "effort" else quantity
         lines = [styled_curve(name, t, getattr(curves, signal), 0)]
         lines += [styled_curve("limit", t, [end] * len(t), 1) for end in ends]

@@ -6,8 +6,8 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
-from idtool.reporting.diagnosis_words import position_units
-from idtool.reporting.figures import metres
+from idtool.reporting.diagnosis_text import position_units
+from idtool.reporting.number_text import metres
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.sections.base import (
     Cell,
@@ -22,7 +22,7 @@ from idtool.reporting.sections.base import (
     units_text,
 )
 
-_SETTLED = 0.05  # of the last value
+_SETTLING_TOLERANCE = 0.05  # of the last value
 
 
 class PredictionErrorsSection(Section[AdaptationReport]):
@@ -95,7 +95,7 @@ class FinalFrictionSection(Section[AdaptationReport]):
         return "Torque = viscous · v + Coulomb · sign(v) + offset. –: not part of the model."
 
 
-def history(report: AdaptationReport) -> tuple[Array, Array]:
+def coefficient_history(report: AdaptationReport) -> tuple[Array, Array]:
     """Times [s], shape (T,), and coefficients, shape (T, p), NaN where there is none."""
     p = len(report.coefficients)
     return np.array(report.t, dtype=float), np.array(report.theta, dtype=float).reshape(-1, p)
@@ -103,7 +103,7 @@ def history(report: AdaptationReport) -> tuple[Array, Array]:
 
 def settling_times(report: AdaptationReport) -> dict[str, float | None]:
     """`settling_time` of each body's mass."""
-    t, theta = history(report)
+    t, theta = coefficient_history(report)
     columns = {(c.owner, c.name): i for i, c in enumerate(report.coefficients)}
     masses = {body: theta[:, columns[body, "m"]] for body in report.bodies if (body, "m") in columns}
     return {body: settling_time(t - t[0], mass) for body, mass in masses.items()}
@@ -121,6 +121,6 @@ def settling_time(t: Array, values: Array) -> float | None:
     """
     if not len(values):
         return None
-    out = np.flatnonzero(~(np.abs(values - values[-1]) <= _SETTLED * abs(values[-1])))
+    out = np.flatnonzero(~(np.abs(values - values[-1]) <= _SETTLING_TOLERANCE * abs(values[-1])))
     first = int(out[-1]) + 1 if len(out) else 0
     return float(t[first]) if first < len(values) - 1 else None

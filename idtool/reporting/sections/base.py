@@ -8,15 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
-from idtool.reporting.diagnosis_words import together
-from idtool.reporting.figures import number, percent, with_error
+from idtool.reporting.diagnosis_text import common_unit
+from idtool.reporting.number_text import number, percent, with_error
 
 R_contra = TypeVar("R_contra", contravariant=True)
 
 Kind = Literal["name", "number", "words"]
 Emphasis = Literal["good", "note", "bad"]
 
-NONE = "–"  # a figure that there is not
+NO_VALUE = "–"  # a figure that there is not
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def error_cells(x: float | None, error: float | None) -> tuple[Cell, Cell]:
     """A figure and its standard error, to two digits of the error; a dash for what there is not."""
     known = error is not None and math.isfinite(error)
     value, deviation = with_error(x, error)
-    return Cell(value, x), Cell(deviation, error) if known and x is not None else Cell(NONE)
+    return Cell(value, x), Cell(deviation, error) if known and x is not None else Cell(NO_VALUE)
 
 
 def realizable_cell(realizable: bool) -> Cell:
@@ -173,4 +173,4 @@ def unit_columns(units: Mapping[str, str]) -> list[Column]:
 
 def unit_cells(units: Mapping[str, str], joint: str) -> list[Cell]:
     """The cell of `unit_columns` for a joint, or for ``overall``."""
-    return [Cell(units.get(joint) or together(units))] if unit_columns(units) else []
+    return [Cell(units.get(joint) or common_unit(units))] if unit_columns(units) else []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing_extensions import override
 
-from idtool.reporting.figures import percent
+from idtool.reporting.number_text import percent
 from idtool.reporting.results.ellipsoids import CheckReport
 from idtool.reporting.sections.base import Cell, Column, Section, Table, name_column, number_cell, realizable_cell
 

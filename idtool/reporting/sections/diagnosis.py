@@ -8,12 +8,12 @@ from typing import Any
 
 from typing_extensions import override
 
-from idtool.reporting.diagnosis_words import UNKNOWN, effect_name, on, position_units, together
-from idtool.reporting.figures import number, with_error
+from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, effect_name, owner_name, position_units
+from idtool.reporting.number_text import number, with_error
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
 from idtool.reporting.sections.base import (
-    NONE,
+    NO_VALUE,
     Cell,
     Column,
     Emphasis,
@@ -24,7 +24,7 @@ from idtool.reporting.sections.base import (
     percent_cell,
 )
 
-_WORSE = 1.02  # times the torque error before
+_MAX_INCREASE = 1.02  # times the torque error before
 
 
 class StepsSection(Section[DiagnosisReport]):
@@ -43,8 +43,8 @@ class StepsSection(Section[DiagnosisReport]):
             Column("effect", kind="words"),
             Column("on", kind="words", attached=True),
             Column("parameters", kind="words"),
-            Column(f"{data} RMS, {together(report.units)}"),
-            Column(f"rollout, {together(position_units(report.units))}"),
+            Column(f"{data} RMS, {common_unit(report.units)}"),
+            Column(f"rollout, {common_unit(position_units(report.units))}"),
             Column("explains", help="Share of the disagreement's power on data not used for fitting"),
             Column("in se", help="Gain in standard errors", attached=True),
             Column("or", kind="words", help="What the data cannot tell it from"),
@@ -57,13 +57,13 @@ class StepsSection(Section[DiagnosisReport]):
             row = [
                 Cell(str(i)),
                 Cell(effect_name(step.effect)),
-                Cell(on(step)),
+                Cell(owner_name(step)),
                 Cell(", ".join(parameter_texts(step))),
                 Cell(change_text(step.validation_rms_before, step.validation_rms_after)),
                 Cell(change_text(evidence.simulation_before, evidence.simulation_after), None, worse),
                 Cell(score_text(evidence.score, evidence.standard_error), evidence.score),
                 number_cell(evidence.significance, 2),
-                Cell(f"{effect_name(rival.effect)} on {on(rival)}" if rival else ""),
+                Cell(f"{effect_name(rival.effect)} on {owner_name(rival)}" if rival else ""),
             ]
             rows.append(row)
         return Table(self.title, columns, rows)
@@ -102,19 +102,19 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
         for name in (*report.joints, "overall"):
             row = [Cell(name)]
             if is_mixed:
-                torque = report.units.get(name) or together(report.units)
-                row.append(Cell(f"{torque}, {lengths.get(name) or together(lengths)}"))
+                torque = report.units.get(name) or common_unit(report.units)
+                row.append(Cell(f"{torque}, {lengths.get(name) or common_unit(lengths)}"))
             first, last = before[name], after[name]
-            is_worse = first is not None and last is not None and last > _WORSE * first
+            is_worse = first is not None and last is not None and last > _MAX_INCREASE * first
             row += [number_cell(first, 3), number_cell(last, 3, "bad" if is_worse else None)]
             row += [number_cell(report.noise_floor[name], 3), percent_cell(report.gap_closed[name])]
             row.append(number_cell(report.after.train[name], 3))
             if rollouts:
                 row += [number_cell(rollouts[0][name], 3), _rollout_cell(report, rollouts[1][name], name)]
             rows.append(row)
-        title = f"RMS torque error{' on held-out data' if is_held_out else ''}, {together(report.units)}"
+        title = f"RMS torque error{' on held-out data' if is_held_out else ''}, {common_unit(report.units)}"
         if rollouts:
-            title += f"; rollouts' position error, {together(lengths)}"
+            title += f"; rollouts' position error, {common_unit(lengths)}"
         return Table(title, columns, rows, keys=1 + is_mixed)
 
     @override
@@ -159,7 +159,7 @@ class CandidatesSection(Section[Sequence[CandidateReport]]):
         rows = []
         for candidate in report:
             score = Cell(score_text(candidate.score, candidate.standard_error), candidate.score)
-            names = [Cell(effect_name(candidate.effect)), Cell(on(candidate))]
+            names = [Cell(effect_name(candidate.effect)), Cell(owner_name(candidate))]
             rows.append([*names, score, Cell(str(candidate.parameters)), Cell(candidate.reason)])
         return Table(self.title, columns, rows, keys=2)
 
@@ -173,27 +173,27 @@ def parameter_texts(step: StepReport) -> list[str]:
         An entry of ``steps`` of diagnosis.json.
     """
     errors, units = step.standard_error, step.units
-    texts = {name: _value(value, errors.get(name)) for name, value in step.parameters.items()}
+    texts = {name: _value_text(value, errors.get(name)) for name, value in step.parameters.items()}
     return [f"{name} {text} {units.get(name) or ''}".rstrip() for name, text in texts.items()]
 
 
-def _value(value: Any, error: Any) -> str:
+def _value_text(value: Any, error: Any) -> str:
     """A parameter; one of several numbers has them in brackets."""
     if isinstance(value, list | tuple):
         errors = error if isinstance(error, list | tuple) and len(error) == len(value) else [None] * len(value)
-        return f"[{', '.join(_value(x, e) for x, e in zip(value, errors, strict=True))}]"
+        return f"[{', '.join(_value_text(x, e) for x, e in zip(value, errors, strict=True))}]"
     if isinstance(value, bool | str) or value is None:
-        return NONE if value is None else str(value)
+        return NO_VALUE if value is None else str(value)
     return number(value, 4) if error is None else " ± ".join(with_error(value, error))
 
 
 def score_text(score: float | None, error: float | None) -> str:
     """A share of the disagreement in percent, with its standard error."""
     if score is None:
-        return NONE
+        return NO_VALUE
     return f"{100 * score:.1f} %" if error is None else f"{100 * score:.1f} ± {100 * error:.1f} %"
 
 
 def change_text(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None, name: str = "overall") -> str:
     """An error before and after."""
-    return f"{number(before[name])} → {number(after[name])}" if before and after else NONE
+    return f"{number(before[name])} → {number(after[name])}" if before and after else NO_VALUE

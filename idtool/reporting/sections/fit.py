@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from idtool.reporting.diagnosis_words import effect_name, on, position_units
-from idtool.reporting.figures import interval_text, metres, number
+from idtool.reporting.diagnosis_text import effect_name, on, position_units
+from idtool.reporting.number_text import interval_text, metres, number
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
 from idtool.reporting.sections.base import (

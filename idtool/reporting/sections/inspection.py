@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing_extensions import override
 
 from idtool.reporting.results.inspection import InspectionReport
-from idtool.reporting.sections.base import NONE, Cell, Column, Section, Table, name_column, number_cell, percent_cell
+from idtool.reporting.sections.base import (
+    NO_VALUE,
+    Cell,
+    Column,
+    Section,
+    Table,
+    name_column,
+    number_cell,
+    percent_cell,
+)
 
 
 class JointsSection(Section[InspectionReport]):
@@ -40,7 +49,7 @@ class JointsSection(Section[InspectionReport]):
                 number_cell(joint.band_hz),
                 percent_cell(joint.standstill),
                 number_cell(velocity.lag_ms if velocity else None),
-                Cell(joint.torque.kind if joint.torque else NONE),
+                Cell(joint.torque.kind if joint.torque else NO_VALUE),
             ]
             rows.append(row)
         return Table(self.title, columns, rows)

@@ -39,7 +39,7 @@ class SimulationErrorsSection(Section[Simulation]):
 
     @override
     def table(self, report: Simulation) -> Table:
-        names = _models(report)
+        names = _model_names(report)
         units = unit_columns(report.units)
         unit = next(iter(report.units.values())) if not units else ""
         velocity_unit = f"{unit}/s" if unit else "unit/s"
@@ -54,7 +54,7 @@ class SimulationErrorsSection(Section[Simulation]):
         velocities = [report.velocity, prior.velocity if prior else None, report.baseline.velocity]
         rows = []
         for joint in report.position:
-            errors = [*_cells(positions, joint), *_cells(velocities, joint)]
+            errors = [*_error_cells(positions, joint), *_error_cells(velocities, joint)]
             rows.append([Cell(joint), *unit_cells(report.units, joint), *errors])
         for horizon in report.horizon:
             after = Cell(f"after {1000 * horizon.seconds:g} ms")
@@ -82,12 +82,12 @@ def restarts_text(simulation: Simulation) -> str:
     return f"{simulation.seconds:.3g} s, never restarted"
 
 
-def _models(simulation: Simulation) -> list[str]:
+def _model_names(simulation: Simulation) -> list[str]:
     prior = ["prior"] if simulation.prior else []
     return ["model", *prior, baseline_name(simulation)]
 
 
-def _cells(errors: Sequence[Errors], joint: str) -> list[Cell]:
+def _error_cells(errors: Sequence[Errors], joint: str) -> list[Cell]:
     """A joint's errors of the models that there are."""
     return [number_cell(of.get(joint)) for of in errors if of is not None]
 

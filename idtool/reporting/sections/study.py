@@ -76,10 +76,10 @@ class ConstraintSetsSection(Section[StudyReport]):
         rows = []
         for name, of in report.sets.items():
             violations = f"{of.violations} of {len(of.masses)}"
-            row = [Cell(name), Cell(of.lmi), *_errors(of.rms)]
+            row = [Cell(name), Cell(of.lmi), *_error_cells(of.rms)]
             row.append(Cell(violations, of.violations, "bad" if of.violations else None))
             row += [number_cell(of.worst_margin, 2), number_cell(1000 * of.seconds)]
-            row += [Cell(str(of.iterations)), _gap(of.duality_gap), number_cell(of.objective, 5)]
+            row += [Cell(str(of.iterations)), _gap_cell(of.duality_gap), number_cell(of.objective, 5)]
             rows.append(row)
         title = f"Constraint sets: RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
         return Table(title, columns, rows)
@@ -104,8 +104,13 @@ class EstimatorsSection(Section[StudyReport]):
         ]
         rows = []
         for name, of in report.estimators.items():
-            solution = [number_cell(1000 * of.seconds), _gap(of.duality_gap), Cell(str(of.iterations)), Cell(of.status)]
-            rows.append([Cell(name), *_errors(of.rms), *solution])
+            solution = [
+                number_cell(1000 * of.seconds),
+                _gap_cell(of.duality_gap),
+                Cell(str(of.iterations)),
+                Cell(of.status),
+            ]
+            rows.append([Cell(name), *_error_cells(of.rms), *solution])
         return Table(f"Estimators: RMS torque error, {units_text(report.units)}", columns, rows)
 
 
@@ -146,9 +151,9 @@ class OnlineSection(Section[StudyReport]):
         return Table("Online: time to 10 % parameter error", columns, rows)
 
 
-def _errors(rms: StudyErrors) -> list[Cell]:
+def _error_cells(rms: StudyErrors) -> list[Cell]:
     return [number_cell(rms.train["overall"]), number_cell(rms.validation["overall"])]
 
 
-def _gap(gap: float | None) -> Cell:
+def _gap_cell(gap: float | None) -> Cell:
     return number_cell(None if gap is None else abs(gap), 1)

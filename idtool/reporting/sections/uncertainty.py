@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from typing_extensions import override
 
-from idtool.reporting.figures import interval_text
+from idtool.reporting.number_text import interval_text
 from idtool.reporting.results.fit import (
     BaseParameter,
     BiasParameter,
@@ -15,7 +15,7 @@ from idtool.reporting.results.fit import (
     RepeatedParameter,
 )
 from idtool.reporting.sections.base import (
-    NONE,
+    NO_VALUE,
     Cell,
     Column,
     Emphasis,
@@ -30,14 +30,14 @@ from idtool.reporting.sections.base import (
     unit_columns,
     units_text,
 )
-from idtool.reporting.uncertainty_report import PULLED
+from idtool.reporting.uncertainty_report import MAX_PULL
 
-MOST_ROWS = 60  # of a table of base parameters
-MOST_COMPARED = 20  # parameters of which the logs are compared
-MOST_LOGS = 8  # side by side; as many colours there are
-_MOST_IN_TERMINAL = 8  # parameters
-_SIDE_BY_SIDE = 4  # logs in the terminal
-_FAR = 1.5  # times the error of the model fitted to the log itself
+MAX_ROWS = 60  # of a table of base parameters
+MAX_COMPARED = 20  # parameters of which the logs are compared
+MAX_LOGS = 8  # side by side; as many colours there are
+_MAX_TERMINAL_ROWS = 8  # parameters
+_MAX_TERMINAL_LOGS = 4  # logs in the terminal
+_MAX_CROSS_RATIO = 1.5  # times the error of the model fitted to the log itself
 
 
 class TorqueStandardErrorsSection(Section[FitReport]):
@@ -92,11 +92,11 @@ class BaseParametersSection(Section[FitReport]):
         base = report.base_parameters
         if base is None:
             return None
-        pulled = [p for p in base.parameters if p.pull is not None and p.pull > PULLED]
+        pulled = [p for p in base.parameters if p.pull is not None and p.pull > MAX_PULL]
         groups: dict[str, list[BaseParameter]] = {
             "held away": sorted(pulled, key=lambda p: -(p.pull or 0.0)),
             "not determined": [p for p in base.parameters if p.pull is None],
-            "as the data say": [p for p in base.parameters if p.pull is not None and p.pull <= PULLED],
+            "as the data say": [p for p in base.parameters if p.pull is not None and p.pull <= MAX_PULL],
         }
         columns = [
             Column("base parameter", kind="words"),
@@ -111,7 +111,7 @@ class BaseParametersSection(Section[FitReport]):
         for group, parameters in groups.items():
             emphasis: Emphasis | None = "note" if group == "held away" else None
             for p in parameters:
-                pull = Cell(NONE) if p.pull is None else Cell(f"{p.pull:.1f}", p.pull, emphasis)
+                pull = Cell(NO_VALUE) if p.pull is None else Cell(f"{p.pull:.1f}", p.pull, emphasis)
                 values = error_cells(p.value, p.standard_error)
                 rows.append(
                     [
@@ -124,13 +124,13 @@ class BaseParametersSection(Section[FitReport]):
                     ]
                 )
         counts = ", ".join(f"{len(parameters)} {group}" for group, parameters in groups.items() if parameters)
-        return Table(f"Base parameters: {counts}", columns, rows[:MOST_ROWS])
+        return Table(f"Base parameters: {counts}", columns, rows[:MAX_ROWS])
 
     @override
     def text(self, report: FitReport) -> str:
         return (
             "± se: one standard error; –: these logs do not determine it. Pull: how far prior and constraints hold the "
-            f"value away from what the data alone say, in standard errors; held away: more than {PULLED:g}. The "
+            f"value away from what the data alone say, in standard errors; held away: more than {MAX_PULL:g}. The "
             "interval is around both. …: terms that weigh less; report.json has all."
         )
 
@@ -152,7 +152,7 @@ class CrossValidationSection(Section[FitReport]):
         for fitted in shown:
             row = [Cell(repeatability.logs[fitted])]
             for on in shown:
-                is_far = errors[fitted][on] > _FAR * errors[on][on]
+                is_far = errors[fitted][on] > _MAX_CROSS_RATIO * errors[on][on]
                 row.append(number_cell(errors[fitted][on], emphasis="bad" if is_far else None))
             rows.append(row)
         return Table("RMS torque error over all joints, in units of each joint's noise", columns, rows)
@@ -175,7 +175,7 @@ class RepeatabilitySection(Section[FitReport]):
         if repeatability is None:
             return None
         shown = shown_logs(repeatability)
-        is_long = len(repeatability.logs) > _SIDE_BY_SIDE
+        is_long = len(repeatability.logs) > _MAX_TERMINAL_LOGS
         columns = [Column("parameter", kind="words"), Column("unit", kind="name", page_only=True)]
         for k in shown:
             columns += [Column(repeatability.logs[k], page_only=is_long), error_column(page_only=True)]
@@ -184,16 +184,16 @@ class RepeatabilitySection(Section[FitReport]):
             columns += [Column("greatest"), Column("in", kind="name", attached=True)]
         columns += [Column("times expected"), Column("beyond chance", attached=True)]
         rows = []
-        for p in compared_parameters(repeatability)[:MOST_COMPARED]:
+        for p in compared_parameters(repeatability)[:MAX_COMPARED]:
             row = [Cell(p.name), Cell(p.unit)]
             for k in shown:
                 row += error_cells(p.value[k], p.standard_error[k])
             if is_long:
-                row += _extremes(p.value, repeatability.logs)
+                row += _extreme_cells(p.value, repeatability.logs)
             emphasis: Emphasis | None = None if p.agrees else "bad"
             row += [number_cell(p.ratio, emphasis=emphasis), Cell("" if p.agrees else "yes", None, emphasis)]
             rows.append(row)
-        return Table("Least repeatable between the logs", columns, rows, most_rows=_MOST_IN_TERMINAL)
+        return Table("Least repeatable between the logs", columns, rows, most_rows=_MAX_TERMINAL_ROWS)
 
 
 class BiasSection(Section[FitReport]):
@@ -216,7 +216,7 @@ class BiasSection(Section[FitReport]):
             Column("differs"),
         ]
         rows = []
-        for p in sorted(report.bias.parameters, key=lambda p: (not p.differs, -_distance(p)))[:MOST_ROWS]:
+        for p in sorted(report.bias.parameters, key=lambda p: (not p.differs, -_distance(p)))[:MAX_ROWS]:
             differs = Cell("yes", emphasis="bad") if p.differs else Cell("no")
             estimates = [number_cell(p.ls), number_cell(p.iv), *error_cells(p.iv - p.ls, p.standard_error)]
             rows.append([Cell(p.name), Cell(p.unit), *estimates, differs])
@@ -225,7 +225,7 @@ class BiasSection(Section[FitReport]):
 
 def shown_logs(repeatability: RepeatabilityReport) -> list[int]:
     """The first logs, and the odd one among them."""
-    shown = list(range(len(repeatability.logs)))[:MOST_LOGS]
+    shown = list(range(len(repeatability.logs)))[:MAX_LOGS]
     odd = repeatability.odd_one_out
     place = repeatability.logs.index(odd) if odd is not None else 0
     return shown if place in shown else [*shown[:-1], place]
@@ -237,11 +237,11 @@ def compared_parameters(repeatability: RepeatabilityReport) -> list[RepeatedPara
     return [p for p in order if sum(error is not None for error in p.standard_error) > 1]
 
 
-def _extremes(values: Iterable[float | None], logs: Sequence[str]) -> list[Cell]:
+def _extreme_cells(values: Iterable[float | None], logs: Sequence[str]) -> list[Cell]:
     """The least and the greatest value, each with its log."""
     known = [(value, name) for value, name in zip(values, logs, strict=True) if value is not None]
     if not known:
-        return [Cell(NONE)] * 4
+        return [Cell(NO_VALUE)] * 4
     least, greatest = min(known), max(known)
     return [number_cell(least[0]), Cell(least[1]), number_cell(greatest[0]), Cell(greatest[1])]
 

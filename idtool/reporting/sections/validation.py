@@ -6,7 +6,7 @@ from typing_extensions import override
 
 from idtool.reporting.results.validation import RegressionReport, ValidationReport
 from idtool.reporting.sections.base import (
-    NONE,
+    NO_VALUE,
     Cell,
     Column,
     Section,
@@ -92,5 +92,5 @@ def result_cell(ok: bool) -> Cell:
 def _bound_cells(report: ValidationReport, name: str) -> list[Cell]:
     bound = report.bound.get(name)
     if bound is None:
-        return [Cell(NONE), Cell("")]
+        return [Cell(NO_VALUE), Cell("")]
     return [Cell(f"{bound:g}", bound), result_cell(report.ok[name])]

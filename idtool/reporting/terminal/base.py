@@ -19,7 +19,7 @@ from idtool.reporting.sections.base import Section, Table
 from idtool.reporting.terminal.layout import STYLE, printable, table_lines
 from idtool.reporting.terminal.progress import progress_bar
 
-_ANY_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
+_UNLIMITED_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
 __all__ = ["STYLE", "Terminal"]
 
 R = TypeVar("R")
@@ -85,4 +85,4 @@ def _console(quiet: bool, file: TextIO) -> Console:
     """A console that prints what its encoding has not as question marks."""
     if isinstance(file, io.TextIOWrapper):
         file.reconfigure(errors="replace")
-    return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _ANY_WIDTH)
+    return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _UNLIMITED_WIDTH)

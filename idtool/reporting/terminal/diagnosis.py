@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from idtool.reporting.diagnosis_words import UNKNOWN, on, position_units, together
+from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, owner_name, position_units
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 from idtool.reporting.sections.diagnosis import (
     CandidatesSection,
@@ -56,27 +56,27 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
     """One line a step, and a sentence each below."""
     terminal.sections([StepsSection()], report)
     for i, step in enumerate(report.steps, 1):
-        _tell(terminal, i, step, report.units)
+        _show_step(terminal, i, step, report.units)
     for text in report.removed:
         terminal.say(f"taken out again: {text}")
     if report.steps or report.removed:
         terminal.say("")
 
 
-def _tell(terminal: Terminal, index: int, step: StepReport, units: Mapping[str, str]) -> None:
+def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[str, str]) -> None:
     """A step in a sentence; what speaks against it in colour."""
     found = step.evidence
     terminal.say(f"{index}. {found.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None)
     if found.pair and step.alternatives:
         rival = step.alternatives[0]
         terminal.say(
-            f"   cannot be told from {rival.effect} on {on(rival)} by these data: explains "
+            f"   cannot be told from {rival.effect} on {owner_name(rival)} by these data: explains "
             f"{score_text(found.score, found.standard_error)} against "
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )
     if worse := found.rollout_worse:
-        lengths = {**position_units(units), "overall": together(position_units(units))}
+        lengths = {**position_units(units), "overall": common_unit(position_units(units))}
         before, after = found.simulation_before, found.simulation_after
         errors = [f"{name} {change_text(before, after, name)} {lengths[name]}" for name in worse]
         terminal.say(f"   its rollouts got worse while the torque got better: {', '.join(errors)}", STYLE["problem"])

@@ -29,12 +29,12 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     if regularization.automatic is not None:
         reason = regularization.automatic.reason
         terminal.say(f"the prior's weight is {regularization.weight:.2g}: {reason}")
-    terminal.say(_optimality(report.solver))
+    terminal.say(_optimality_text(report.solver))
     terminal.notices(report.notices)
     terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html")
 
 
-def _optimality(solver: SolverReport) -> str:
+def _optimality_text(solver: SolverReport) -> str:
     """How far the cost may be above the least."""
     gap = max(abs(solver.duality_gap), ROUNDING)
     if gap <= GAP:

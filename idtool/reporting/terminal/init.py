@@ -7,7 +7,7 @@ from idtool.reporting.sections.setup import StartErrorsSection
 from idtool.reporting.terminal.base import Terminal
 
 
-def show_start(terminal: Terminal, report: InitReport) -> None:
+def show_initial_config(terminal: Terminal, report: InitReport) -> None:
     """What was tried and found, what is left to fill in, and the next command."""
     terminal.sections([StartErrorsSection()], report)
     terminal.notices(report.notices)

@@ -22,7 +22,7 @@ from idtool.reporting.sections.base import Cell, Column, Table
 STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim", "good": "bold green"}
 _EMPHASIS = {None: "", "good": STYLE["good"], "note": STYLE["warning"], "bad": STYLE["problem"]}
 _GAP = 2  # blanks between columns
-_WORDS = 20  # blanks that a column of words is left with, if it has so many
+_MIN_TEXT_WIDTH = 20  # blanks that a column of words is left with, if it has so many
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,16 @@ class _Strip:
     cells: list[Text]
 
     @cached_property
-    def most(self) -> int:
+    def natural_width(self) -> int:
         """The width of its widest text, if none is broken."""
         return max(text.cell_len for text in (self.heading, *self.cells))
 
     @cached_property
-    def least(self) -> int:
+    def min_width(self) -> int:
         """The width that its longest word needs, or its longest name or figure."""
         if self.column.kind == "words":
             longest = max(_longest_word(text) for text in (self.heading, *self.cells))
-            return max(longest, min(self.most, _WORDS))
+            return max(longest, min(self.natural_width, _MIN_TEXT_WIDTH))
         return max(_longest_word(self.heading), *(cell.cell_len for cell in self.cells), 0)
 
 
@@ -85,24 +85,24 @@ def _longest_word(text: Text) -> int:
     return max(map(cell_len, text.plain.split(" ")))
 
 
-def _total(strips: Sequence[_Strip]) -> int:
+def _total_width(strips: Sequence[_Strip]) -> int:
     """The least width of columns side by side."""
-    return sum(strip.least for strip in strips) + _GAP * (len(strips) - 1)
+    return sum(strip.min_width for strip in strips) + _GAP * (len(strips) - 1)
 
 
 def _parts(strips: list[_Strip], keys: int, width: int) -> list[list[_Strip]]:
     """The columns of each part, names included: as few parts as can be, and those about equally wide."""
-    if _total(strips) <= width:
+    if _total_width(strips) <= width:
         return [strips]
     names = strips[:keys]
     groups: list[list[_Strip]] = []
     for group in _groups(strips[keys:]):
         filled = [strip for strip in group if any(cell.plain for cell in strip.cells)]
-        fits = _total([*names, *filled]) <= width
+        fits = _total_width([*names, *filled]) <= width
         groups += [filled] if fits else [[strip] for strip in filled]
-    fewest = len(_packed(names, groups, width))
-    narrow = next(w for w in range(width + 1) if len(_packed(names, groups, w)) <= fewest)
-    return _packed(names, groups, narrow)
+    fewest = len(_pack(names, groups, width))
+    narrow = next(w for w in range(width + 1) if len(_pack(names, groups, w)) <= fewest)
+    return _pack(names, groups, narrow)
 
 
 def _groups(strips: Sequence[_Strip]) -> list[list[_Strip]]:
@@ -116,12 +116,12 @@ def _groups(strips: Sequence[_Strip]) -> list[list[_Strip]]:
     return groups
 
 
-def _packed(names: list[_Strip], groups: Sequence[list[_Strip]], width: int) -> list[list[_Strip]]:
+def _pack(names: list[_Strip], groups: Sequence[list[_Strip]], width: int) -> list[list[_Strip]]:
     """The groups, each in the first part that has room for it."""
     parts = [list(names)]
     for group in groups:
         for part in parts:
-            if part == names or _total([*part, *group]) <= width:
+            if part == names or _total_width([*part, *group]) <= width:
                 part += group
                 break
         else:
@@ -131,10 +131,10 @@ def _packed(names: list[_Strip], groups: Sequence[list[_Strip]], width: int) -> 
 
 def _widths(strips: Sequence[_Strip], width: int) -> list[int]:
     """The columns' widths: the least, and what is left over first to words, then to headings."""
-    widths = [strip.least for strip in strips]
-    room = max(width - _total(strips), 0)
+    widths = [strip.min_width for strip in strips]
+    room = max(width - _total_width(strips), 0)
     for i in sorted(range(len(strips)), key=lambda i: strips[i].column.kind != "words"):
-        more = min(room, strips[i].most - widths[i])
+        more = min(room, strips[i].natural_width - widths[i])
         widths[i] += more
         room -= more
     return widths

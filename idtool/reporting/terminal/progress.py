@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-_PATIENCE = 1.0  # s of work before the bar appears: loading took about as long
+_DELAY = 1.0  # s of work before the bar appears: loading took about as long
 
 
 @contextmanager
@@ -22,12 +22,12 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, float], None]]:
         Where the bar appears and vanishes again; where no line can be drawn anew, none does.
     """
     bar = _Bar(console)
-    timer = threading.Timer(_PATIENCE, bar.appear)
+    timer = threading.Timer(_DELAY, bar.appear)
     timer.daemon = True
     if console.is_interactive and console.file.isatty():
         timer.start()
     try:
-        yield bar.tell
+        yield bar.update
     finally:
         timer.cancel()
         bar.end()
@@ -44,7 +44,7 @@ class _Bar:
         self._task: TaskID | None = None
         self._ended = False
 
-    def tell(self, stage: str, share: float) -> None:
+    def update(self, stage: str, share: float) -> None:
         with self._lock:
             new, self._stage, self._share = stage != self._stage, stage, share
             if self._task is not None:

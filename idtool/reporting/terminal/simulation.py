@@ -16,24 +16,24 @@ def show_simulation(terminal: Terminal, simulation: Simulation | None) -> None:
     if simulation is None:
         return
     terminal.sections([SimulationErrorsSection()], simulation)
-    if remark := _remark(simulation):
+    if remark := _warning(simulation):
         terminal.say(f"{remark}\n", STYLE["warning"])
 
 
-def _remark(simulation: Simulation) -> str | None:
+def _warning(simulation: Simulation) -> str | None:
     """That the model is no better than the baseline in all, and how long it is better; None where it is."""
-    if _better(simulation.position, simulation.baseline.position):
+    if _is_better(simulation.position, simulation.baseline.position):
         return None
     baseline = "q = qcmd" if simulation.kind == "closed_loop" else "a robot that stays where it is"
     drift = f"Over {restarts_text(simulation)}, the model is farther from the data than {baseline}"
-    better = itertools.takewhile(lambda at: _better(at.position, at.baseline), simulation.horizon)
+    better = itertools.takewhile(lambda at: _is_better(at.position, at.baseline), simulation.horizon)
     if good := [at.seconds for at in better]:
         long = f"{1000 * good[-1]:g} ms"
         return f"{drift}; it is nearer up to {long} after a restart: trust its rollouts for no longer than that."
     return f"{drift}: its rollouts are not to be trusted."
 
 
-def _better(model: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> bool:
+def _is_better(model: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> bool:
     """Whether a model's error is below the baseline's; one that ran away has none."""
     own, other = model["overall"], (baseline or {}).get("overall")
     return own is not None and (other is None or own < other)

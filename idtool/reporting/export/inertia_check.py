@@ -24,13 +24,13 @@ def slack(inertia: Array) -> float:
     return float(min(moments[0], moments[0] + moments[1] - moments[2]))
 
 
-def can_exist(pi: Array) -> bool:
+def is_acceptable(pi: Array) -> bool:
     """Whether parameters, shape (10,), are those of some body, or of none, but for rounding."""
     mass, _, inertia = mass_com_inertia(pi)
     return mass >= 0 and slack(inertia) >= -_ROUNDING * float(np.abs(inertia).sum())
 
 
-def refused(robot: Robot, name: str) -> ModelError:
+def unrealizable_error(robot: Robot, name: str) -> ModelError:
     """What to say of a body that cannot exist."""
     where = f"{robot.path}: {name}"
     return ModelError(where, "has an inertia that no body can have, which the simulator refuses; fit it within full")

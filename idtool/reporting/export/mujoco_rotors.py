@@ -21,10 +21,10 @@ from idtool.reporting.export.rotors import Rotor
 from idtool.reporting.export.scene import Scene, quaternion, text
 
 
-def reflect(scene: Scene, rotor: Rotor) -> None:
+def add_reflected_inertia(scene: Scene, rotor: Rotor) -> None:
     """Carry a rotor as inertia on joints, and as dead weight of the body that it sits in."""
     body, names = rotor.body, scene.identified.model.names
-    turning = _turning(rotor)
+    turning = _rotor_ratios(rotor)
     scene.pi[body.mount.body] += rotor.pi if turning is rotor.ratios else rotor.without_spin
     joints = np.flatnonzero(turning)
     over = ", ".join(names[j] for j in joints)
@@ -35,35 +35,35 @@ def reflect(scene: Scene, rotor: Rotor) -> None:
     else:
         scene.add_tendon(body.name, {names[j]: turning[j] for j in joints}, {"armature": repr(rotor.inertia)})
         scene.carried.append(rotor.part(f"armature of a tendon over {over}", rotor.inertia))
-    scene.not_carried += lacking(scene, rotor)
+    scene.not_carried += omitted_parts(scene, rotor)
 
 
-def _turning(rotor: Rotor) -> Array:
+def _rotor_ratios(rotor: Rotor) -> Array:
     """The rotor's speed per joint velocity as far as that is constant: with the carrier's rotation, or against it."""
     if rotor.carrier is None or not rotor.carrier.any():
         return rotor.ratios
     return rotor.ratios + rotor.carrier
 
 
-def lacking(scene: Scene, rotor: Rotor) -> list[Part]:
+def omitted_parts(scene: Scene, rotor: Rotor) -> list[Part]:
     """What inertia on joints leaves out of a rotor."""
     found = [rotor.coupling()] if rotor.carrier is None else []
-    apart = _apart(scene, rotor)
+    apart = _omitted_coupling(scene, rotor)
     if apart:
         found.append(rotor.part("its coupling of joints on different branches in the mass matrix", apart))
     return [*found, *rotor.imbalance(scene.identified.gravity)]
 
 
-def _apart(scene: Scene, rotor: Rotor) -> float:
+def _omitted_coupling(scene: Scene, rotor: Rotor) -> float:
     """The largest entry between joints on different branches, where MuJoCo's mass matrix has none [kg·m²]."""
-    turning = _turning(rotor)
+    turning = _rotor_ratios(rotor)
     support = scene.identified.model.support()[list(scene.moving.values())]
     pairs = combinations(np.flatnonzero(turning), 2)
     sizes = [abs(turning[j] * turning[k]) for j, k in pairs if not (support[:, j] & support[:, k]).any()]
     return rotor.inertia * float(max(sizes, default=0.0))
 
 
-def add_body(scene: Scene, rotor: Rotor) -> None:
+def add_rotor_body(scene: Scene, rotor: Rotor) -> None:
     """Carry a rotor as a body with a hinge of its own.
 
     Raises
@@ -73,12 +73,12 @@ def add_body(scene: Scene, rotor: Rotor) -> None:
     """
     body, mount = rotor.body, rotor.body.mount
     R = mount.R @ Rotation.from_rotvec(body.axis * body.offset).as_matrix()  # its angle is 0 where the joints' are
-    name = _unused(body.name, {"world", *(str(element.get("name")) for element in scene.bodies.values())})
+    name = _unused_name(body.name, {"world", *(str(element.get("name")) for element in scene.bodies.values())})
     scene.bodies[name] = etree.SubElement(
         scene.bodies[scene.carrier(mount.body)], "body", name=name, pos=text(mount.p), quat=quaternion(R)
     )
-    scene.add_inertial(name, rotor.own, moves=True)
-    hinge = _unused(body.name, scene.identified.robot.joints)
+    scene.add_inertial(name, rotor.own_pi, moves=True)
+    hinge = _unused_name(body.name, scene.identified.robot.joints)
     etree.SubElement(scene.bodies[name], "joint", name=hinge, type="hinge", axis=text(body.axis), limited="false")
     joints = np.flatnonzero(rotor.ratios)
     names = scene.identified.model.names
@@ -93,7 +93,7 @@ def add_body(scene: Scene, rotor: Rotor) -> None:
     scene.carried.append(rotor.part(f"a body that a stiff constraint holds to {over}", rotor.inertia))
 
 
-def _unused(name: str, taken: Collection[str]) -> str:
+def _unused_name(name: str, taken: Collection[str]) -> str:
     """The name, with underscores behind it until nothing else bears it."""
     while name in taken:
         name += "_"

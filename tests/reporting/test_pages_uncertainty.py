@@ -11,14 +11,21 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, basis_of, trust_of
 from records import partial
 
-from idtool.reporting.figures import between, by_unit
+from idtool.reporting.number_text import range_text, rows_by_unit
 from idtool.reporting.pages.base import render
-from idtool.reporting.pages.trust import BASE, BIAS, LOGS, RESTS, trust_view, with_trust
+from idtool.reporting.pages.uncertainty import (
+    BASE_PARAMETERS,
+    BIAS,
+    REPEATABILITY,
+    SOURCES,
+    uncertainty_view,
+    with_uncertainty,
+)
 from idtool.reporting.results.fit import FitReport
 from idtool.reporting.sections.fit import FrictionSection
 
 JOINTS = FrictionSection()
-SECTIONS = (("Found", "trust_findings.html"), JOINTS, RESTS, BASE, LOGS, BIAS)
+SECTIONS = (("Found", "trust_findings.html"), JOINTS, SOURCES, BASE_PARAMETERS, REPEATABILITY, BIAS)
 
 
 @pytest.fixture
@@ -49,13 +56,13 @@ def page_of(report: dict[str, Any]) -> Page:
     return Page(
         render(
             "t",
-            with_trust(SECTIONS, record),
+            with_uncertainty(SECTIONS, record),
             ["trust.js"],
             {},
             report=record,
-            groups=by_unit(report["units"]),
+            groups=rows_by_unit(report["units"]),
             where="On the held-out data",
-            **trust_view(record),
+            **uncertainty_view(record),
         )
     )
 
@@ -83,7 +90,7 @@ def dots(page: Page) -> list[str]:
      (-1e-12, 0.5, "0.00 to 0.50"), (1e7, 3e7, "1.0e+07 to 3.0e+07")],
 )  # fmt: skip
 def test_intervals_have_the_digits_of_their_width(low: float | None, high: float | None, text: str) -> None:
-    assert between(low, high) == text
+    assert range_text(low, high) == text
 
 
 def test_a_bar_shows_the_shares(report: dict[str, Any]) -> None:
@@ -242,11 +249,11 @@ def test_both_estimates_stand_side_by_side(report: dict[str, Any]) -> None:
 
 
 def test_what_was_not_asked_has_no_section(report: dict[str, Any]) -> None:
-    assert with_trust(SECTIONS, partial(FitReport, report)) == [*SECTIONS[:2], RESTS, BASE]
+    assert with_uncertainty(SECTIONS, partial(FitReport, report)) == [*SECTIONS[:2], SOURCES, BASE_PARAMETERS]
     report |= {"base_parameters": None, "bias": None}
     for body in report["bodies"].values():
         body["rests_on"] = None
-    assert with_trust(SECTIONS, partial(FitReport, report)) == [*SECTIONS[:2]]
+    assert with_uncertainty(SECTIONS, partial(FitReport, report)) == [*SECTIONS[:2]]
     assert page_of(report).levels == []
 
 

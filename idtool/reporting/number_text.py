@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 
-def by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
+def rows_by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
     """Rows of tables whose figures have one unit each: joints of a kind, and ``overall`` below or by itself."""
     groups: dict[str, list[str]] = {}
     for name, unit in units.items():
@@ -24,7 +24,7 @@ def number(x: float | None, digits: int = 3) -> str:
     return f"{x:.{max(digits - 1 - size, 0)}f}" if -5 < size < 6 else f"{x:.{digits - 1}e}"
 
 
-def figure(x: float | None) -> str:
+def four_digits(x: float | None) -> str:
     """A figure to four digits; a dash for none."""
     return number(x, 4)
 
@@ -34,7 +34,7 @@ def with_error(x: float | None, error: float | None) -> tuple[str, str]:
     if x is None:
         return "–", ""
     if error is None or not math.isfinite(error):
-        return figure(x), "not determined"
+        return four_digits(x), "not determined"
     size = math.floor(math.log10(error)) if error else -9
     if not -9 < size < 6:
         return number(x, 4), number(error, 2)
@@ -52,7 +52,7 @@ def percent(x: float | None) -> str:
     return "–" if x is None else f"{number(100 * x, 2)} %"
 
 
-def between(low: float | None, high: float | None) -> str:
+def range_text(low: float | None, high: float | None) -> str:
     """Two ends to two digits of the distance between them; None: no end."""
     if low is None or high is None:
         end = low if high is None else high
@@ -69,4 +69,4 @@ def between(low: float | None, high: float | None) -> str:
 
 def interval_text(ends: Sequence[float | None] | None) -> str:
     """An interval; a dash for none."""
-    return "–" if ends is None else between(*ends)
+    return "–" if ends is None else range_text(*ends)

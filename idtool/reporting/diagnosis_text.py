@@ -1,0 +1,131 @@
+"""A diagnosis in words, from its records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from idtool.dynamics.effects import NamedEffect, effect_types
+from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
+from idtool.reporting.results.fit import EffectReport
+from idtool.reporting.simulation_report import POSITION_UNITS
+
+UNKNOWN = "unknown"
+
+
+def effect_name(effect: str) -> str:
+    """An effect's id in plain words."""
+    kind = effect_types().get(effect)
+    return (kind.label if kind else "") or effect.replace("_", " ")
+
+
+def owner_name(effect: EffectReport | CandidateReport) -> str:
+    """The joint, link or other owner that an effect of the report acts on."""
+    kind = effect_types().get(effect.effect, NamedEffect)
+    return str(effect.joint or effect.link or kind.whole_robot_owner)
+
+
+def common_unit(units: Mapping[str, str]) -> str:
+    """The unit of a value over all joints with these units."""
+    kinds = list(dict.fromkeys(units.values()))
+    if len(kinds) == 1:
+        return kinds[0]
+    return f"{' and '.join(kinds)} together"
+
+
+def position_units(units: Mapping[str, str]) -> dict[str, str]:
+    """The unit of each joint's position, by that of its torque."""
+    return {joint: POSITION_UNITS[unit] for joint, unit in units.items()}
+
+
+def summary(report: DiagnosisReport) -> str:
+    """The verdict in a sentence or two.
+
+    Parameters
+    ----------
+    report
+        The content of diagnosis.json.
+    """
+    known_steps = [step for step in report.steps if step.effect != UNKNOWN]
+    unknown_steps = [step for step in report.steps if step.effect == UNKNOWN]
+    unit = common_unit(report.units)
+    which = "held-out" if report.before.validation else "training"
+    first = _overall(report.before)
+    last = _overall(report.after)
+    floor = f"{report.noise_floor['overall']:.3g} {unit}"
+    if report.verdict == "no_disagreement":
+        return (
+            f"Model and data do not disagree: the {which} torque error, {first:.3g} {unit} RMS, is as near to the "
+            f"noise floor, {floor}, as the data can tell. Nothing was added."
+        )
+    unknown = (
+        f"{UNKNOWN}, on {_join_words([owner_name(step) for step in unknown_steps])}"
+        if unknown_steps
+        else "too little to be named"
+    )
+    if not known_steps:
+        return (
+            f"Model and data disagree, and no known effect explains it: {unknown}. The {which} torque error is "
+            f"{first:.3g} {unit} RMS, the noise floor {floor}."
+        )
+    share = report.gap_closed["overall"]
+    closed = "" if share is None else f": {100 * max(share, 0.0):.0f} % of the gap is closed"
+    rest = f" What is left is {unknown}." if unknown_steps else ""
+    doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
+    rest += f" In doubt: {_join_words(doubted)}; the notes say why." if doubted else ""
+    effects = _join_words([_effect_or_rival(step) for step in known_steps])
+    return (
+        f"The model lacks {effects}. With that, the {which} torque error goes from "
+        f"{first:.3g} to {last:.3g} {unit} RMS, the noise floor being {floor}{closed}.{rest}"
+    )
+
+
+def next_steps(report: DiagnosisReport) -> list[str]:
+    """Suggested next steps, one sentence each.
+
+    Parameters
+    ----------
+    report
+        The content of diagnosis.json.
+    """
+    steps = []
+    if any(not fault.undone for fault in report.data_faults):
+        steps.append("Correct the data first, or say what they mean in the configuration, and diagnose again.")
+    for step in report.steps:
+        if step.evidence.pair and step.alternatives:
+            purpose = f"To tell {_effect_on_owner(step)} from {_effect_on_owner(step.alternatives[0])}"
+            steps.append(f"{purpose}: {step.evidence.separate}")
+    if owners := [owner_name(step) for step in report.steps if step.effect == UNKNOWN]:
+        what = "has a cause that is none of the effects known: see the residual maps"
+        steps.append(f"What is left on {_join_words(owners)} {what}.")
+    if "overall" in report.rollout_worse:
+        steps.append("Do not simulate with this model yet: its rollouts are worse than those of the model given.")
+    return steps
+
+
+def _overall(level: ErrorLevel) -> float | None:
+    return level.torque["overall"]
+
+
+def _effect_on_owner(effect: StepReport | CandidateReport) -> str:
+    name = effect_name(effect.effect)
+    kind = effect_types().get(effect.effect, NamedEffect)
+    article = ""
+    if kind.is_countable:
+        article = "an " if name[0] in "aeiou" else "a "
+    return f"{article}{name} on {owner_name(effect)}"
+
+
+def _effect_or_rival(step: StepReport) -> str:
+    """The effect of a step, with the alternative that the data cannot distinguish from it."""
+    text = _effect_on_owner(step)
+    if step.evidence.pair and step.alternatives:
+        text += f" (or {_effect_on_owner(step.alternatives[0])})"
+    return text
+
+
+def _join_words(words: Iterable[str]) -> str:
+    """Words as a list in a sentence, each once."""
+    *others, last = dict.fromkeys(words)
+    if not others:
+        return last
+    return f"{', '.join(others)} and {last}"
