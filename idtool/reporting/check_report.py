@@ -16,7 +16,7 @@ from idtool.robot.urdf.reading import Robot
 
 
 def check_report(robot: Robot, checks: Sequence[LinkCheck], nearest: Mapping[str, Array]) -> CheckReport:
-    """What `idtool ellipsoids --check` prints as JSON.
+    """The content that `idtool ellipsoids --check` prints as JSON.
 
     Parameters
     ----------
@@ -46,5 +46,7 @@ def check_report(robot: Robot, checks: Sequence[LinkCheck], nearest: Mapping[str
 def _repaired_link(pi: Array, nearest: Array) -> RepairedLink:
     mass, com, inertia = mass_com_inertia(nearest)
     before = mass_com_inertia(pi)[2]
-    moved = float(np.abs(inertia - before).max() / np.abs(before).max()) if before.any() else 0.0
-    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=symmetric_entries(inertia).tolist(), moved=moved)
+    change = 0.0
+    if before.any():
+        change = float(np.abs(inertia - before).max() / np.abs(before).max())
+    return RepairedLink(mass=mass, com=com.tolist(), inertia_com=symmetric_entries(inertia).tolist(), moved=change)

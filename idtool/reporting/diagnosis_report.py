@@ -66,8 +66,8 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         known=model.known,
         solver=model.solver,
         residual_maps=ResidualMaps(
-            before={joint: _residual(one) for joint, one in diagnosis.maps_before.items()},
-            after={joint: _residual(one) for joint, one in diagnosis.maps_after.items()},
+            before={joint: _residual(profile) for joint, profile in diagnosis.maps_before.items()},
+            after={joint: _residual(profile) for joint, profile in diagnosis.maps_after.items()},
         ),
         notices=notice_fields([*diagnosis.faults, *warnings])["notices"],
         warnings=notice_fields(warnings)["warnings"],
@@ -94,15 +94,18 @@ def gap_closed(
 
     Below zero, the gap has grown.
     """
-    gaps = {name: value - floor[name] for name, value in before.items()}
-    return {
-        name: min((before[name] - after[name]) / gap, 1.0) if gap > _MIN_RELATIVE_GAP * before[name] else None
-        for name, gap in gaps.items()
-    }
+    shares: dict[str, float | None] = {}
+    for name, error in before.items():
+        gap = error - floor[name]
+        if gap > _MIN_RELATIVE_GAP * error:
+            shares[name] = min((error - after[name]) / gap, 1.0)
+        else:
+            shares[name] = None
+    return shares
 
 
 def _gap_closed(diagnosis: Diagnosis) -> dict[str, float | None]:
-    """``gap_closed``; None of it where model and data do not disagree."""
+    """`gap_closed` of a diagnosis; None for all joints if model and data do not disagree."""
     before, after = diagnosis.before.torque, diagnosis.after.torque
     if diagnosis.verdict == "no_disagreement":
         return dict.fromkeys(before)
@@ -167,8 +170,8 @@ def _step(step: DiagnosisStep, model: Model) -> StepReport:
         ),
         validation_rms_before=plain(step.before.torque),
         validation_rms_after=plain(step.after.torque),
-        alternatives=[_candidate(one) for one in step.alternatives],
-        rejected=[_candidate(one) for one in step.rejected],
+        alternatives=[_candidate(candidate) for candidate in step.alternatives],
+        rejected=[_candidate(candidate) for candidate in step.rejected],
     )
 
 

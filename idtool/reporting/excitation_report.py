@@ -41,20 +41,20 @@ _MAX_RELATIVE_ERROR = 1.0  # relative standard error from which a parameter is a
 def excitation_report(
     design: Design, sources: Sequence[InputFile], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
 ) -> ExcitationReport:
-    """What `idtool excite` prints as JSON.
+    """The content that `idtool excite` prints as JSON.
 
     Parameters
     ----------
     design
         The trajectory.
     sources
-        What was read.
+        The files that were read.
     urdf, logs
         The URDF, and the logs that there were already.
     seed
-        Of what was drawn.
+        Seed of the random draws.
     notices
-        What a user should know of the logs, a sentence each.
+        Notices about the logs.
     """
     task, trajectory = design.task, design.trajectory
     starts = trajectory.starts.tolist()
@@ -107,26 +107,27 @@ def _base_parameters(design: Design) -> list[ExpectedParameter]:
     task, base = design.task, design.task.base
     coefficients = task.equation.coefficients
     prior = base.B @ task.theta
-    chosen = len(task.criterion.favoured) < len(base)
-    found = []
+    has_favoured = len(task.criterion.favoured) < len(base)
+    parameters = []
     for i, own in enumerate(base.own):
+        size = abs(prior[i])
+        value = float(prior[i]) if size > _ROUNDING * task.scales[i] else 0.0
         error = float(design.errors.base[i])
-        before = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
-        comparable = abs(prior[i]) > _MIN_RELATIVE_PRIOR * task.scales[i]
-        value = float(prior[i]) if abs(prior[i]) > _ROUNDING * task.scales[i] else 0.0
-        found.append(
+        relative_error = _finite_or_none(error / size) if size > _MIN_RELATIVE_PRIOR * task.scales[i] else None
+        logged_error = float(design.logged_errors.base[i]) if design.logged_errors else math.inf
+        parameters.append(
             ExpectedParameter(
                 name=combination_name(base, i, coefficients),
                 terms=terms_report(base, i, coefficients),
                 unit=coefficients[own].unit,
                 prior=value,
                 standard_error=_finite_or_none(error),
-                relative=_finite_or_none(error / abs(prior[i])) if comparable else None,
-                logged_standard_error=_finite_or_none(before),
-                favoured=bool(chosen and i in task.criterion.favoured),
+                relative=relative_error,
+                logged_standard_error=_finite_or_none(logged_error),
+                favoured=bool(has_favoured and i in task.criterion.favoured),
             )
         )
-    return found
+    return parameters
 
 
 def _bodies(design: Design) -> dict[str, ExpectedBody]:
@@ -163,8 +164,8 @@ def _limits(task: DesignTask, j: int) -> JointLimitsReport:
 def _clearance(design: Design) -> Clearance | None:
     if design.nearest is None:
         return None
-    links, distance, at = design.nearest
-    return Clearance(links=links, distance=_finite_or_none(distance), t=at, wanted=design.task.clearance)
+    links, distance, t = design.nearest
+    return Clearance(links=links, distance=_finite_or_none(distance), t=t, wanted=design.task.clearance)
 
 
 def _curves(design: Design) -> ExcitationCurves:
@@ -192,9 +193,9 @@ def _notices(design: Design) -> list[Notice]:
         notices.append(Notice("self_collision_unchecked", "warning", None, message, "run it slowly first"))
     if task.collision:
         notices += task.collision.notices
-    untold = undetermined_names(design, task.base)
-    if untold:
-        message = f"as good as untold by this trajectory: {join_names(untold)}"
+    undetermined = undetermined_names(design, task.base)
+    if undetermined:
+        message = f"as good as untold by this trajectory: {join_names(undetermined)}"
         advice = "make it longer, or choose another pattern"
         notices.append(Notice("parameters_not_excited", "warning", None, message, advice))
     if design.interrupted:
@@ -206,5 +207,6 @@ def _notices(design: Design) -> list[Notice]:
 def undetermined_names(design: Design, base: BaseParameters) -> list[str]:
     """The base parameters whose standard error is larger than their size, by their own coefficients' names."""
     coefficients = design.task.equation.coefficients
-    large = design.errors.base > _MAX_RELATIVE_ERROR * design.task.scales
-    return [coefficient_name(coefficients[own]) for own, untold in zip(base.own, large, strict=True) if untold]
+    is_undetermined = design.errors.base > _MAX_RELATIVE_ERROR * design.task.scales
+    own = np.array(base.own)[is_undetermined]
+    return [coefficient_name(coefficients[i]) for i in own]

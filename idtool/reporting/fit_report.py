@@ -1,4 +1,4 @@
-"""Results → plain data for JSON, configuration and pages."""
+"""The records of a fit and of a validation, and the configuration of an identified model."""
 
 from __future__ import annotations
 
@@ -217,10 +217,11 @@ def ellipsoid_margin(body: Body, pi: Array, pieces: Array | None) -> float | Non
 
 def _coefficient(fit: Fit, effect: str, owner: str) -> tuple[float, float | None] | None:
     """Value and standard error of a joint's coefficient, if the model has it."""
-    if (i := _coefficient_index(fit, effect, owner)) is None:
+    i = _coefficient_index(fit, effect, owner)
+    if i is None:
         return None
     error = float(fit.uncertainty.standard_error[i])
-    return float(fit.estimate.theta[i]), error if np.isfinite(error) else None
+    return float(fit.estimate.theta[i]), _finite_or_none(error)
 
 
 def _coefficient_index(fit: Fit, effect: str, owner: str) -> int | None:
@@ -232,16 +233,19 @@ def _coefficient_index(fit: Fit, effect: str, owner: str) -> int | None:
 def friction_report(fit: Fit, joint: str) -> FrictionReport:
     """One entry of ``friction``."""
     terms = {key: _coefficient(fit, kind.id, joint) for key, kind in friction_types().items()}
-    errors = FrictionErrors(**{name: term[1] if term else None for name, term in terms.items()})
-    return FrictionReport(**{name: term[0] if term else None for name, term in terms.items()}, standard_error=errors)
+    values = {name: term[0] if term else None for name, term in terms.items()}
+    errors = {name: term[1] if term else None for name, term in terms.items()}
+    return FrictionReport(**values, standard_error=FrictionErrors(**errors))
 
 
 def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
     """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
-    places = {key: _coefficient_index(fit, kind.id, joint) for key, kind in friction_types().items()}
-    return FrictionIntervals(
-        **{name: None if place is None else intervals(fit)[place] for name, place in places.items()}
-    )
+    all_intervals = intervals(fit)
+    by_term: dict[str, list[float] | None] = {}
+    for key, kind in friction_types().items():
+        i = _coefficient_index(fit, kind.id, joint)
+        by_term[key] = None if i is None else all_intervals[i]
+    return FrictionIntervals(**by_term)
 
 
 def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
@@ -250,7 +254,7 @@ def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
 
 
 def _urdf_dynamics(fit: Fit, joint: str) -> JointDynamics:
-    """What a URDF has of a joint's friction."""
+    """A joint's friction as URDF attributes."""
     report = friction_report(fit, joint)
     kinds = {key: kind for key, kind in friction_types().items() if kind.urdf_attribute}
     return JointDynamics(**{kind.urdf_attribute: getattr(report, key) for key, kind in kinds.items()})
@@ -286,11 +290,11 @@ def _effect_parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]
 def _identified_parameters(fit: Fit, entry: EffectEntry) -> dict[str, ParameterValue]:
     """An effect's identified parameters with their standard errors."""
     equation = fit.experiment.equation
-    places = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
-    i = places[effect_from_entry(entry, fit.experiment.model).key]
+    indices = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
+    i = indices[effect_from_entry(entry, fit.experiment.model).key]
+    effect = cast(NamedEffect, equation.effects[i])
     part = slice(*equation.offsets()[i : i + 2])
-    covariance = fit.uncertainty.covariance[part, part]
-    return cast(NamedEffect, equation.effects[i]).parameters(fit.estimate.theta[part], covariance)
+    return effect.parameters(fit.estimate.theta[part], fit.uncertainty.covariance[part, part])
 
 
 def effect_report(fit: Fit, entry: EffectEntry) -> EffectReport:
@@ -329,11 +333,11 @@ def _friction_term(fit: Fit, effect: str, joint: str) -> dict[str, Any] | bool:
 
 
 def _config_value(value: Any, standard_error: Any = None) -> dict[str, Any]:
-    """A number or a list of them, with its error, to the digits that stand in a configuration."""
-    written = {"value": round_to_digits(value).tolist()}
-    return (
-        written if standard_error is None else written | {"standard_error": round_to_digits(standard_error, 4).tolist()}
-    )
+    """A number or a list of them with its standard error, rounded as in a configuration."""
+    entry = {"value": round_to_digits(value).tolist()}
+    if standard_error is not None:
+        entry["standard_error"] = round_to_digits(standard_error, 4).tolist()
+    return entry
 
 
 def validation_report(
@@ -360,9 +364,9 @@ def validation_report(
     simulation
         From `simulation_report`.
     sources
-        What was read.
+        The files that were read.
     notices
-        What a user should know.
+        The notices.
     """
     joints = tuple(units)
     rms = ModelErrors(**{model: errors.rms(joints) for model, errors in evaluation.errors.items()})

@@ -9,7 +9,7 @@ from idtool.reporting.results.inspection import FindingReport, InspectionReport
 
 
 def inspection_report(inspection: Inspection) -> InspectionReport:
-    """What `idtool inspect` prints as JSON."""
+    """The content that `idtool inspect` prints as JSON."""
     figures = inspection.to_dict()
     del figures["findings"], figures["reading"]
     return InspectionReport(

@@ -1,4 +1,4 @@
-"""Figures as text, and the rows of tables."""
+"""Numbers as text, and the rows of tables by unit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 
 def rows_by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
-    """Rows of tables whose figures have one unit each: joints of a kind, and ``overall`` below or by itself."""
+    """Units, each with the joints that have it; ``overall`` is below them, or by itself if there are several."""
     groups: dict[str, list[str]] = {}
     for name, unit in units.items():
         groups.setdefault(unit, []).append(name)
@@ -54,9 +54,12 @@ def percent(x: float | None) -> str:
 
 def range_text(low: float | None, high: float | None) -> str:
     """Two ends to two digits of the distance between them; None: no end."""
-    if low is None or high is None:
-        end = low if high is None else high
-        return "any" if end is None else f"{number(end, 2)} or {'more' if high is None else 'less'}"
+    if low is None and high is None:
+        return "any"
+    if high is None:
+        return f"{number(low, 2)} or more"
+    if low is None:
+        return f"{number(high, 2)} or less"
     width = high - low
     if abs(low + high) < 0.01 * width:
         return f"±{number(width / 2, 2)}"
@@ -64,7 +67,8 @@ def range_text(low: float | None, high: float | None) -> str:
     if not -5 < size < 6:
         return f"{number(low, 2)} to {number(high, 2)}"
     decimals = max(1 - size, 0)
-    return " to ".join(f"{round(x, decimals) + 0.0:.{decimals}f}" for x in (low, high))
+    low_text, high_text = (f"{round(x, decimals) + 0.0:.{decimals}f}" for x in (low, high))
+    return f"{low_text} to {high_text}"
 
 
 def interval_text(ends: Sequence[float | None] | None) -> str:

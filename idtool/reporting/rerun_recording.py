@@ -32,18 +32,18 @@ _ELLIPSOID = (31, 119, 180, 60)
 
 @dataclass(frozen=True)
 class LogRecording:
-    """What is shown of one log.
+    """Curves of one log.
 
     Attributes
     ----------
     name
         The log's.
     seconds
-        How long it is, from its first sample on.
+        Duration from its first sample [s].
     start
         Time of its first sample [s].
     curves
-        What a curve is, ``torque/measured`` or ``position/simulated``, to its times, shape (n,), and values, (nv, n).
+        Entity path, such as ``torque/measured`` or ``position/simulated``, to times, shape (n,), and values, (nv, n).
     """
 
     name: str
@@ -53,40 +53,39 @@ class LogRecording:
 
 
 def log_recording(name: str, parts: Sequence[tuple[Trace, Mapping[str, str]]]) -> LogRecording:
-    """A log by traces, each with what its curves are called there and what they are.
+    """The recording of a log from traces.
 
     Parameters
     ----------
     name
         The log's.
     parts
-        A trace and its curves: name in the trace to what it is; one that the trace has not is left out.
+        Traces, each with the names of its curves to their entity paths; missing curves are left out.
     """
     start = min(float(trace.t[0]) for trace, _ in parts)
     end = max(float(trace.t[-1]) for trace, _ in parts)
-    curves = {
-        what: (trace.t, trace.curves[own])
-        for trace, names in parts
-        for own, what in names.items()
-        if own in trace.curves
-    }
+    curves = {}
+    for trace, paths in parts:
+        for curve, path in paths.items():
+            if curve in trace.curves:
+                curves[path] = (trace.t, trace.curves[curve])
     return LogRecording(name, end - start, start, curves)
 
 
 def rerun_recording(
-    robot: Robot, joints: Sequence[str], ellipsoids: Mapping[str, Sequence[Ellipsoid]], takes: Sequence[LogRecording]
+    robot: Robot, joints: Sequence[str], ellipsoids: Mapping[str, Sequence[Ellipsoid]], logs: Sequence[LogRecording]
 ) -> bytes:
     """The content of an .rrd file; logs follow one another.
 
     Parameters
     ----------
     robot
-        Its URDF is shown, with the meshes that can be found.
+        The robot; its URDF is shown, with the meshes that can be found.
     joints
         Names of the nv joints.
     ellipsoids
-        By link.
-    takes
+        Bounding ellipsoids by link.
+    logs
         The logs.
 
     Raises
@@ -97,28 +96,26 @@ def rerun_recording(
     rr = rerun_package()
     recording = rr.RecordingStream("idtool", recording_id=robot.path.stem)
     stream = recording.binary_stream()
-    whats = list(dict.fromkeys(what for one in takes for what in one.curves))
-    poses = [pose for pose in _FRAME_PREFIXES if f"position/{pose}" in whats]
-    trees = {pose: tree for pose in poses if (tree := _add_robot(rr, recording, robot, pose)) is not None}
+    paths = list(dict.fromkeys(path for log in logs for path in log.curves))
+    trees = {}
+    for pose in _FRAME_PREFIXES:
+        if f"position/{pose}" in paths:
+            tree = _add_robot(rr, recording, robot, pose)
+            if tree is not None:
+                trees[pose] = tree
     root = next((tree.root_link().name for tree in trees.values()), "")
-    recording.send_blueprint(_blueprint(rr, root, joints, whats))
-    _add_styles(rr, recording, joints, whats)
-    for link, own in ellipsoids.items():
-        _add_ellipsoids(rr, recording, link, own)
-    first = 0.0
-    for one in takes:
-        recording.set_time(_TIMELINE, duration=first)
-        recording.log("logs", rr.TextLog(one.name))
-        for what, (t, x) in one.curves.items():
-            for j, joint in enumerate(joints):
-                times, values = _finite_points(t - one.start + first, x[j])
-                if len(times):
-                    path = rr.new_entity_path([what.split("/")[0], joint, what.split("/")[1]])
-                    index = rr.TimeColumn(_TIMELINE, duration=times)
-                    recording.send_columns(path, indexes=[index], columns=rr.Scalars.columns(scalars=values))
+    recording.send_blueprint(_blueprint(rr, root, joints, paths))
+    _add_styles(rr, recording, joints, paths)
+    for link, link_ellipsoids in ellipsoids.items():
+        _add_ellipsoids(rr, recording, link, link_ellipsoids)
+    start = 0.0
+    for log in logs:
+        recording.set_time(_TIMELINE, duration=start)
+        recording.log("logs", rr.TextLog(log.name))
+        _add_curves(rr, recording, joints, log, start)
         for pose, tree in trees.items():
-            _add_motion(rr, recording, tree, pose, joints, one, first)
-        first += one.seconds
+            _add_motion(rr, recording, tree, pose, joints, log, start)
+        start += log.seconds
     return bytes(stream.read())
 
 
@@ -140,9 +137,9 @@ def rerun_package() -> ModuleType:
     return module
 
 
-def _blueprint(rr: Any, root: str, joints: Sequence[str], whats: Sequence[str]) -> Any:
+def _blueprint(rr: Any, root: str, joints: Sequence[str], paths: Sequence[str]) -> Any:
     """The robot on the left, the curves of one joint on a page on the right."""
-    kinds = list(dict.fromkeys(what.split("/")[0] for what in whats))
+    kinds = list(dict.fromkeys(path.split("/")[0] for path in paths))
     pages = [
         rr.blueprint.Vertical(
             *(rr.blueprint.TimeSeriesView(origin=rr.new_entity_path([kind, joint]), name=kind) for kind in kinds),
@@ -155,10 +152,10 @@ def _blueprint(rr: Any, root: str, joints: Sequence[str], whats: Sequence[str]) 
     return rr.blueprint.Blueprint(rr.blueprint.Horizontal(space, rr.blueprint.Tabs(*pages)))
 
 
-def _add_styles(rr: Any, recording: Any, joints: Sequence[str], whats: Sequence[str]) -> None:
+def _add_styles(rr: Any, recording: Any, joints: Sequence[str], paths: Sequence[str]) -> None:
     """Colours and names of the curves."""
-    for what in whats:
-        kind, name = what.split("/")
+    for path in paths:
+        kind, name = path.split("/")
         line = rr.SeriesLines(colors=_COLORS.get(name, _COLORS["measured"]), names=name)
         for joint in joints:
             recording.log([kind, joint, name], line, static=True)
@@ -185,36 +182,48 @@ def _add_robot(rr: Any, recording: Any, robot: Robot, pose: str) -> Any:
     return tree
 
 
-def _add_ellipsoids(rr: Any, recording: Any, link: str, own: Sequence[Ellipsoid]) -> None:
+def _add_ellipsoids(rr: Any, recording: Any, link: str, ellipsoids: Sequence[Ellipsoid]) -> None:
     """A link's bounding ellipsoids, moving with it as measured."""
     shown = rr.Ellipsoids3D(
-        centers=[one.center for one in own],
-        half_sizes=[one.semi_axes for one in own],
-        quaternions=[Rotation.from_matrix(one.rotation).as_quat() for one in own],
-        colors=[_ELLIPSOID] * len(own),
+        centers=[ellipsoid.center for ellipsoid in ellipsoids],
+        half_sizes=[ellipsoid.semi_axes for ellipsoid in ellipsoids],
+        quaternions=[Rotation.from_matrix(ellipsoid.rotation).as_quat() for ellipsoid in ellipsoids],
+        colors=[_ELLIPSOID] * len(ellipsoids),
         fill_mode="solid",
     )
     recording.log(["ellipsoids", link], rr.CoordinateFrame(frame=link), shown, static=True)
 
 
+def _add_curves(rr: Any, recording: Any, joints: Sequence[str], log: LogRecording, start: float) -> None:
+    """The curves of a log, which begins at ``start`` [s] on the timeline."""
+    for path, (t, x) in log.curves.items():
+        kind, name = path.split("/")
+        for j, joint in enumerate(joints):
+            times, values = _finite_points(t - log.start + start, x[j])
+            if len(times):
+                entity = rr.new_entity_path([kind, joint, name])
+                index = rr.TimeColumn(_TIMELINE, duration=times)
+                recording.send_columns(entity, indexes=[index], columns=rr.Scalars.columns(scalars=values))
+
+
 def _add_motion(
-    rr: Any, recording: Any, tree: Any, pose: str, joints: Sequence[str], one: LogRecording, first: float
+    rr: Any, recording: Any, tree: Any, pose: str, joints: Sequence[str], log: LogRecording, start: float
 ) -> None:
-    """The joints' motion, one pose per stretch of time."""
-    if f"position/{pose}" not in one.curves:
+    """The joints' motion, one posture per stretch of time."""
+    if f"position/{pose}" not in log.curves:
         return
-    t, q = one.curves[f"position/{pose}"]
-    for joint, x in zip(joints, q, strict=True):
-        times, values = _finite_points(*_midpoints(t - one.start + first, x))
-        found = tree.get_joint_by_name(joint)
-        if found is not None and len(values):
-            columns = found.compute_transform_columns(values.tolist(), clamp=False)
-            path = rr.new_entity_path([pose, "joints", joint])
+    t, q = log.curves[f"position/{pose}"]
+    for name, x in zip(joints, q, strict=True):
+        times, values = _finite_points(*_midpoints(t - log.start + start, x))
+        joint = tree.get_joint_by_name(name)
+        if joint is not None and len(values):
+            columns = joint.compute_transform_columns(values.tolist(), clamp=False)
+            path = rr.new_entity_path([pose, "joints", name])
             recording.send_columns(path, indexes=[rr.TimeColumn(_TIMELINE, duration=times)], columns=columns)
 
 
 def _midpoints(t: Array, x: Array) -> tuple[Array, Array]:
-    """The middle between least and greatest of each stretch, of pairs of points."""
+    """The middle between least and greatest value of each stretch, from pairs of points."""
     return t.reshape(-1, 2).mean(axis=1), x.reshape(-1, 2).mean(axis=1)
 
 

@@ -1,4 +1,4 @@
-"""How far to trust a fit, as records and in words: what report.json has of it."""
+"""The records of the uncertainty analysis: sources of parameters, base parameters, repeatability, bias."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MAX_PULL = 3.0  # standard errors from what the data say, at which prior or cons
 
 
 def coefficient_name(coefficient: Coefficient) -> str:
-    """What a coefficient is called: its owner and what it is of it."""
+    """Name of a coefficient: its owner and the quantity."""
     return f"{coefficient.owner} {_PARAMETER_WORDS.get(coefficient.name, coefficient.name)}"
 
 
@@ -45,22 +45,26 @@ def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coeffi
     name = ""
     for k, share in terms[:_MAX_NAME_TERMS]:
         factor = "" if np.isclose(abs(share), 1) else f"{abs(share):.3g} "
-        sign = ("−" if share < 0 else "") if not name else (" − " if share < 0 else " + ")
+        minus, plus = (" − ", " + ") if name else ("−", "")
+        sign = minus if share < 0 else plus
         name += f"{sign}{factor}{coefficient_name(coefficients[k])}"
-    return name + (" + …" if len(terms) > _MAX_NAME_TERMS else "")
+    if len(terms) > _MAX_NAME_TERMS:
+        name += " + …"
+    return name
 
 
 def terms_report(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> list[CombinationTerm]:
-    """What a base parameter is the sum of."""
+    """The terms of a base parameter."""
     terms = combination(base, i, coefficients)
     return [CombinationTerm(of=coefficients[k].owner, what=coefficients[k].name, share=share) for k, share in terms]
 
 
 def uncertainty_report(fit: Fit) -> UncertaintyReport:
     """The entry ``uncertainty`` of report.json."""
-    analysis, joints = fit.uncertainty_analysis, fit.experiment.equation.joints
+    analysis = fit.uncertainty_analysis
+    joints = fit.experiment.equation.joints
     robust = analysis.cluster_robust
-    ahead = analysis.prediction
+    prediction = analysis.prediction
     return UncertaintyReport(
         confidence=0.95,
         blocks=robust.cluster_count if robust.bootstrap else 0,
@@ -68,30 +72,31 @@ def uncertainty_report(fit: Fit) -> UncertaintyReport:
         correlated_beyond_blocks=robust.correlated_beyond_clusters,
         bootstrap_ratio=robust.bootstrap_ratio,
         independent_samples={name: analysis.independent[name] for name in joints},
-        torque_standard_error=_by_joint(joints, ahead.rms),
-        torque_standard_error_largest=_by_joint(joints, ahead.largest),
-        torque_undetermined=_by_joint(joints, ahead.unknown),
+        torque_standard_error=_by_joint(joints, prediction.rms),
+        torque_standard_error_largest=_by_joint(joints, prediction.largest),
+        torque_undetermined=_by_joint(joints, prediction.unknown),
     )
 
 
 def controller_report(fit: Fit) -> ControllerDelay | None:
     """The entry ``controller`` of report.json; None where no torque comes from a command."""
-    experiment, found = fit.experiment, fit.delay
+    experiment = fit.experiment
     controller = experiment.config.controller
     if controller is None or not any(run.signals.controller.joints.any() for run in experiment.runs):
         return None
-    given = controller.known_delay if found is None else found.given
-    taken = controller.known_delay
-    told = found is not None and found.standard_error is not None
+    delay = controller.known_delay
+    fitted = fit.delay
+    given = delay if fitted is None else fitted.given
+    is_determined = fitted is not None and fitted.standard_error is not None
     return ControllerDelay(
-        delay=taken.value if taken else 0.0,
+        delay=delay.value if delay else 0.0,
         given=given.value if given else None,
-        fitted=found.value if told and found else None,
-        standard_error=found.standard_error if found else None,
-        known_friction_standard_error=found.known_friction_error if found else None,
-        correlation=found.correlation if told and found else None,
-        contradicted=found.contradicted if found else None,
-        text=found.text if found else None,
+        fitted=fitted.value if fitted and is_determined else None,
+        standard_error=fitted.standard_error if fitted else None,
+        known_friction_standard_error=fitted.known_friction_error if fitted else None,
+        correlation=fitted.correlation if fitted and is_determined else None,
+        contradicted=fitted.contradicted if fitted else None,
+        text=fitted.text if fitted else None,
     )
 
 
@@ -102,46 +107,49 @@ def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float]:
 def intervals(fit: Fit) -> list[list[float] | None]:
     """The 95 % interval of every coefficient; None where the data do not determine it."""
     pairs = zip(fit.uncertainty_analysis.intervals.tolist(), fit.uncertainty.identifiable, strict=True)
-    return [pair if sees and np.isfinite(pair).all() else None for pair, sees in pairs]
+    return [pair if is_determined and np.isfinite(pair).all() else None for pair, is_determined in pairs]
 
 
-def base_report(fit: Fit, asked: Identifiability) -> BaseParametersResult:
+def base_report(fit: Fit, identifiability: Identifiability) -> BaseParametersResult:
     """The entry ``base_parameters``."""
     coefficients = fit.experiment.equation.coefficients
-    limits, pulls = fit.uncertainty_analysis.interval(asked.base.B), fit.uncertainty_analysis.pull(asked.base.B)
+    limits, pulls = (
+        fit.uncertainty_analysis.interval(identifiability.base.B),
+        fit.uncertainty_analysis.pull(identifiability.base.B),
+    )
     entries = []
-    for i in range(len(asked.base)):
-        sees = bool(asked.determined[i])
+    for i in range(len(identifiability.base)):
+        is_determined = bool(identifiability.determined[i])
         entries.append(
             BaseParameter(
-                name=combination_name(asked.base, i, coefficients),
-                terms=terms_report(asked.base, i, coefficients),
-                unit=coefficients[asked.base.own[i]].unit,
-                value=float(asked.value[i]),
-                standard_error=float(asked.standard_error[i]) if sees else None,
-                interval=limits[i].tolist() if sees else None,
-                pull=float(pulls[i]) if sees else None,
+                name=combination_name(identifiability.base, i, coefficients),
+                terms=terms_report(identifiability.base, i, coefficients),
+                unit=coefficients[identifiability.base.own[i]].unit,
+                value=float(identifiability.value[i]),
+                standard_error=float(identifiability.standard_error[i]) if is_determined else None,
+                interval=limits[i].tolist() if is_determined else None,
+                pull=float(pulls[i]) if is_determined else None,
             )
         )
     return BaseParametersResult(
         of=len(coefficients),
-        structural=len(asked.base),
-        determined=int(np.count_nonzero(asked.determined)),
+        structural=len(identifiability.base),
+        determined=int(np.count_nonzero(identifiability.determined)),
         held_away=int(np.count_nonzero(pulls > MAX_PULL)),
         parameters=entries,
     )
 
 
 def parameter_sources(fit: Fit, index: int) -> list[ParameterSource] | None:
-    """What the ten parameters of a body rest on; None where it was not asked for."""
-    asked = fit.uncertainty_analysis.identifiability
-    if asked is None:
+    """Sources of the ten parameters of a body; None without the analysis."""
+    identifiability = fit.uncertainty_analysis.identifiability
+    if identifiability is None:
         return None
-    return [_source_report(fit, asked, PI_SIZE * index + k) for k in range(PI_SIZE)]
+    return [_source_report(fit, identifiability, PI_SIZE * index + k) for k in range(PI_SIZE)]
 
 
-def _source_report(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
-    coefficients, source = fit.experiment.equation.coefficients, asked.sources[k]
+def _source_report(fit: Fit, identifiability: Identifiability, k: int) -> ParameterSource:
+    coefficients, source = fit.experiment.equation.coefficients, identifiability.sources[k]
     return ParameterSource(
         on=source.information_source,
         data=source.data,
@@ -149,23 +157,25 @@ def _source_report(fit: Fit, asked: Identifiability, k: int) -> ParameterSource:
         prior=source.prior,
         range=list(source.range),
         moves_with=[
-            CorrelatedParameter(of=coefficients[i].owner, what=coefficients[i].name, correlation=tied)
-            for i, tied in source.moves_with
+            CorrelatedParameter(of=coefficients[i].owner, what=coefficients[i].name, correlation=correlation)
+            for i, correlation in source.moves_with
         ],
         combinations=list(source.combinations),
-        text=source_text(fit, asked, k),
+        text=source_text(fit, identifiability, k),
     )
 
 
-def source_text(fit: Fit, asked: Identifiability, k: int) -> str:
-    """What a parameter rests on, in words."""
-    coefficients, source = fit.experiment.equation.coefficients, asked.sources[k]
+def source_text(fit: Fit, identifiability: Identifiability, k: int) -> str:
+    """The source of a parameter in words."""
+    coefficients, source = fit.experiment.equation.coefficients, identifiability.sources[k]
     names = [coefficient_name(coefficients[i]) for i, _ in source.moves_with[:2]]
     moves = f"; moves with {' and '.join(names)}" if names and source.information_source != "data" else ""
-    return f"{coefficient_name(coefficients[k])}: {_main_source_text(source, asked, coefficients)}{moves}"
+    return f"{coefficient_name(coefficients[k])}: {_main_source_text(source, identifiability, coefficients)}{moves}"
 
 
-def _main_source_text(source: InformationShares, asked: Identifiability, coefficients: Sequence[Coefficient]) -> str:
+def _main_source_text(
+    source: InformationShares, identifiability: Identifiability, coefficients: Sequence[Coefficient]
+) -> str:
     if source.information_source == "data":
         return "determined by the data"
     if source.information_source == "constraints":
@@ -173,16 +183,18 @@ def _main_source_text(source: InformationShares, asked: Identifiability, coeffic
         ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
         return f"held by the constraints{ends} ({source.constraints:.0%})"
     if source.information_source == "combination":
-        name = combination_name(asked.base, source.combinations[0], coefficients) if source.combinations else ""
+        name = (
+            combination_name(identifiability.base, source.combinations[0], coefficients) if source.combinations else ""
+        )
         return f"by the data only in a combination: {name}"
     return "prior only" if source.prior > 0.9 else f"mostly prior ({source.prior:.0%})"
 
 
 def repeatability_report(
-    fit: Fit, asked: Identifiability | None, compared: Repeatability | None
+    fit: Fit, identifiability: Identifiability | None, compared: Repeatability | None
 ) -> RepeatabilityReport | None:
     """The entry ``repeatability``."""
-    if asked is None or compared is None:
+    if identifiability is None or compared is None:
         return None
     coefficients = fit.experiment.equation.coefficients
     finite = np.isfinite(compared.standard_error)
@@ -193,8 +205,8 @@ def repeatability_report(
         cross_rms=compared.cross_error.tolist(),
         parameters=[
             RepeatedParameter(
-                name=combination_name(asked.base, i, coefficients),
-                unit=coefficients[asked.base.own[i]].unit,
+                name=combination_name(identifiability.base, i, coefficients),
+                unit=coefficients[identifiability.base.own[i]].unit,
                 value=[v if sees else None for v, sees in zip(compared.value[i].tolist(), finite[i], strict=True)],
                 standard_error=[
                     v if sees else None for v, sees in zip(compared.standard_error[i].tolist(), finite[i], strict=True)
@@ -202,23 +214,23 @@ def repeatability_report(
                 ratio=float(compared.ratio[i]) if np.isfinite(compared.ratio[i]) else None,
                 agrees=bool(compared.agrees[i]),
             )
-            for i in range(len(asked.base))
+            for i in range(len(identifiability.base))
         ],
     )
 
 
-def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | None) -> BiasReport | None:
+def bias_report(fit: Fit, identifiability: Identifiability | None, biased: BiasCheck | None) -> BiasReport | None:
     """The entry ``bias``."""
-    if asked is None or biased is None:
+    if identifiability is None or biased is None:
         return None
     coefficients = fit.experiment.equation.coefficients
     entries = []
-    for i in range(len(asked.base)):
+    for i in range(len(identifiability.base)):
         if np.isfinite(biased.ls[i]):
             entries.append(
                 BiasParameter(
-                    name=combination_name(asked.base, i, coefficients),
-                    unit=coefficients[asked.base.own[i]].unit,
+                    name=combination_name(identifiability.base, i, coefficients),
+                    unit=coefficients[identifiability.base.own[i]].unit,
                     ls=float(biased.ls[i]),
                     iv=float(biased.iv[i]),
                     standard_error=float(biased.standard_error[i]),
@@ -235,9 +247,9 @@ def bias_report(fit: Fit, asked: Identifiability | None, biased: BiasCheck | Non
 
 
 def reflected_inertia_report(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]:
-    """The entry ``rotors``: what each rotor's inertia about its axis is at the joints that it turns with [kg·m²]."""
+    """The entry ``rotors``: each rotor's inertia about its axis, reflected to the joints that it turns with [kg·m²]."""
     model, p = fit.experiment.model, len(fit.estimate.theta)
-    found = {}
+    rotors = {}
     for i, body in enumerate(model.bodies):
         if body.kind != "rotor":
             continue
@@ -249,11 +261,11 @@ def reflected_inertia_report(fit: Fit) -> dict[str, dict[str, ReflectedInertia]]
                 row = np.zeros((1, p))
                 row[0, PI_SIZE * i + 4 : PI_SIZE * (i + 1)] = ratio**2 * about
                 error = float(fit.uncertainty.of(row)[0])
-                sees = np.isfinite(error)
+                is_determined = np.isfinite(error)
                 joints[joint] = ReflectedInertia(
                     reflected_inertia=float(row[0] @ fit.estimate.theta),
-                    standard_error=error if sees else None,
-                    interval=fit.uncertainty_analysis.interval(row)[0].tolist() if sees else None,
+                    standard_error=error if is_determined else None,
+                    interval=fit.uncertainty_analysis.interval(row)[0].tolist() if is_determined else None,
                 )
-        found[body.name] = joints
-    return found
+        rotors[body.name] = joints
+    return rotors

@@ -92,7 +92,7 @@ def ros1_message(path: Path) -> str:
 
 
 def _conversion_advice(path: Path) -> str:
-    """How to convert a bag to MCAP. ``all`` works with every version of rosbag2, ``all_topics`` only with new ones."""
+    """Command that converts a bag to MCAP; ``all`` works with every rosbag2, ``all_topics`` only with new ones."""
     target = printable(f"{stem(path)}_mcap")
     return (
         f"write 'output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]' to out.yaml, "

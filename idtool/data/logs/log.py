@@ -129,7 +129,7 @@ def make_log(
 
 
 def _check_values(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:
-    """Whether a sample lacks a value, shape (N,), and the signals that at least one joint has."""
+    """True for samples that lack a value, shape (N,); and the signals that at least one joint has."""
     invalid = ~np.isfinite(t)
     present = {}
     for name, array in signals.items():
@@ -178,7 +178,7 @@ def _split(t: Array, dt: float, longest_step: float, invalid: Mask) -> tuple[sli
 
 
 def _catches_up(t: Array, dt: float, candidates: Indices) -> Mask:
-    """Whether the stamps after a long step return to the clock of those before it, so that no time was lost."""
+    """True if the stamps after a long step return to the clock of those before it, so that no time was lost."""
     count = np.arange(_RECOVERY + 1)
     before = candidates[:, None] - count
     after = candidates[:, None] + count[1:]

@@ -1,4 +1,4 @@
-"""What an export is: a file's text, and what of the model is in it and what is not."""
+"""`Export`: a file's content, the parts of the model in it, and the parts that are missing."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Export:
     not_carried: tuple[Part, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """What is carried and what is not, as plain data."""
+        """The parts that are carried and those that are not, as plain data."""
         return {
             "carried": [asdict(part) for part in self.carried],
             "not_carried": [asdict(part) for part in self.not_carried],

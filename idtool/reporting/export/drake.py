@@ -143,9 +143,18 @@ def _transmission_values(identified: IdentifiedModel, rotors: tuple[Rotor, ...])
     """Rotor inertia [kg·m²] and gear ratio by joint; inertia times ratio² is all that reflects there."""
     gears = {}
     for j, name in enumerate(identified.model.names):
-        shares = [(rotor.inertia * float(rotor.ratios[j]) ** 2, float(rotor.ratios[j])) for rotor in rotors]
-        total = sum(share for share, _ in shares) + float(identified.mechanism.armature[j])
-        ratio = max(shares, default=(0.0, 1.0), key=lambda share: share[0])[1] or 1.0
+        total = 0.0
+        largest = -np.inf
+        ratio = 1.0  # that of the rotor with the largest reflected inertia
+        for rotor in rotors:
+            rotor_ratio = float(rotor.ratios[j])
+            reflected = rotor.inertia * rotor_ratio**2
+            total += reflected
+            if reflected > largest:
+                largest = reflected
+                ratio = rotor_ratio
+        total += float(identified.mechanism.armature[j])
+        ratio = ratio or 1.0
         gears[name] = (total / ratio**2, ratio)
     return gears
 
@@ -153,49 +162,49 @@ def _transmission_values(identified: IdentifiedModel, rotors: tuple[Rotor, ...])
 def _list_parts(
     identified: IdentifiedModel, rotors: tuple[Rotor, ...], fixed: list[UrdfJoint]
 ) -> tuple[list[Part], list[Part]]:
-    """What is carried and what is not."""
+    """The parts that are carried and those that are not."""
     robot, model = identified.robot, identified.model
     links = {body.name: pi for body, pi in zip(model.bodies, identified.pi, strict=True) if body.kind == "link"}
     carried = [
         Part("inertial", link, "mass with all that is fixed to it", float(pi[0]), "kg") for link, pi in links.items()
     ]
     carried += identified.inertias
-    lacking = [*identified.others, *(replace(part, detail=NO_EQUIVALENT) for part in identified.offsets)]
+    not_carried = [*identified.others, *(replace(part, detail=NO_EQUIVALENT) for part in identified.offsets)]
     for term in identified.terms:
         if _is_damping(term):
             carried.append(term.part("damping"))
         else:
-            lacking.append(term.not_carried_part)
-    lacking = list(dict.fromkeys(lacking))  # an effect of several terms is one
+            not_carried.append(term.not_carried_part)
+    not_carried = list(dict.fromkeys(not_carried))  # an effect of several terms is one
     for rotor in rotors:
         carried += [
             rotor.part(f"reflected inertia on {name}", rotor.inertia * float(ratio) ** 2)
             for name, ratio in zip(model.names, rotor.ratios, strict=True)
             if ratio
         ]
-        lacking += _omitted_rotor_parts(identified, rotor)
+        not_carried += _omitted_rotor_parts(identified, rotor)
     carried += [Part("locked_joint", joint.name, f"fixed at {identified.value(joint):g}") for joint in fixed]
     for joint in robot.joints.values():
         if joint.name in model.names and not joint.effort > 0:
-            lacking.append(
+            not_carried.append(
                 Part("actuator", joint.name, "has an effort limit of 0; Drake leaves it out, rotors and all")
             )
         if joint.mimic is not None and joint.child in links:
-            lacking.append(Part("mimic", joint.name, "Drake holds it in a discrete plant only"))
+            not_carried.append(Part("mimic", joint.name, "Drake holds it in a discrete plant only"))
     if tuple(identified.gravity) != _DRAKE_GRAVITY:
         values = ", ".join(f"{x:.6g}" for x in identified.gravity)
-        lacking.append(Part("gravity", robot.root, f"is the plant's; set its gravity vector to [{values}]"))
+        not_carried.append(Part("gravity", robot.root, f"is the plant's; set its gravity vector to [{values}]"))
     if robot.root != "world":
-        lacking.append(Part("fixed_base", robot.root, "is free in Drake; weld it to the world"))
-    return carried, lacking
+        not_carried.append(Part("fixed_base", robot.root, "is free in Drake; weld it to the world"))
+    return carried, not_carried
 
 
 def _omitted_rotor_parts(identified: IdentifiedModel, rotor: Rotor) -> list[Part]:
-    """What reflected inertia leaves out of a rotor."""
-    found = []
+    """The parts of a rotor that reflected inertia leaves out."""
+    parts = []
     entries = [abs(a * b) for a, b in combinations(rotor.ratios, 2)]
     if any(entries):
-        found.append(rotor.part("its coupling of joints in the mass matrix", rotor.inertia * float(max(entries))))
+        parts.append(rotor.part("its coupling of joints in the mass matrix", rotor.inertia * float(max(entries))))
     if rotor.carrier is None or rotor.carrier.any():
-        found.append(rotor.coupling())
-    return [*found, *rotor.imbalance(identified.gravity)]
+        parts.append(rotor.coupling())
+    return [*parts, *rotor.imbalance(identified.gravity)]

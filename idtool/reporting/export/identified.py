@@ -37,7 +37,7 @@ class EffectTorque:
     joint
         Name of the joint.
     elements
-        What simulators have that together is this torque; empty: nothing.
+        Simulator elements that together are this torque; empty: there are none.
     amount
         The effect's first parameter and its unit.
     """
@@ -48,12 +48,12 @@ class EffectTorque:
     amount: tuple[float, str] | tuple[()]
 
     def part(self, detail: str) -> Part:
-        """What to say of it."""
+        """A part of the export for this term."""
         return Part(self.effect, self.joint, detail, *self.amount)
 
     @property
     def not_carried_part(self) -> Part:
-        """What to say of it where nothing carries it."""
+        """The part for a simulator without an equivalent."""
         return self.part(NO_EQUIVALENT)
 
 
@@ -159,24 +159,31 @@ class _EffectsByForm:
     others: list[Part] = field(default_factory=list)
 
     def add(self, effect: NamedEffect) -> None:
+        """Sort an effect by the changes that it alone makes to the model's forward dynamics."""
         theta = np.array([c.prior for c in effect.coefficients])
-        alone = Mechanism(self.model)
-        effect.add_to_forward_model(theta, alone)
-        whose = effect.id, next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
+        mechanism = Mechanism(self.model)
+        effect.add_to_forward_model(theta, mechanism)
+        owner = next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
+        amount = self._amount(effect, theta)
+        if any(value for _, value in (*mechanism.smooth_terms, *mechanism.dry_friction_terms)):
+            self.terms.append(EffectTorque(effect.id, owner, effect.simulator_elements(theta), amount))
+        if mechanism.pi.any() or effect.modify_model(self.model) is not self.model:
+            self.inertias.append(Part(effect.id, owner, "in the inertials", *amount))
+        if mechanism.armature.any():
+            self.inertias.append(Part(effect.id, owner, "armature", *amount))
+        if (mechanism.gravity != self.model.gravity).any():
+            self.inertias.append(Part(effect.id, owner, "gravity", *amount))
+        if mechanism.position_offset.any():
+            self.offsets.append(Part(effect.id, owner, "ref of the joint", *amount))
+        has_hysteresis = any(value for _, value in mechanism.hysteresis_terms)
+        if mechanism.torque_sensors or mechanism.torque_delay.any():
+            self.others.append(Part(effect.id, owner, "it is the sensors', not the robot's", *amount))
+        elif mechanism.transmissions or mechanism.extra_torques or has_hysteresis:
+            self.others.append(Part(effect.id, owner, NO_EQUIVALENT, *amount))
+
+    def _amount(self, effect: NamedEffect, theta: Array) -> tuple[float, str] | tuple[()]:
+        """Value and unit of an effect's first parameter; empty without one."""
         parameters = effect.parameters(theta, np.full((len(theta), len(theta)), np.inf))
-        amounts = [(value, c.unit) for (value, _), c in zip(parameters.values(), effect.coefficients, strict=False)]
-        amount = amounts[0] if amounts else ()
-        if any(value for _, value in (*alone.smooth_terms, *alone.dry_friction_terms)):
-            self.terms.append(EffectTorque(*whose, effect.simulator_elements(theta), amount))
-        inertias = {
-            "in the inertials": alone.pi.any() or effect.modify_model(self.model) is not self.model,
-            "armature": alone.armature.any(),
-            "gravity": (alone.gravity != self.model.gravity).any(),
-        }
-        self.inertias += [Part(*whose, detail, *amount) for detail, is_there in inertias.items() if is_there]
-        if alone.position_offset.any():
-            self.offsets.append(Part(*whose, "ref of the joint", *amount))
-        if alone.torque_sensors or alone.torque_delay.any():
-            self.others.append(Part(*whose, "it is the sensors', not the robot's", *amount))
-        elif alone.transmissions or alone.extra_torques or any(value for _, value in alone.hysteresis_terms):
-            self.others.append(Part(*whose, NO_EQUIVALENT, *amount))
+        for (value, _), coefficient in zip(parameters.values(), effect.coefficients, strict=False):
+            return value, coefficient.unit
+        return ()

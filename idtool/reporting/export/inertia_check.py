@@ -1,4 +1,4 @@
-"""Whether a simulator takes an inertia: MuJoCo refuses one that no body can have, Drake puts another in its place."""
+"""Check of inertias for simulators: MuJoCo refuses one that no body can have, Drake puts another in its place."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def slack(inertia: Array) -> float:
 
 
 def is_acceptable(pi: Array) -> bool:
-    """Whether parameters, shape (10,), are those of some body, or of none, but for rounding."""
+    """True if some body, or none at all, has these parameters, shape (10,), up to rounding."""
     mass, _, inertia = mass_com_inertia(pi)
     return mass >= 0 and slack(inertia) >= -_ROUNDING * float(np.abs(inertia).sum())
 
 
 def unrealizable_error(robot: Robot, name: str) -> ModelError:
-    """What to say of a body that cannot exist."""
+    """The error for a body that cannot exist."""
     where = f"{robot.path}: {name}"
     return ModelError(where, "has an inertia that no body can have, which the simulator refuses; fit it within full")

@@ -1,4 +1,4 @@
-"""What MuJoCo has for the torque on a joint: attributes of the joint, springs in tendons, and what its motor drives."""
+"""Torque on joints in MuJoCo: attributes of the joint, springs in tendons, and tendons that its motor drives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from idtool.reporting.export.identified import EffectTorque
 
 @dataclass
 class JointForces:
-    """What acts on one joint, in MuJoCo's words.
+    """Forces on one joint, in MuJoCo's terms.
 
     Its torque is ctrl + bias − damping v − drag v abs(v) − frictionloss sign(v) − stiffness (q − springref), SI; its
     links are as they are drawn where q = ref.
@@ -58,12 +58,14 @@ class JointForces:
     def attributes(self) -> dict[str, str]:
         """Those of the joint's tag that are not zero."""
         names = ("damping", "frictionloss", "armature", "stiffness", "springref", "ref")
-        found = {name: repr(float(getattr(self, name))) for name in names if getattr(self, name)}
-        return found | ({"damping": f"{float(self.damping)!r} {float(self.drag)!r}"} if self.drag else {})
+        attributes = {name: repr(float(getattr(self, name))) for name in names if getattr(self, name)}
+        if self.drag:
+            attributes["damping"] = f"{float(self.damping)!r} {float(self.drag)!r}"
+        return attributes
 
 
 class ForcesByJoint(dict[str, JointForces]):
-    """What acts on the joints, by name.
+    """Forces on the joints, by name.
 
     Parameters
     ----------
@@ -104,9 +106,9 @@ class ForcesByJoint(dict[str, JointForces]):
                 forces.stops.append((side, position + forces.ref, stiffness))
                 return f"a tendon's spring beyond {position + forces.ref:.4g}"
             case TorqueTransfer(source=source, share=share):
-                leaks = self[names[source]].torque_shares
+                shares = self[names[source]].torque_shares
                 joint = names[element.joint]
-                leaks[joint] = leaks.get(joint, 0.0) + share
+                shares[joint] = shares.get(joint, 0.0) + share
                 return f"the motor of {names[source]} drives a tendon"
         raise TypeError(type(element).__name__)
 

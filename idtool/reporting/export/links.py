@@ -93,18 +93,18 @@ def _add_follower(scene: Scene, joint: UrdfJoint) -> None:
 
 
 def _collect_geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
-    """The geoms of every link; says what stays behind."""
+    """The geoms of every link; geometry that is no primitive is listed as not carried."""
     geoms: dict[str, list[dict[str, str]]] = {}
-    lacking: dict[str, None] = {}
+    links_without: dict[str, None] = {}
     for link, geom in primitives(scene.identified.robot):
         if geom is None:
-            lacking[link] = None
+            links_without[link] = None
         else:
             geoms.setdefault(link, []).append(geom)
     if geoms:
         scene.carried.append(Part("geometry", ", ".join(geoms), "primitives, which touch nothing"))
-    if lacking:
-        scene.not_carried.append(Part("geometry", ", ".join(lacking), "meshes and what else is no primitive"))
+    if links_without:
+        scene.not_carried.append(Part("geometry", ", ".join(links_without), "meshes and what else is no primitive"))
     return geoms
 
 

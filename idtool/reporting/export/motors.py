@@ -30,8 +30,8 @@ def add_motor(scene: Scene, joint: UrdfJoint) -> None:
             name = f"{joint.name}_offset"
             while name in scene.identified.robot.joints:
                 name += "_"
-            behind = {"name": name, "joint": joint.name, "ctrllimited": "false", "gaintype": "fixed", "gainprm": "0"}
-            scene.constants.append(etree.Element("general", behind | _bias(forces)))
+            constant = {"name": name, "joint": joint.name, "ctrllimited": "false", "gaintype": "fixed", "gainprm": "0"}
+            scene.constants.append(etree.Element("general", constant | _bias(forces)))
     elif forces.bias:
         motor |= {"gaintype": "fixed", "gainprm": "1", **_bias(forces)}
     etree.SubElement(scene.actuators, "general" if "gaintype" in motor else "motor", motor)

@@ -39,37 +39,43 @@ def to_mujoco(identified: IdentifiedModel, rotor_bodies: bool = False) -> Export
     scene = Scene(identified)
     _add_effects(scene)
     rotors = averaged_rotors(identified)
-    apart = [rotor for rotor in rotors if rotor_bodies and omitted_parts(scene, rotor)]
+    with_body = []
     for rotor in rotors:
-        if rotor not in apart:
+        if rotor_bodies and omitted_parts(scene, rotor):
+            with_body.append(rotor)
+        else:
             add_reflected_inertia(scene, rotor)
     world = etree.Element("worldbody")
     add_links(scene, world)
-    for rotor in apart:
+    for rotor in with_body:
         add_rotor_body(scene, rotor)
     root = etree.Element("mujoco", model=_model_name(identified))
-    root.append(comment(_header_lines(scene, bool(apart))))
+    root.append(comment(_header_lines(scene, bool(with_body))))
     _add_head(scene, root)
     scene.actuators.extend(scene.constants)
     sections = (world, scene.tendons, scene.equalities, scene.actuators)
     root.extend([section for section in sections if len(section)])
     if identified.config.controller is not None:
         root.append(comment(_controller_lines(scene)))
-    written = bytes(etree.tostring(root, pretty_print=True, encoding="utf-8"))
-    return Export(FILE, written, tuple(scene.carried), tuple(scene.not_carried))
+    content = bytes(etree.tostring(root, pretty_print=True, encoding="utf-8"))
+    return Export(FILE, content, tuple(scene.carried), tuple(scene.not_carried))
 
 
 def _add_effects(scene: Scene) -> None:
-    """What acts on the joints."""
+    """Add the effects on the joints."""
     identified = scene.identified
     scene.carried += [*identified.inertias, *identified.offsets]
     for j, forces in enumerate(scene.forces.values()):
         forces.armature = float(identified.mechanism.armature[j])
         forces.ref = -float(identified.mechanism.position_offset[j])
-    parts = [(scene.forces.add_term(term), term.not_carried_part) for term in identified.terms]
-    scene.carried += [part for part, _ in parts if part]
-    lacking = [*identified.others, *(unused for part, unused in parts if not part)]
-    scene.not_carried += dict.fromkeys(lacking)  # an effect of several terms is one
+    not_carried = list(identified.others)
+    for term in identified.terms:
+        part = scene.forces.add_term(term)
+        if part:
+            scene.carried.append(part)
+        else:
+            not_carried.append(term.not_carried_part)
+    scene.not_carried += dict.fromkeys(not_carried)  # an effect of several terms is one
 
 
 def _add_head(scene: Scene, root: etree._Element) -> None:

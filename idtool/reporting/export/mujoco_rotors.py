@@ -24,17 +24,18 @@ from idtool.reporting.export.scene import Scene, quaternion, text
 def add_reflected_inertia(scene: Scene, rotor: Rotor) -> None:
     """Carry a rotor as inertia on joints, and as dead weight of the body that it sits in."""
     body, names = rotor.body, scene.identified.model.names
-    turning = _rotor_ratios(rotor)
-    scene.pi[body.mount.body] += rotor.pi if turning is rotor.ratios else rotor.without_spin
-    joints = np.flatnonzero(turning)
-    over = ", ".join(names[j] for j in joints)
+    ratios = _rotor_ratios(rotor)
+    scene.pi[body.mount.body] += rotor.pi if ratios is rotor.ratios else rotor.without_spin
+    joints = np.flatnonzero(ratios)
+    joint_names = ", ".join(names[j] for j in joints)
     if len(joints) == 1:
-        armature = rotor.inertia * float(turning[joints[0]]) ** 2
-        scene.forces[over].armature += armature
-        scene.carried.append(rotor.part(f"armature of {over}", armature))
+        armature = rotor.inertia * float(ratios[joints[0]]) ** 2
+        scene.forces[joint_names].armature += armature
+        scene.carried.append(rotor.part(f"armature of {joint_names}", armature))
     else:
-        scene.add_tendon(body.name, {names[j]: turning[j] for j in joints}, {"armature": repr(rotor.inertia)})
-        scene.carried.append(rotor.part(f"armature of a tendon over {over}", rotor.inertia))
+        coefficients = {names[j]: ratios[j] for j in joints}
+        scene.add_tendon(body.name, coefficients, {"armature": repr(rotor.inertia)})
+        scene.carried.append(rotor.part(f"armature of a tendon over {joint_names}", rotor.inertia))
     scene.not_carried += omitted_parts(scene, rotor)
 
 
@@ -46,21 +47,25 @@ def _rotor_ratios(rotor: Rotor) -> Array:
 
 
 def omitted_parts(scene: Scene, rotor: Rotor) -> list[Part]:
-    """What inertia on joints leaves out of a rotor."""
-    found = [rotor.coupling()] if rotor.carrier is None else []
-    apart = _omitted_coupling(scene, rotor)
-    if apart:
-        found.append(rotor.part("its coupling of joints on different branches in the mass matrix", apart))
-    return [*found, *rotor.imbalance(scene.identified.gravity)]
+    """The parts of a rotor that inertia on joints leaves out."""
+    parts = []
+    if rotor.carrier is None:
+        parts.append(rotor.coupling())
+    coupling = _omitted_coupling(scene, rotor)
+    if coupling:
+        parts.append(rotor.part("its coupling of joints on different branches in the mass matrix", coupling))
+    return [*parts, *rotor.imbalance(scene.identified.gravity)]
 
 
 def _omitted_coupling(scene: Scene, rotor: Rotor) -> float:
     """The largest entry between joints on different branches, where MuJoCo's mass matrix has none [kg·m²]."""
-    turning = _rotor_ratios(rotor)
+    ratios = _rotor_ratios(rotor)
     support = scene.identified.model.support()[list(scene.moving.values())]
-    pairs = combinations(np.flatnonzero(turning), 2)
-    sizes = [abs(turning[j] * turning[k]) for j, k in pairs if not (support[:, j] & support[:, k]).any()]
-    return rotor.inertia * float(max(sizes, default=0.0))
+    largest = 0.0
+    for j, k in combinations(np.flatnonzero(ratios), 2):
+        if not (support[:, j] & support[:, k]).any():
+            largest = max(largest, abs(ratios[j] * ratios[k]))
+    return rotor.inertia * float(largest)
 
 
 def add_rotor_body(scene: Scene, rotor: Rotor) -> None:
@@ -84,17 +89,17 @@ def add_rotor_body(scene: Scene, rotor: Rotor) -> None:
     names = scene.identified.model.names
     if len(joints) == 1:
         law = text([0.0, rotor.ratios[joints[0]], 0.0, 0.0, 0.0])
-        held = {"joint1": hinge, "joint2": names[joints[0]]}
-        etree.SubElement(scene.equalities, "joint", held, polycoef=law)
+        coupled_joints = {"joint1": hinge, "joint2": names[joints[0]]}
+        etree.SubElement(scene.equalities, "joint", coupled_joints, polycoef=law)
     else:
         tendon = scene.add_tendon(body.name, {**{names[j]: rotor.ratios[j] for j in joints}, hinge: -1.0})
         etree.SubElement(scene.equalities, "tendon", tendon1=tendon)
-    over = ", ".join(names[j] for j in joints)
-    scene.carried.append(rotor.part(f"a body that a stiff constraint holds to {over}", rotor.inertia))
+    joint_names = ", ".join(names[j] for j in joints)
+    scene.carried.append(rotor.part(f"a body that a stiff constraint holds to {joint_names}", rotor.inertia))
 
 
-def _unused_name(name: str, taken: Collection[str]) -> str:
-    """The name, with underscores behind it until nothing else bears it."""
-    while name in taken:
+def _unused_name(name: str, used_names: Collection[str]) -> str:
+    """The name, with underscores appended until it is unique."""
+    while name in used_names:
         name += "_"
     return name

@@ -51,7 +51,7 @@ class Rotor:
     without_spin
         The same without the inertia about its axis: a rod's.
     unbalance
-        What averaging leaves out: first moment across the axis [kg·m], and the largest change of the inertia [kg·m²].
+        Left out by averaging: first moment across the axis [kg·m], and the largest change of the inertia [kg·m²].
     """
 
     body: Body
@@ -74,25 +74,26 @@ class Rotor:
         return float(np.abs(self.ratios).max())
 
     def part(self, detail: str, value: float, unit: str = "kg·m²") -> Part:
-        """What to say of it."""
+        """A part of the export for this rotor."""
         return Part("rotor", self.body.name, detail, value, unit)
 
     def coupling(self) -> Part:
-        """What to say where the coupling with the carrier's rotation is left out."""
+        """The part for a coupling with the carrier's rotation that is left out."""
         size = self.inertia * self.largest_ratio * self.largest_carrier_ratio
         return self.part("its coupling with its carrier's rotation in the mass matrix", size)
 
     def imbalance(self, gravity: Array) -> list[Part]:
-        """What to say of what averaging leaves out, if it is more than rounding."""
-        mass, size = max(self.pi[0], _MIN_VALUE), max(float(np.trace(symmetric_matrix(self.pi[4:]))), _MIN_VALUE)
+        """Parts for what averaging leaves out, if it is more than rounding."""
+        mass = max(self.pi[0], _MIN_VALUE)
+        size = max(float(np.trace(symmetric_matrix(self.pi[4:]))), _MIN_VALUE)
         moment, change = self.unbalance
         torque = moment * self.largest_ratio * float(np.linalg.norm(gravity))
-        found = []
+        parts = []
         if moment > _ROUNDING * np.sqrt(mass * size):
-            found.append(self.part("its unbalance, as torque under gravity", torque, "N·m"))
+            parts.append(self.part("its unbalance, as torque under gravity", torque, "N·m"))
         if change > _ROUNDING * size:
-            found.append(self.part("the part of its inertia that changes with its angle", change))
-        return found
+            parts.append(self.part("the part of its inertia that changes with its angle", change))
+        return parts
 
 
 def averaged_rotors(identified: IdentifiedModel) -> tuple[Rotor, ...]:
@@ -108,15 +109,15 @@ def averaged_rotors(identified: IdentifiedModel) -> tuple[Rotor, ...]:
         return ()
     q = np.random.default_rng(0).uniform(-3, 3, (len(model.joints), _POSES))
     motions = body_motions(model, q, np.zeros_like(q), np.zeros_like(q))
-    found = []
+    rotors = []
     for body, pi, motion in zip(model.bodies, identified.pi, motions, strict=True):
         if body.kind == "rotor":
             if body.axis @ symmetric_matrix(pi[4:]) @ body.axis < 0:
                 raise unrealizable_error(identified.robot, f"rotor {body.name}")
             turning = np.zeros((len(q), _POSES))
             turning[motion.coordinates] = np.tensordot(body.axis, motion.S_w, axes=1)
-            found.append(_average_rotor(body, pi, turning - body.ratios[:, None]))
-    return tuple(found)
+            rotors.append(_average_rotor(body, pi, turning - body.ratios[:, None]))
+    return tuple(rotors)
 
 
 def _average_rotor(body: Body, pi: Array, w: Array) -> Rotor:

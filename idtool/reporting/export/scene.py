@@ -28,7 +28,7 @@ class Scene:
     Attributes
     ----------
     identified
-        What it is written from.
+        The identified model.
     moving
         Index in the model of every link that moves.
     pi
@@ -42,7 +42,7 @@ class Scene:
     constants
         Actuators that take no control.
     carried, not_carried
-        What the user is told.
+        Parts of the model in the file, and those that are missing.
     """
 
     identified: IdentifiedModel
@@ -125,5 +125,5 @@ def quaternion(R: Array) -> str:
 
 def comment(lines: list[str]) -> etree._Comment:
     """Lines as a comment; two hyphens in a row, which a name may have, would end it."""
-    said = "\n".join(["", *lines, ""]).replace("--", "- -").replace("--", "- -")
-    return etree.Comment(said)
+    text = "\n".join(["", *lines, ""])
+    return etree.Comment(text.replace("--", "- -").replace("--", "- -"))

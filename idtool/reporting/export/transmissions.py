@@ -19,32 +19,34 @@ def transmissions(text: bytes, root: Element, gears: Mapping[str, tuple[float, f
     """
     edits = []
     names: dict[str, str] = {}
-    taken: set[str] = set()
+    used_names: set[str] = set()
     for transmission in root.with_tag("transmission"):
         actuators = [actuator.name for actuator in transmission.with_tag("actuator")]
         joint = _joint_of(text, transmission, gears)
         if joint is None:
-            taken.update(actuators)
+            used_names.update(actuators)
         else:
             edits.append(Edit(transmission.start, transmission.stop, b""))
             names.setdefault(joint, next(filter(None, actuators), joint))
     end = b"\r\n" if b"\r\n" in text[: root.content + 2] else b"\n"
-    written = b""
+    new_text = b""
     for joint, (inertia, ratio) in gears.items():
         name = names.get(joint, joint)
-        while name in taken:
+        while name in used_names:
             name += "_"
-        taken.add(name)
-        written += end.join([*_transmission_lines(joint, name, inertia, ratio), b""])
+        used_names.add(name)
+        new_text += end.join([*_transmission_lines(joint, name, inertia, ratio), b""])
     last = text.rindex(b"</", root.start, root.stop)
-    return [*edits, Edit(last, last, written)]
+    return [*edits, Edit(last, last, new_text)]
 
 
 def _joint_of(text: bytes, element: Element, joints: Collection[str]) -> str | None:
     """The joint, of those given, whose transmission this is in Drake's eyes."""
-    named = [joint.name for joint in element.with_tag("joint")]
+    names = [joint.name for joint in element.with_tag("joint")]
     is_simple = b"SimpleTransmission" in text[element.start : element.stop]
-    return named[0] if is_simple and len(named) == 1 and named[0] in joints else None
+    if is_simple and len(names) == 1 and names[0] in joints:
+        return names[0]
+    return None
 
 
 def _transmission_lines(joint: str, actuator: str, inertia: float, ratio: float) -> list[bytes]:

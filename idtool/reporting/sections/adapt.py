@@ -53,7 +53,7 @@ class FinalBodiesSection(Section[AdaptationReport]):
 
     @override
     def table(self, report: AdaptationReport) -> Table:
-        settled = settling_times(report)
+        times = settling_times(report)
         columns = [
             name_column("body"),
             Column("mass", "kg"),
@@ -65,7 +65,7 @@ class FinalBodiesSection(Section[AdaptationReport]):
         rows = []
         for name, body in report.final.bodies.items():
             center = ", ".join(map(metres, body.com.tolist()))
-            row = [Cell(name), number_cell(body.mass), number_cell(settled.get(name)), Cell(center)]
+            row = [Cell(name), number_cell(body.mass), number_cell(times.get(name)), Cell(center)]
             row += [realizable_cell(body.realizable), Cell(report.constraints.get(name, "–"))]
             rows.append(row)
         return Table("Bodies at the end", columns, rows)
@@ -110,7 +110,7 @@ def settling_times(report: AdaptationReport) -> dict[str, float | None]:
 
 
 def settling_time(t: Array, values: Array) -> float | None:
-    """From when on values stay within a twentieth of the last one [s]; None if only at the end.
+    """Time from which values stay within a twentieth of the last one [s]; None if only at the end.
 
     Parameters
     ----------
@@ -121,6 +121,9 @@ def settling_time(t: Array, values: Array) -> float | None:
     """
     if not len(values):
         return None
-    out = np.flatnonzero(~(np.abs(values - values[-1]) <= _SETTLING_TOLERANCE * abs(values[-1])))
-    first = int(out[-1]) + 1 if len(out) else 0
-    return float(t[first]) if first < len(values) - 1 else None
+    is_settled = np.abs(values - values[-1]) <= _SETTLING_TOLERANCE * abs(values[-1])
+    unsettled = np.flatnonzero(~is_settled)
+    first = int(unsettled[-1]) + 1 if len(unsettled) else 0
+    if first >= len(values) - 1:
+        return None
+    return float(t[first])

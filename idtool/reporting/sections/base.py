@@ -1,4 +1,4 @@
-"""What all sections share: a table as a plain record, and how cells are written."""
+"""`Section` and its `Table`, a plain record; and the text of cells."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Column:
     Attributes
     ----------
     heading
-        What stands above it.
+        Text above it.
     unit
         Unit of its figures, where the table's title does not tell it.
     kind
         ``name`` and ``words`` stand flush left, ``number`` flush right; only ``words`` may be broken.
     help
-        What the figures are, where the heading is too short to tell.
+        Explanation of the heading.
     page_only
         Whether the terminal leaves it out.
     attached
@@ -54,11 +54,11 @@ class Cell:
     Attributes
     ----------
     text
-        What is shown.
+        Text that is shown.
     value
         The number, with all its digits; None where there is none.
     emphasis
-        How to take it.
+        Assessment, shown as a colour.
     """
 
     text: str
@@ -73,7 +73,7 @@ class Table:
     Attributes
     ----------
     title
-        What the figures are, with their unit where all have one.
+        Quantity in the table, with the unit if all have the same.
     columns
         The columns; the first ones tell the rows apart.
     rows
@@ -124,7 +124,7 @@ class Section(ABC, Generic[R_contra]):
         """Its table; None where the report has nothing to show."""
 
     def text(self, report: R_contra) -> str:
-        """What the page says below the table; empty for nothing."""
+        """Text of the page below the table; may be empty."""
         return ""
 
 
@@ -148,11 +148,13 @@ def error_cells(x: float | None, error: float | None) -> tuple[Cell, Cell]:
     """A figure and its standard error, to two digits of the error; a dash for what there is not."""
     known = error is not None and math.isfinite(error)
     value, deviation = with_error(x, error)
-    return Cell(value, x), Cell(deviation, error) if known and x is not None else Cell(NO_VALUE)
+    if x is None or not known:
+        return Cell(value, x), Cell(NO_VALUE)
+    return Cell(value, x), Cell(deviation, error)
 
 
 def realizable_cell(realizable: bool) -> Cell:
-    """Whether a body can exist."""
+    """The cell of a body's realizability."""
     return Cell("yes") if realizable else Cell("NO", emphasis="bad")
 
 
@@ -168,9 +170,13 @@ def units_text(units: Mapping[str, str]) -> str:
 
 def unit_columns(units: Mapping[str, str]) -> list[Column]:
     """The column of the joints' units; none where all have the same, which the title tells."""
-    return [name_column("unit")] if len(set(units.values())) > 1 else []
+    if len(set(units.values())) > 1:
+        return [name_column("unit")]
+    return []
 
 
 def unit_cells(units: Mapping[str, str], joint: str) -> list[Cell]:
     """The cell of `unit_columns` for a joint, or for ``overall``."""
-    return [Cell(units.get(joint) or common_unit(units))] if unit_columns(units) else []
+    if not unit_columns(units):
+        return []
+    return [Cell(units.get(joint) or common_unit(units))]

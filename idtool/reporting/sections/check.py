@@ -10,7 +10,7 @@ from idtool.reporting.sections.base import Cell, Column, Section, Table, name_co
 
 
 class LinksSection(Section[CheckReport]):
-    """Which links' inertias no body can have, and what repairs them."""
+    """Links whose inertia no body can have, and the nearest inertias that some body can have."""
 
     title = "Links"
 

@@ -1,4 +1,4 @@
-"""The sections of a diagnosis that tell the steps, the errors before and after, and what else was tried."""
+"""The sections of a diagnosis: its steps, the errors before and after, and the other candidates."""
 
 from __future__ import annotations
 
@@ -129,8 +129,9 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
 
 def _rollout_cell(report: DiagnosisReport, error: float | None, name: str) -> Cell:
     """The rollouts' error in the end, marked where it is worse than before."""
-    is_worse = name in report.rollout_worse
-    return Cell(f"{number(error)} worse", error, "bad") if is_worse else number_cell(error, 3)
+    if name in report.rollout_worse:
+        return Cell(f"{number(error)} worse", error, "bad")
+    return number_cell(error, 3)
 
 
 @dataclass(frozen=True)
@@ -180,20 +181,30 @@ def parameter_texts(step: StepReport) -> list[str]:
 def _value_text(value: Any, error: Any) -> str:
     """A parameter; one of several numbers has them in brackets."""
     if isinstance(value, list | tuple):
-        errors = error if isinstance(error, list | tuple) and len(error) == len(value) else [None] * len(value)
-        return f"[{', '.join(_value_text(x, e) for x, e in zip(value, errors, strict=True))}]"
-    if isinstance(value, bool | str) or value is None:
-        return NO_VALUE if value is None else str(value)
-    return number(value, 4) if error is None else " ± ".join(with_error(value, error))
+        has_errors = isinstance(error, list | tuple) and len(error) == len(value)
+        errors = error if has_errors else [None] * len(value)
+        texts = [_value_text(x, e) for x, e in zip(value, errors, strict=True)]
+        return f"[{', '.join(texts)}]"
+    if value is None:
+        return NO_VALUE
+    if isinstance(value, bool | str):
+        return str(value)
+    if error is None:
+        return number(value, 4)
+    return " ± ".join(with_error(value, error))
 
 
 def score_text(score: float | None, error: float | None) -> str:
     """A share of the disagreement in percent, with its standard error."""
     if score is None:
         return NO_VALUE
-    return f"{100 * score:.1f} %" if error is None else f"{100 * score:.1f} ± {100 * error:.1f} %"
+    if error is None:
+        return f"{100 * score:.1f} %"
+    return f"{100 * score:.1f} ± {100 * error:.1f} %"
 
 
 def change_text(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None, name: str = "overall") -> str:
     """An error before and after."""
-    return f"{number(before[name])} → {number(after[name])}" if before and after else NO_VALUE
+    if not before or not after:
+        return NO_VALUE
+    return f"{number(before[name])} → {number(after[name])}"

@@ -1,4 +1,4 @@
-"""The sections of a fit that tell its errors and its parameters; bodies, friction and rotors also of a diagnosis."""
+"""The sections of a fit: errors and parameters; bodies, friction and rotors also of a diagnosis."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class TorqueErrorsSection(Section[FitReport]):
         for name in (*report.joints, "overall"):
             errors = []
             for rms in (report.rms, report.rms_raw):
-                of_parts = (rms.prior_validation, rms.train, rms.validation)
-                errors += [number_cell(of[name] if of else None) for of in of_parts]
+                for by_joint in (rms.prior_validation, rms.train, rms.validation):
+                    errors.append(number_cell(by_joint[name] if by_joint else None))
             share = percent_cell(report.nrms.get(name))
             rows.append([Cell(name), *unit_cells(report.units, name), *errors[:3], share, *errors[3:]])
         title = f"RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
@@ -72,7 +72,7 @@ class TorqueErrorsSection(Section[FitReport]):
 
 
 class KnownValuesSection(Section[FitReport | DiagnosisReport]):
-    """What was known of the robot by other means, and what was identified."""
+    """Quantities known by other means, and their identified values."""
 
     title = "Known by other means"
 
@@ -95,7 +95,7 @@ class KnownValuesSection(Section[FitReport | DiagnosisReport]):
 
 
 class BodiesSection(Section[FitReport | DiagnosisReport]):
-    """Masses and centres of mass, and how many of a body's ten parameters rest on what."""
+    """Masses, centres of mass, and the number of a body's ten parameters by source."""
 
     title = "Bodies"
     parts = (KnownValuesSection(),)

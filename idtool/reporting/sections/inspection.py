@@ -18,7 +18,7 @@ from idtool.reporting.sections.base import (
 
 
 class JointsSection(Section[InspectionReport]):
-    """What a log holds of each joint."""
+    """Signals and motion of each joint of a log."""
 
     title = "Joints"
 

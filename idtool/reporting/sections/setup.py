@@ -1,4 +1,4 @@
-"""The section of a first configuration: errors without and with what was found."""
+"""The section of a first configuration: errors without and with the terms found."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from idtool.reporting.sections.base import Cell, Column, Section, Table, name_co
 
 
 class StartErrorsSection(Section[InitReport]):
-    """Torque errors with friction alone and with what was found, by joint."""
+    """Torque errors with friction alone and with all terms found, by joint."""
 
     title = "Torque error"
 

@@ -76,7 +76,7 @@ def baseline_name(simulation: Simulation) -> str:
 
 
 def restarts_text(simulation: Simulation) -> str:
-    """How long a model runs before it is restarted."""
+    """Time between restarts, in words."""
     if simulation.window:
         return f"{simulation.window:g} s at a time"
     return f"{simulation.seconds:.3g} s, never restarted"
@@ -89,7 +89,7 @@ def _model_names(simulation: Simulation) -> list[str]:
 
 def _error_cells(errors: Sequence[Errors], joint: str) -> list[Cell]:
     """A joint's errors of the models that there are."""
-    return [number_cell(of.get(joint)) for of in errors if of is not None]
+    return [number_cell(by_joint.get(joint)) for by_joint in errors if by_joint is not None]
 
 
 def _overall(errors: Errors) -> float | None:

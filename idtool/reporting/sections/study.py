@@ -29,7 +29,7 @@ class ErrorsBySetSection(Section[StudyReport]):
         columns = [name_column("joint"), *units, *(Column(name) for name in report.sets)]
         rows = []
         for joint in report.units:
-            errors = [number_cell(of.rms.validation[joint]) for of in report.sets.values()]
+            errors = [number_cell(entry.rms.validation[joint]) for entry in report.sets.values()]
             rows.append([Cell(joint), *unit_cells(report.units, joint), *errors])
         return Table(f"RMS torque error, {units_text(report.units)}", columns, rows, keys=1 + len(units))
 
@@ -46,7 +46,7 @@ class MassesBySetSection(Section[StudyReport]):
         columns = [name_column("body"), *(Column(name, "kg") for name in report.sets)]
         rows = []
         for body in next(iter(report.sets.values())).masses:
-            masses = [of.masses[body] for of in report.sets.values()]
+            masses = [entry.masses[body] for entry in report.sets.values()]
             cells = [number_cell(mass, emphasis="bad" if mass <= 0 else None) for mass in masses]
             rows.append([Cell(body), *cells])
         return Table(self.title, columns, rows)
@@ -74,12 +74,12 @@ class ConstraintSetsSection(Section[StudyReport]):
             Column("objective", page_only=True),
         ]
         rows = []
-        for name, of in report.sets.items():
-            violations = f"{of.violations} of {len(of.masses)}"
-            row = [Cell(name), Cell(of.lmi), *_error_cells(of.rms)]
-            row.append(Cell(violations, of.violations, "bad" if of.violations else None))
-            row += [number_cell(of.worst_margin, 2), number_cell(1000 * of.seconds)]
-            row += [Cell(str(of.iterations)), _gap_cell(of.duality_gap), number_cell(of.objective, 5)]
+        for name, entry in report.sets.items():
+            violations = f"{entry.violations} of {len(entry.masses)}"
+            row = [Cell(name), Cell(entry.lmi), *_error_cells(entry.rms)]
+            row.append(Cell(violations, entry.violations, "bad" if entry.violations else None))
+            row += [number_cell(entry.worst_margin, 2), number_cell(1000 * entry.seconds)]
+            row += [Cell(str(entry.iterations)), _gap_cell(entry.duality_gap), number_cell(entry.objective, 5)]
             rows.append(row)
         title = f"Constraint sets: RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
         return Table(title, columns, rows)
@@ -103,14 +103,14 @@ class EstimatorsSection(Section[StudyReport]):
             Column("status", kind="words", page_only=True),
         ]
         rows = []
-        for name, of in report.estimators.items():
+        for name, entry in report.estimators.items():
             solution = [
-                number_cell(1000 * of.seconds),
-                _gap_cell(of.duality_gap),
-                Cell(str(of.iterations)),
-                Cell(of.status),
+                number_cell(1000 * entry.seconds),
+                _gap_cell(entry.duality_gap),
+                Cell(str(entry.iterations)),
+                Cell(entry.status),
             ]
-            rows.append([Cell(name), *_error_cells(of.rms), *solution])
+            rows.append([Cell(name), *_error_cells(entry.rms), *solution])
         return Table(f"Estimators: RMS torque error, {units_text(report.units)}", columns, rows)
 
 

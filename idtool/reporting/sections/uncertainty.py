@@ -1,4 +1,4 @@
-"""The sections of a fit that tell how far to trust it: base parameters, the logs side by side, bias."""
+"""The sections on a fit's uncertainty: base parameters, repeatability, bias."""
 
 from __future__ import annotations
 
@@ -70,9 +70,8 @@ class TorqueStandardErrorsSection(Section[FitReport]):
 
     @override
     def text(self, report: FitReport) -> str:
-        data = (
-            "On the held-out data" if report.rms.validation is not None else "On the data that the model was fitted to"
-        )
+        is_held_out = report.rms.validation is not None
+        data = "On the held-out data" if is_held_out else "On the data that the model was fitted to"
         return (
             "Independent samples: as many as would say as much as the residual's correlated ones. "
             f"{data}, from the parameters' errors alone, so without what the model lacks. Not known: share of the "
@@ -113,16 +112,8 @@ class BaseParametersSection(Section[FitReport]):
             for p in parameters:
                 pull = Cell(NO_VALUE) if p.pull is None else Cell(f"{p.pull:.1f}", p.pull, emphasis)
                 values = error_cells(p.value, p.standard_error)
-                rows.append(
-                    [
-                        Cell(p.name),
-                        Cell(p.unit),
-                        *values,
-                        Cell(interval_text(p.interval)),
-                        pull,
-                        Cell(group, None, emphasis),
-                    ]
-                )
+                interval = Cell(interval_text(p.interval))
+                rows.append([Cell(p.name), Cell(p.unit), *values, interval, pull, Cell(group, None, emphasis)])
         counts = ", ".join(f"{len(parameters)} {group}" for group, parameters in groups.items() if parameters)
         return Table(f"Base parameters: {counts}", columns, rows[:MAX_ROWS])
 
@@ -226,9 +217,11 @@ class BiasSection(Section[FitReport]):
 def shown_logs(repeatability: RepeatabilityReport) -> list[int]:
     """The first logs, and the odd one among them."""
     shown = list(range(len(repeatability.logs)))[:MAX_LOGS]
-    odd = repeatability.odd_one_out
-    place = repeatability.logs.index(odd) if odd is not None else 0
-    return shown if place in shown else [*shown[:-1], place]
+    if repeatability.odd_one_out is not None:
+        odd = repeatability.logs.index(repeatability.odd_one_out)
+        if odd not in shown:
+            shown[-1] = odd
+    return shown
 
 
 def compared_parameters(repeatability: RepeatabilityReport) -> list[RepeatedParameter]:
@@ -242,10 +235,13 @@ def _extreme_cells(values: Iterable[float | None], logs: Sequence[str]) -> list[
     known = [(value, name) for value, name in zip(values, logs, strict=True) if value is not None]
     if not known:
         return [Cell(NO_VALUE)] * 4
-    least, greatest = min(known), max(known)
-    return [number_cell(least[0]), Cell(least[1]), number_cell(greatest[0]), Cell(greatest[1])]
+    least, least_log = min(known)
+    greatest, greatest_log = max(known)
+    return [number_cell(least), Cell(least_log), number_cell(greatest), Cell(greatest_log)]
 
 
 def _distance(p: BiasParameter) -> float:
     """Distance of the two estimates in standard errors."""
-    return abs(p.iv - p.ls) / p.standard_error if p.standard_error else 0.0
+    if not p.standard_error:
+        return 0.0
+    return abs(p.iv - p.ls) / p.standard_error

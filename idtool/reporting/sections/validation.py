@@ -85,7 +85,7 @@ class RegressionCasesSection(Section[RegressionReport]):
 
 
 def result_cell(ok: bool) -> Cell:
-    """Whether a bound is met."""
+    """The cell of a bound that is met or not."""
     return Cell("ok") if ok else Cell("NOT MET", emphasis="bad")
 
 

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: one file a command."""
+"""Terminal output: one file for each command."""
 
 from idtool.reporting.terminal.base import Terminal
 

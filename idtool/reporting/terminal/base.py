@@ -1,4 +1,4 @@
-"""What all commands print with: lines, tables, warnings, JSON, and progress."""
+"""`Terminal`: prints lines, tables, notices, JSON and progress of all commands."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ R = TypeVar("R")
 
 
 class Terminal:
-    """Where a command prints to.
+    """Output of a command.
 
     Parameters
     ----------
@@ -42,19 +42,19 @@ class Terminal:
         self.errors = _console(quiet, sys.stderr)
 
     def say(self, text: str, style: str | None = None) -> None:
-        """Plain text, as a rule one line, which the terminal may break."""
+        """Print plain text, usually one line, which the terminal may wrap."""
         lines = (printable(line) for line in text.split("\n"))
         self.console.print(Text("\n".join(lines)), style=style, soft_wrap=True)
 
     def show(self, table: Table) -> None:
-        """A table under its title, which may be wider than the table."""
+        """Print a table under its title, which may be wider than the table."""
         self.say(table.title, "bold")
         for line in table_lines(table.in_terminal(), self.console.width):
             self.console.print(line, soft_wrap=True)
         self.say("")
 
     def sections(self, sections: Sequence[Section[R]], report: R) -> None:
-        """The tables of sections, of those that the report holds something of."""
+        """Print the tables of those sections of which the report holds something."""
         for section in sections:
             table = section.table(report)
             if table is not None:
@@ -69,20 +69,20 @@ class Terminal:
                 self.say(f"    {advice}")
 
     def result(self, result: Mapping[str, Any]) -> None:
-        """The result as JSON, if it was asked for."""
+        """Print the result as JSON if it was asked for."""
         if self.as_json:
             sys.stdout.write(json.dumps(result, indent=2, allow_nan=False) + "\n")
 
     @contextmanager
     def progress(self) -> Iterator[Callable[[str, float], None]]:
-        """A function to be told the stage and its share done; shows a bar once that takes long."""
-        restore_keyboard_interrupt()  # what is heavy is loaded
-        with progress_bar(self.errors) as tell:
-            yield tell
+        """A callback for the stage and its share done; shows a bar once that takes long."""
+        restore_keyboard_interrupt()  # heavy modules are loaded
+        with progress_bar(self.errors) as update:
+            yield update
 
 
 def _console(quiet: bool, file: TextIO) -> Console:
-    """A console that prints what its encoding has not as question marks."""
+    """A console that prints characters missing in its encoding as question marks."""
     if isinstance(file, io.TextIOWrapper):
         file.reconfigure(errors="replace")
     return Console(quiet=quiet, file=file, highlight=False, width=None if file.isatty() else _UNLIMITED_WIDTH)

@@ -10,7 +10,7 @@ from idtool.reporting.terminal.base import STYLE, Terminal
 
 
 def show_check(terminal: Terminal, report: CheckReport, repair: Path | None) -> None:
-    """Which links' inertias no body can have, and what was written for them."""
+    """Print the links whose inertia no body can have, and the repaired file."""
     terminal.sections([LinksSection()], report)
     for name, link in report.links.items():
         for violation in link.violations:

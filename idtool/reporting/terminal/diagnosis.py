@@ -53,7 +53,7 @@ def show_diagnosis(
 
 
 def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
-    """One line a step, and a sentence each below."""
+    """Print the table of the steps, and a sentence for each below."""
     terminal.sections([StepsSection()], report)
     for i, step in enumerate(report.steps, 1):
         _show_step(terminal, i, step, report.units)
@@ -64,33 +64,33 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
 
 
 def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[str, str]) -> None:
-    """A step in a sentence; what speaks against it in colour."""
-    found = step.evidence
-    terminal.say(f"{index}. {found.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None)
-    if found.pair and step.alternatives:
+    """Print a step as a sentence, and what speaks against it in colour."""
+    evidence = step.evidence
+    terminal.say(f"{index}. {evidence.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None)
+    if evidence.pair and step.alternatives:
         rival = step.alternatives[0]
         terminal.say(
             f"   cannot be told from {rival.effect} on {owner_name(rival)} by these data: explains "
-            f"{score_text(found.score, found.standard_error)} against "
+            f"{score_text(evidence.score, evidence.standard_error)} against "
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )
-    if worse := found.rollout_worse:
+    if worse := evidence.rollout_worse:
         lengths = {**position_units(units), "overall": common_unit(position_units(units))}
-        before, after = found.simulation_before, found.simulation_after
+        before, after = evidence.simulation_before, evidence.simulation_after
         errors = [f"{name} {change_text(before, after, name)} {lengths[name]}" for name in worse]
         terminal.say(f"   its rollouts got worse while the torque got better: {', '.join(errors)}", STYLE["problem"])
 
 
 def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
-    """Errors by joint, before, after and at the noise floor."""
+    """Print the errors by joint, before, after and at the noise floor."""
     terminal.sections([ErrorsBeforeAfterSection()], report)
     if "overall" in report.rollout_worse:
         terminal.say("The rollouts got worse while the torque got better: do not simulate with it.", STYLE["problem"])
 
 
 def _show_rejected(terminal: Terminal, steps: Sequence[StepReport]) -> None:
-    """Why each candidate that was not taken lost."""
+    """Print the reason why each candidate was rejected."""
     for i, step in enumerate(steps, 1):
         candidates = [*step.alternatives, *step.rejected]
         terminal.sections([CandidatesSection(f"Step {i}: what else was tried")], candidates)

@@ -7,7 +7,7 @@ from idtool.reporting.terminal.base import Terminal
 
 
 def show_export(terminal: Terminal, report: ExportReport) -> None:
-    """What is carried, a line a kind, and what is not, those alike on one line."""
+    """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line."""
     for what in dict.fromkeys(part.what for part in report.carried):
         names = dict.fromkeys(part.of for part in report.carried if part.what == what)
         terminal.say(f"carried: {what} of {', '.join(names)}")

@@ -35,7 +35,7 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
 
 
 def _optimality_text(solver: SolverReport) -> str:
-    """How far the cost may be above the least."""
+    """Bound on the distance of the cost from the minimum, in words."""
     gap = max(abs(solver.duality_gap), ROUNDING)
     if gap <= GAP:
         return f"optimum certified to a relative duality gap of {gap:.1e}"

@@ -8,13 +8,13 @@ from idtool.reporting.terminal.base import Terminal
 
 
 def show_initial_config(terminal: Terminal, report: InitReport) -> None:
-    """What was tried and found, what is left to fill in, and the next command."""
+    """Print the errors, the findings, the keys to fill in, and the next command."""
     terminal.sections([StartErrorsSection()], report)
     terminal.notices(report.notices)
     for line in report.found:
         terminal.say(f"found: {line}")
-    for left in report.left:
-        terminal.say(f"to fill in: {left.key}: {left.what}", "yellow" if left.needed else None)
+    for item in report.left:
+        terminal.say(f"to fill in: {item.key}: {item.what}", "yellow" if item.needed else None)
     terminal.say(f"written: {report.file}")
     then = f"next, once {' and '.join(report.needed)} is filled in" if report.needed else "next"
     terminal.say(f"{then}: {report.next}")

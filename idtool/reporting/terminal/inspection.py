@@ -8,7 +8,7 @@ from idtool.reporting.terminal.base import Terminal
 
 
 def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
-    """What is in a log, and the findings."""
+    """Print the contents of a log and the findings."""
     terminal.say(
         f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "
         f"{inspection.segments} stretches without a gap"

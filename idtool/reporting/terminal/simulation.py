@@ -21,19 +21,20 @@ def show_simulation(terminal: Terminal, simulation: Simulation | None) -> None:
 
 
 def _warning(simulation: Simulation) -> str | None:
-    """That the model is no better than the baseline in all, and how long it is better; None where it is."""
+    """Warning that the model is no better than the baseline, with the time up to which it is; None if it is better."""
     if _is_better(simulation.position, simulation.baseline.position):
         return None
     baseline = "q = qcmd" if simulation.kind == "closed_loop" else "a robot that stays where it is"
     drift = f"Over {restarts_text(simulation)}, the model is farther from the data than {baseline}"
-    better = itertools.takewhile(lambda at: _is_better(at.position, at.baseline), simulation.horizon)
-    if good := [at.seconds for at in better]:
-        long = f"{1000 * good[-1]:g} ms"
+    better = itertools.takewhile(lambda horizon: _is_better(horizon.position, horizon.baseline), simulation.horizon)
+    if seconds := [horizon.seconds for horizon in better]:
+        long = f"{1000 * seconds[-1]:g} ms"
         return f"{drift}; it is nearer up to {long} after a restart: trust its rollouts for no longer than that."
     return f"{drift}: its rollouts are not to be trusted."
 
 
 def _is_better(model: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> bool:
-    """Whether a model's error is below the baseline's; one that ran away has none."""
-    own, other = model["overall"], (baseline or {}).get("overall")
-    return own is not None and (other is None or own < other)
+    """True if a model's error is below the baseline's; a model that diverged has no error."""
+    error = model["overall"]
+    baseline_error = (baseline or {}).get("overall")
+    return error is not None and (baseline_error is None or error < baseline_error)

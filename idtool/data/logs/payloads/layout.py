@@ -41,7 +41,7 @@ class Layout:
     stamp: Callable[[Bytes], Array]
 
     def matches(self, messages: Bytes) -> Mask:
-        """Whether messages (k, L) have the layout of the first of them, shape (k,)."""
+        """True for messages, shape (k, L), with the layout of the first one; shape (k,)."""
         columns = np.flatnonzero(self.mask)
         layout_bits = messages[:, columns] & self.mask[columns]
         return np.asarray((layout_bits == layout_bits[0]).all(axis=1))
