@@ -1,4 +1,4 @@
-"""What the records of all commands share: immutable, complete, and dumped as JSON in the order of their fields."""
+"""Base of all result records: immutable, complete, and dumped as JSON in the order of their fields."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ Vector = Annotated[Array, GetPydanticSchema(_vector_schema)]
 
 @dataclass(frozen=True)
 class Keys:
-    """What the keys of a dictionary are, for the reference."""
+    """Name of a dictionary's keys, for the reference."""
 
     name: str
 
