@@ -10,7 +10,7 @@ from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorS
 from idtool.dynamics.effects import effect_from_entry
 from idtool.reporting.diagnosis_text import next_steps, summary
 from idtool.reporting.fit_report import fit_report, parameter_units
-from idtool.reporting.results.base import notice_fields, plain
+from idtool.reporting.results.base import notice_fields, plain_data
 from idtool.reporting.results.diagnosis import (
     CandidateReport,
     DataFault,
@@ -51,7 +51,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         verdict=diagnosis.verdict,
         before=_level(diagnosis.before),
         after=_level(diagnosis.after),
-        noise_floor=plain(diagnosis.floor),
+        noise_floor=plain_data(diagnosis.floor),
         gap_closed=_gap_closed(diagnosis),
         rollout_worse=_worse_rollouts(diagnosis.before, diagnosis.after),
         steps=[_step(step, diagnosis.last.experiment.model) for step in diagnosis.steps],
@@ -114,7 +114,7 @@ def _gap_closed(diagnosis: Diagnosis) -> dict[str, float | None]:
 
 def _level(level: ErrorSummary) -> ErrorLevel:
     return ErrorLevel(
-        train=plain(level.train), validation=plain(level.validation), simulation=plain(level.simulation)
+        train=plain_data(level.train), validation=plain_data(level.validation), simulation=plain_data(level.simulation)
     )
 
 
@@ -138,8 +138,8 @@ def _candidate(candidate: Candidate) -> CandidateReport:
         effect=candidate.effect,
         joint=candidate.joint,
         link=candidate.link,
-        score=plain(candidate.score),
-        standard_error=plain(candidate.standard_error),
+        score=plain_data(candidate.score),
+        standard_error=plain_data(candidate.standard_error),
         parameters=candidate.parameters,
         reason=candidate.reason,
     )
@@ -152,24 +152,24 @@ def _step(step: DiagnosisStep, model: Model) -> StepReport:
         effect=chosen.effect,
         joint=chosen.joint,
         link=chosen.link,
-        parameters=plain(step.parameters),
-        standard_error=plain(step.standard_error),
+        parameters=plain_data(step.parameters),
+        standard_error=plain_data(step.standard_error),
         units=_units(step, model),
-        where=Location(joints=location.joints, windows=plain(location.windows), region=location.region),
+        where=Location(joints=location.joints, windows=plain_data(location.windows), region=location.region),
         evidence=Evidence(
-            score=plain(chosen.score),
-            standard_error=plain(chosen.standard_error),
-            significance=plain(step.significance),
+            score=plain_data(chosen.score),
+            standard_error=plain_data(chosen.standard_error),
+            significance=plain_data(step.significance),
             pair=step.pair,
             separate=step.distinguishing_experiment,
-            simulation_before=plain(step.before.simulation),
-            simulation_after=plain(step.after.simulation),
+            simulation_before=plain_data(step.before.simulation),
+            simulation_after=plain_data(step.after.simulation),
             rollout_worse=_worse_rollouts(step.before, step.after),
             sentence=step.sentence,
             doubt=step.doubt,
         ),
-        validation_rms_before=plain(step.before.torque),
-        validation_rms_after=plain(step.after.torque),
+        validation_rms_before=plain_data(step.before.torque),
+        validation_rms_after=plain_data(step.after.torque),
         alternatives=[_candidate(candidate) for candidate in step.alternatives],
         rejected=[_candidate(candidate) for candidate in step.rejected],
     )
@@ -183,4 +183,4 @@ def _units(step: DiagnosisStep, model: Model) -> dict[str, str | None]:
 
 
 def _residual(residual: ResidualProfile) -> ResidualMap:
-    return ResidualMap(**{name: plain(getattr(residual, name)) for name in ResidualMap.model_fields})
+    return ResidualMap(**{name: plain_data(getattr(residual, name)) for name in ResidualMap.model_fields})

@@ -17,7 +17,7 @@ from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
-from idtool.reporting.results.base import SampleCounts, notice_fields, plain, provenance_fields
+from idtool.reporting.results.base import SampleCounts, notice_fields, plain_data, provenance_fields
 from idtool.reporting.results.fit import (
     AutomaticWeight,
     BodyReport,
@@ -308,8 +308,8 @@ def effect_report(fit: Fit, entry: EffectEntry) -> EffectReport:
         effect=entry.effect,
         joint=entry.joint,
         link=entry.link,
-        parameters=plain(parameters),
-        standard_error=plain(errors),
+        parameters=plain_data(parameters),
+        standard_error=plain_data(errors),
         units=parameter_units(effect_from_entry(entry, fit.experiment.model), parameters),
     )
 

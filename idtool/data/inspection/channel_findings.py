@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from idtool.common.notice import Notice
-from idtool.data.inspection.records import Frozen, InspectedJoint, Signal
+from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Signal
 from idtool.data.inspection.text import count_text
 
 MAX_STUCK_SHARE = 0.005  # share of samples while moving: fewer may gather at a turning point
@@ -34,7 +34,9 @@ def missing_channels(name: str, joint: InspectedJoint) -> Iterator[Notice]:
             yield Notice("missing_torque", "problem", name, "tau is missing", meaning)
 
 
-def channel_findings(name: str, joint: InspectedJoint, frozen: Mapping[str, Frozen], dt: float) -> Iterator[Notice]:
+def channel_findings(
+    name: str, joint: InspectedJoint, frozen: Mapping[str, FrozenStretches], dt: float
+) -> Iterator[Notice]:
     """All findings on single channels of a joint.
 
     Parameters
@@ -98,7 +100,7 @@ def _clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
         yield Notice("clipped", "warning", name, f"q sits at {extremes}, while v goes on", meaning)
 
 
-def _frozen(name: str, signal: str, frozen: Frozen) -> Notice:
+def _frozen(name: str, signal: str, frozen: FrozenStretches) -> Notice:
     extent = (
         f"{signal} keeps one value for {frozen.seconds:.3g} s in all while the joint moves, first "
         f"{frozen.start:.3f} s into the log"

@@ -14,7 +14,7 @@ from idtool.data.inspection import time_findings
 from idtool.data.inspection.channel_findings import MAX_STALE_SHARE, MAX_STUCK_SHARE, channel_findings, missing_channels
 from idtool.data.inspection.frozen import frozen_channels
 from idtool.data.inspection.motion_findings import commanded_torque, motion_findings
-from idtool.data.inspection.records import Frozen, InspectedJoint, Stamps
+from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Stamps
 from idtool.data.inspection.velocity_findings import (
     exchanged_velocities,
     exchanged_velocity,
@@ -56,13 +56,13 @@ def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str,
         findings += commanded_torque(name, joint)
         if name in exchanged:
             findings.append(exchanged_velocity(name, exchanged[name]))
-        elif in_seconds and joint.velocity is not None and not _is_spoilt(joint, frozen[name]):
+        elif in_seconds and joint.velocity is not None and not _repeats_values(joint, frozen[name]):
             findings += velocity_against_position(name, joint.velocity, joint.band_hz or 0.0, log.dt)
         findings += channel_findings(name, joint, frozen[name], log.dt)
     return _sorted(findings)
 
 
-def _is_spoilt(joint: InspectedJoint, frozen: Mapping[str, Frozen]) -> bool:
+def _repeats_values(joint: InspectedJoint, frozen: Mapping[str, FrozenStretches]) -> bool:
     """True if q or v repeats values: the lag and gain of v then come from that defect."""
     for signal in ("q", "v"):
         figures = joint.signals[signal]

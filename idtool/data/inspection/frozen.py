@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.data.inspection.channel_findings import MAX_STALE_SHARE
-from idtool.data.inspection.records import Frozen, InspectedJoint, Signal
+from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Signal
 from idtool.data.logs.log import Log
 
 MIN_DURATION = 0.1  # s in all: less is too short for a filter to carry any further
@@ -31,7 +31,7 @@ _BLOCK = 1 << 16  # samples looked at together
 _READING_STRIDE = 5  # samples from one reading of q to the next for the distance, so that noise adds little to it
 
 
-def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, dict[str, Frozen]]:
+def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, dict[str, FrozenStretches]]:
     """Frozen stretches by joint and signal; of every sample of the log.
 
     Parameters
@@ -43,13 +43,13 @@ def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str,
     """
     shortest = int(np.ceil(max(MIN_STRETCH_DURATION / log.dt, MIN_STRETCH_SAMPLES)))
     first_stamp = log.t[np.argmax(np.isfinite(log.t))]
-    frozen: dict[str, dict[str, Frozen]] = {name: {} for name in joints}
+    frozen: dict[str, dict[str, FrozenStretches]] = {name: {} for name in joints}
     for signal in _CHANNELS:
         stretches = _stretches(log, joints, signal, shortest)
         for name, runs in stretches.items():
             seconds = float(sum(stop - start for start, stop in runs) * log.dt)
             if seconds > MIN_DURATION:
-                frozen[name][signal] = Frozen(len(runs), seconds, float(log.t[runs[0][0]] - first_stamp))
+                frozen[name][signal] = FrozenStretches(len(runs), seconds, float(log.t[runs[0][0]] - first_stamp))
     return frozen
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from idtool.common.notice import Notice
-from idtool.data.inspection.records import Frozen, InspectedJoint
+from idtool.data.inspection.records import FrozenStretches, InspectedJoint
 from idtool.data.inspection.text import count_text
 
 MAX_STANDSTILL = 0.5  # share of the time
@@ -15,7 +15,7 @@ MAX_TRAVEL = 8 * np.pi  # rad: four turns are degrees, or a wheel
 MAX_RELATIVE_BAND = 0.2  # of the sampling rate: above it, no short difference is a derivative any more
 
 
-def motion_findings(name: str, joint: InspectedJoint, frozen: Frozen | None, dt: float) -> Iterator[Notice]:
+def motion_findings(name: str, joint: InspectedJoint, frozen: FrozenStretches | None, dt: float) -> Iterator[Notice]:
     """All findings on the motion of a joint.
 
     Parameters
@@ -49,7 +49,7 @@ def motion_findings(name: str, joint: InspectedJoint, frozen: Frozen | None, dt:
         yield Notice("many_turns", "note", name, travel, meaning)
 
 
-def _jumps(name: str, joint: InspectedJoint, frozen: Frozen | None) -> Iterator[Notice]:
+def _jumps(name: str, joint: InspectedJoint, frozen: FrozenStretches | None) -> Iterator[Notice]:
     """Jumps of the position, but for those with which one that was frozen catches up."""
     jumps = joint.jumps - (frozen.stretches if frozen and not joint.wraps else 0)
     if jumps > 0:

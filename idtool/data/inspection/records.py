@@ -134,7 +134,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Frozen:
+class FrozenStretches:
     """The stretches in which a channel repeats one value while its joint moves.
 
     Attributes

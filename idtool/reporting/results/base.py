@@ -204,14 +204,14 @@ class CombinationTerm(Record):
     share: float = field("Factor of the coefficient.")
 
 
-def plain(value: Any) -> Any:
+def plain_data(value: Any) -> Any:
     """Numbers, arrays and what holds them as plain data; None for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): plain(inner) for key, inner in value.items()}
+        return {str(key): plain_data(inner) for key, inner in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return plain_data(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
+        return [plain_data(inner) for inner in value]
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return plain_data(value.item())
     return None if isinstance(value, float) and not math.isfinite(value) else value

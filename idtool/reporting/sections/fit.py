@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from idtool.reporting.diagnosis_text import effect_name, on, position_units
+from idtool.reporting.diagnosis_text import effect_name, owner_name, position_units
 from idtool.reporting.number_text import interval_text, metres, number
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
 from idtool.reporting.sections.base import (
-    NONE,
+    NO_VALUE,
     Cell,
     Column,
     Section,
@@ -272,7 +272,9 @@ class EffectsSection(Section[FitReport]):
             for name, value in effect.parameters.items():
                 cells = _parameter_cells(value, effect.standard_error[name])
                 unit = effect.units[name] or ""
-                rows.append([Cell(effect_name(effect.effect)), Cell(on(effect)), Cell(name), *cells, Cell(unit)])
+                rows.append(
+                    [Cell(effect_name(effect.effect)), Cell(owner_name(effect)), Cell(name), *cells, Cell(unit)]
+                )
         return Table(self.title, columns, rows, keys=3) if rows else None
 
     @override
@@ -283,11 +285,11 @@ class EffectsSection(Section[FitReport]):
 def _parameter_cells(value: Any, error: Any) -> tuple[Cell, Cell]:
     """A parameter and its standard error: a number, a list of numbers, or a name."""
     if isinstance(value, str) or value is None:
-        return Cell(value or NONE), Cell(NONE)
+        return Cell(value or NO_VALUE), Cell(NO_VALUE)
     if isinstance(value, float | int):
         return error_cells(value, error)
     numbers = ", ".join(number(x) for x in np.ravel(value))
-    return Cell(numbers), Cell(NONE)
+    return Cell(numbers), Cell(NO_VALUE)
 
 
 class PriorWeightsSection(Section[FitReport]):
