@@ -42,7 +42,7 @@ def known_assumption(given: str | Assumed) -> Assumed:
 def _known(option: str, effect: str) -> str:
     named = [id for id, kind in effect_types().items() if kind.reportable]
     if effect not in named:
-        raise ConfigError(option, f"{printable(effect) or 'nothing'} is no effect; {suggestion(effect, named)}")
+        raise ConfigError(option, f"{printable(effect) or 'nothing'} is not an effect; {suggestion(effect, named)}")
     return effect
 
 
@@ -62,5 +62,5 @@ def check_assumed(assumed: Sequence[Assumed], model: Model) -> None:
             raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
         if on is not None and on not in names:
             raise ConfigError(
-                "--assume", f"{printable(on) or 'nothing'} is no {what} of the model; {suggestion(on, names)}"
+                "--assume", f"{printable(on) or 'nothing'} is not a {what} of the model; {suggestion(on, names)}"
             )

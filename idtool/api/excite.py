@@ -177,7 +177,7 @@ def _check(
 ) -> None:
     """Before anything is read: whether the options can be meant."""
     if criterion not in CRITERIA:
-        raise ConfigError("--criterion", f"{criterion} is none; {suggestion(criterion, CRITERIA)}")
+        raise ConfigError("--criterion", f"{criterion} is not a criterion; {suggestion(criterion, CRITERIA)}")
     for option, value, least, most in (
         ("--duration", duration, 3.0, 3600.0),
         ("--rate", rate, 20.0, 20_000.0),
@@ -186,7 +186,7 @@ def _check(
         ("--max-frequency", 1.0 if max_frequency is None else max_frequency, 0.01, 1000.0),
     ):
         if not least <= value <= most:
-            raise ConfigError(option, f"{value:g} is not from {least:g} to {most:g}")
+            raise ConfigError(option, f"{value:g} is not between {least:g} and {most:g}")
 
 
 def _experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:

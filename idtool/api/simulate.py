@@ -218,12 +218,12 @@ def simulate(
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:
     if closed_loop and track:
-        raise ConfigError("--track", "goes without --closed-loop; give one of them")
+        raise ConfigError("--track", "cannot be combined with --closed-loop; use only one of them")
     if (closed_loop or track) and settings.controller is None:
         option = "--track" if track else "--closed-loop"
-        raise ConfigError("controller", f"is missing in the configuration; give kp and kd there, {option} needs them")
+        raise ConfigError("controller", f"is missing in the configuration; {option} needs its kp and kd")
     if window is not None and not 0 <= window < math.inf:
-        raise ConfigError("--window", f"{window:g} is no time; give seconds, or 0 for never")
+        raise ConfigError("--window", f"{window:g} is not a valid time; give seconds, or 0 for no restarts")
 
 
 def _window(experiment: Experiment, given: float | None) -> float | None:
@@ -238,7 +238,7 @@ def _report(experiment: Experiment, done: SimulatedLog, wall: float) -> Simulati
     """The result but for the file."""
     notices = list(experiment.notices)
     if done.diverged:
-        message = f"{done.diverged} of {done.rollouts} rollouts ran away; they end where they did"
+        message = f"{done.diverged} of {done.rollouts} rollouts diverged; each ends where it diverged"
         notices.append(Notice("simulation_diverged", "warning", None, message))
     return SimulationReport(
         file=None,

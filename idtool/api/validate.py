@@ -207,7 +207,7 @@ def _bounds(given: float | Mapping[str, float] | None, experiment: Experiment) -
     known = (*experiment.equation.joints, "overall")
     for name, bound in bounds.items():
         if name not in known:
-            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, known)}")
+            raise ConfigError("--max-rms", f"{name} is not a joint; {suggestion(name, known)}")
         if not 0 < bound < math.inf:
-            raise ConfigError("--max-rms", f"{bound} is no bound; give a number above 0")
+            raise ConfigError("--max-rms", f"{bound} is not a bound; give a number above 0")
     return bounds

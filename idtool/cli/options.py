@@ -147,7 +147,7 @@ def bounds_of(given: list[str], experiment: Experiment) -> dict[str, float]:
         name = name or "overall"
         known = (*experiment.equation.joints, "overall")
         if name not in known:
-            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, known)}")
+            raise ConfigError("--max-rms", f"{name} is not a joint; {suggestion(name, known)}")
         try:
             bounds[name] = float(number)
         except ValueError:

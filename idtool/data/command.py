@@ -103,7 +103,8 @@ def commanded(log: Log, controller: Controller | None) -> Log:
         return log
     tau = log.signals["tau"].copy()
     tau[:, empty] = np.nan
-    message = f"the torque never changes; that of the controller is used: {join_names([log.joints[i] for i in empty])}"
+    names = join_names([log.joints[i] for i in empty])
+    message = f"the logged torque never changes, so the controller's torque is used: {names}"
     notice = Notice("torque_from_command", "note", None, message)
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 

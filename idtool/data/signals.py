@@ -159,17 +159,19 @@ class Signals:
 
     def _choose_velocity(self, config: Config) -> Mask:
         missing = ~self.channels.measured
-        advice = "nothing to do; log the velocity too where positions are coarse"
-        notice = Notice("velocity_differentiated", "note", None, "no velocity logged, differentiated from q", advice)
+        advice = "no action is needed; log the velocity too if positions are coarse"
+        notice = Notice(
+            "velocity_differentiated", "note", None, "no velocity was logged; it is differentiated from q", advice
+        )
         self._note(notice, missing)
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
         strange = self.channels.measured & ~self.channels.trusted
-        message = "logged velocity is not the derivative of q; q is differentiated instead"
+        message = "the logged velocity is not the derivative of q; q is differentiated instead"
         advice = "compare the unit, sign and order of the velocities with those of the positions"
         self._note(Notice("velocity_unrelated", "warning", None, message, advice), strange)
         if self.channels.jitter > _JITTERY:
-            message = f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
+            message = f"the stamps jitter by {self.channels.jitter:.2f} samples rms, so the measured velocity is used"
             advice = "stamp samples when they are taken, not when they are written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | strange)
@@ -189,12 +191,14 @@ class Signals:
     def _note_velocity_errors(self) -> None:
         late = float(np.where(self.differentiated, 0.0, np.abs(self.lag)).max())
         if late > _LAGS * self.log.dt:
-            message = f"the measured velocity is up to {late * 1e3:.1f} ms late; the lag is undone"
-            self.notices.append(Notice("velocity_lag", "note", None, message, "nothing to do"))
+            message = f"the measured velocity is up to {late * 1e3:.1f} ms late; the lag is corrected"
+            self.notices.append(Notice("velocity_lag", "note", None, message, "no action is needed"))
         if self.channels.bias.any():
             off = float(np.abs(self.channels.bias).max())
-            message = f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average; this is undone"
-            self._note(Notice("velocity_bias", "note", None, message, "nothing to do"), self.channels.bias != 0)
+            message = (
+                f"the measured velocity is off by up to {off:.2g} rad/s (m/s) on average; this offset is corrected"
+            )
+            self._note(Notice("velocity_bias", "note", None, message, "no action is needed"), self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
         """What is left of the segments when derivatives and delays have taken their margin."""
@@ -204,12 +208,12 @@ class Signals:
         if not kept:
             raise LogError(
                 self.log.path,
-                f"no stretch without a gap is longer than the {(first + self._margin) * self.log.dt:.2f} s that the "
+                f"no segment without gaps is longer than the {(first + self._margin) * self.log.dt:.2f} s that the "
                 f"{self.band_hz:g} Hz filter and the derivatives need",
             )
         if len(kept) < len(ranges):
-            message = f"{len(ranges) - len(kept)} stretches between gaps were too short for the filter"
-            advice = "nothing to do if they are few; else find out why samples are lost"
+            message = f"{len(ranges) - len(kept)} segments between gaps were too short for the filter"
+            advice = "no action is needed if they are few; otherwise find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
             if notice not in self.notices:
                 self.notices.append(notice)

@@ -102,7 +102,7 @@ class _ProbeSums:
 
 
 def screen_probes(
-    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
+    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "screening candidates"
 ) -> list[ScreenedProbe]:
     """What each probe explains, by itself.
 

@@ -44,29 +44,32 @@ def summary(report: DiagnosisReport) -> str:
         The content of diagnosis.json.
     """
     named = [step for step in report.steps if step.effect != UNKNOWN]
-    left = [step for step in report.steps if step.effect == UNKNOWN]
+    unknown = _listed(on(step) for step in report.steps if step.effect == UNKNOWN)
     unit, which = together(report.units), "held-out" if report.before.validation else "training"
     first, last = _overall(report.before), _overall(report.after)
     floor = f"{report.noise_floor['overall']:.3g} {unit}"
     if report.verdict == "no_disagreement":
         return (
-            f"Model and data do not disagree: the {which} torque error, {first:.3g} {unit} RMS, is as near to the "
-            f"noise floor, {floor}, as the data can tell. Nothing was added."
+            f"Model and data agree: the {which} torque error, {first:.3g} {unit} RMS, cannot be distinguished from the "
+            f"noise floor, {floor}. Nothing was added."
         )
-    unknown = f"{UNKNOWN}, on {_listed([on(step) for step in left])}" if left else "too little to be named"
     if not named:
+        cause = "but the difference is too small to be attributed to an effect"
+        if unknown:
+            cause = f"and no known effect explains the difference on {unknown}"
         return (
-            f"Model and data disagree, and no known effect explains it: {unknown}. The {which} torque error is "
-            f"{first:.3g} {unit} RMS, the noise floor {floor}."
+            f"Model and data disagree, {cause}. The {which} torque error is {first:.3g} {unit} RMS, and the noise "
+            f"floor is {floor}."
         )
     share = report.gap_closed["overall"]
-    closed = "" if share is None else f": {100 * max(share, 0.0):.0f} % of the gap is closed"
-    rest = f" What is left is {unknown}." if left else ""
+    closed = "" if share is None else f", so {100 * max(share, 0.0):.0f} % of the gap is closed"
+    rest = f" No known effect explains the remaining residual on {unknown}." if unknown else ""
     doubted = [_named_alone(step) for step in named if step.evidence.doubt]
-    rest += f" In doubt: {_listed(doubted)}; the notes say why." if doubted else ""
+    rest += f" Doubtful: {_listed(doubted)}; the notices give the reasons." if doubted else ""
+    effects = "this effect" if len(named) == 1 else "these effects"
     return (
-        f"The model lacks {_listed([_named(step) for step in named])}. With that, the {which} torque error goes from "
-        f"{first:.3g} to {last:.3g} {unit} RMS, the noise floor being {floor}{closed}.{rest}"
+        f"The model lacks {_listed([_named(step) for step in named])}. With {effects}, the {which} torque error goes "
+        f"from {first:.3g} to {last:.3g} {unit} RMS. The noise floor is {floor}{closed}.{rest}"
     )
 
 
@@ -80,16 +83,16 @@ def next_steps(report: DiagnosisReport) -> list[str]:
     """
     said = []
     if any(not fault.undone for fault in report.data_faults):
-        said.append("Correct the data first, or say what they mean in the configuration, and diagnose again.")
+        said.append("First correct the data, or describe them correctly in the configuration, and then diagnose again.")
     for step in report.steps:
         if step.evidence.pair and step.alternatives:
-            told = f"To tell {_named_alone(step)} from {_named_alone(step.alternatives[0])}"
+            told = f"To distinguish {_named_alone(step)} from {_named_alone(step.alternatives[0])}"
             said.append(f"{told}: {step.evidence.separate}")
     if left := [on(step) for step in report.steps if step.effect == UNKNOWN]:
-        what = "has a cause that is none of the effects known: see the residual maps"
-        said.append(f"What is left on {_listed(left)} {what}.")
+        what = "is not caused by any known effect: see the residual maps in diagnosis.html"
+        said.append(f"The remaining residual on {_listed(left)} {what}.")
     if "overall" in report.rollout_worse:
-        said.append("Do not simulate with this model yet: its rollouts are worse than those of the model given.")
+        said.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
     return said
 
 
@@ -113,6 +116,8 @@ def _named(step: StepReport) -> str:
 
 
 def _listed(words: Iterable[str]) -> str:
-    """Words as a list in a sentence, each once."""
-    *some, last = dict.fromkeys(words)
-    return f"{', '.join(some)} and {last}" if some else last
+    """Words as a list in a sentence, each once; empty for none."""
+    distinct = list(dict.fromkeys(words))
+    if len(distinct) < 2:
+        return "".join(distinct)
+    return f"{', '.join(distinct[:-1])} and {distinct[-1]}"

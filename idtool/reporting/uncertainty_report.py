@@ -161,7 +161,7 @@ def basis_text(fit: Fit, asked: Identifiability, k: int) -> str:
     """What a parameter rests on, in words."""
     coefficients, source = fit.experiment.equation.coefficients, asked.sources[k]
     names = [quantity(coefficients[i]) for i, _ in source.moves_with[:2]]
-    moves = f"; moves with {' and '.join(names)}" if names and source.information_source != "data" else ""
+    moves = f"; correlated with {' and '.join(names)}" if names and source.information_source != "data" else ""
     return f"{quantity(coefficients[k])}: {_source_text(source, asked, coefficients)}{moves}"
 
 
@@ -171,10 +171,10 @@ def _source_text(source: InformationShares, asked: Identifiability, coefficients
     if source.information_source == "constraints":
         low, high = source.range
         ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
-        return f"held by the constraints{ends} ({source.constraints:.0%})"
+        return f"limited by the constraints{ends} ({source.constraints:.0%})"
     if source.information_source == "combination":
         name = combination_name(asked.base, source.combinations[0], coefficients) if source.combinations else ""
-        return f"by the data only in a combination: {name}"
+        return f"determined by the data only in a combination: {name}"
     return "prior only" if source.prior > 0.9 else f"mostly prior ({source.prior:.0%})"
 
 

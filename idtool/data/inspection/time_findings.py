@@ -17,7 +17,7 @@ LOST = 0.01  # share of the time: less is the ordinary end of a part, which cost
 SHORT = 0.05  # share of samples in segments too short for a filter to settle in
 TOO_SHORT = 0.5  # the same, from which on hardly anything remains
 
-_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit takes the logged v where it is less so"
+_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit uses the logged v where that is less noisy"
 
 
 def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
@@ -27,12 +27,15 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """
     off = _unevenness(dt, stamps)
     if stamps.step_jitter > JITTER:
-        deviation = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
+        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} samples rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
     elif off > JITTER:
-        deviation = f"by the joints' motion the samples were taken {off:.2g} samples rms off the stamps' even clock"
-        advice = f"the stamps were rounded or made up; {_DIFFERENTIATED}; log the sensor's own time"
+        deviation = (
+            "according to the motion, the actual sampling times deviate from the evenly spaced stamps by "
+            f"{off:.2g} samples rms"
+        )
+        advice = f"the stamps were rounded or generated; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
 
 
@@ -45,7 +48,9 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
         return
     net = stamps.sampling.skipped - stamps.repeated
     if net > HICCUP:
-        share = f"by the joints' motion {stamps.sampling.skipped:.1%} of the steps took the time of two samples or more"
+        share = (
+            f"according to the motion, {stamps.sampling.skipped:.1%} of the steps are two or more sample periods long"
+        )
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
         if net > SKIPPED and stamps.step_jitter <= JITTER:
             yield Notice("dropped_samples", "warning", None, share, meaning)
@@ -61,7 +66,7 @@ def _unevenness(dt: float, stamps: Stamps) -> float:
 def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
     if stamps.repeated > HICCUP:
-        share = f"{stamps.repeated:.1%} of the samples repeat the one before in every joint"
+        share = f"{stamps.repeated:.1%} of the samples repeat the previous one in every joint"
         meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
         if stamps.repeated > REPEATED:
             yield Notice("stale", "warning", None, share, meaning)
@@ -74,10 +79,10 @@ def gaps(duration: float, stamps: Stamps) -> Iterator[Notice]:
     if stamps.gaps:
         longest = stamps.longest_gaps[0]
         extent = (
-            f"{counted(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
-            f"{longest.start:.3f} s into the log"
+            f"{counted(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in total; the longest is {longest.lost:.3g} s, "
+            f"{longest.start:.3f} s after the start"
         )
-        meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
+        meaning = "filters do not cross gaps: samples next to a gap are not used, and short segments not at all"
         if stamps.lost > LOST * duration:
             yield Notice("dropped_samples", "warning", None, extent, meaning)
         else:
@@ -88,11 +93,15 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     """Segments too short to be of use; ``segments`` is the number of all."""
     if segments < 2 or stamps.short < SHORT:
         return
-    extent = f"gaps and missing values cut the log in {segments}: {stamps.short:.0%} of it is in stretches below 0.5 s"
+    extent = (
+        f"gaps and missing values divide the log into {segments} segments: {stamps.short:.0%} of it is in segments "
+        "shorter than 0.5 s"
+    )
     too_short = stamps.short > TOO_SHORT
     severity: Severity = "problem" if too_short else "warning"
-    rest = "hardly anything is left to fit" if too_short else "they may be lost to a fit"
-    meaning = f"shorter than a filter takes to settle, {rest}: fill in single missing values, or log without gaps"
+    rest = "hardly any usable data remain for the fit" if too_short else "a fit may have to leave them out"
+    advice = "fill in single missing values, or log without gaps"
+    meaning = f"these are shorter than the settling time of a filter, so {rest}: {advice}"
     if stamps.gaps:
         yield Notice("dropped_samples", severity, None, extent, meaning)
     else:
@@ -103,10 +112,12 @@ def disordered_stamps(samples: int, stamps: Stamps) -> Iterator[Notice]:
     """Stamps that do not advance; ``samples`` is the number of all."""
     if stamps.duplicates:
         severity: Severity = "warning" if stamps.duplicates > DUPLICATES * samples else "note"
-        number = f"{counted(stamps.duplicates, 'stamp')} equal to the one before"
-        meaning = "a coarse clock, or rows written twice; name the sensor's own time in `log.columns` if it is logged"
+        number = f"{counted(stamps.duplicates, 'stamp')} equal to the previous one"
+        cause = "the clock is coarse, or rows were written twice"
+        meaning = f"{cause}; if the sensor's own time is logged, name its column in `log.columns`"
         yield Notice("duplicate_stamps", severity, None, number, meaning)
     if stamps.backward:
-        number = f"{counted(stamps.backward, 'stamp')} earlier than the one before"
-        meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
+        number = f"{counted(stamps.backward, 'stamp')} earlier than the previous one"
+        cause = "the file contains two recordings, or the clock was set"
+        meaning = f"{cause}; the log is split there: check that the parts belong together"
         yield Notice("backward_stamps", "warning", None, number, meaning)

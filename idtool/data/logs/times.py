@@ -36,7 +36,7 @@ def convert_to_seconds(t: Array) -> list[Notice]:
         return []
     t /= _UNITS[unit]
     message = f"its times are in {unit}; they were converted to seconds"
-    return [Notice("times_converted", "note", None, message, "nothing to do if that is right")]
+    return [Notice("times_converted", "note", None, message, "no action is needed if this is correct")]
 
 
 def _certain_unit(t: Array) -> str | None:

@@ -37,7 +37,7 @@ def to_drake(identified: Identified) -> Export:
     Raises
     ------
     ModelError
-        If a body has an inertia that no body can have: Drake would put another in its place.
+        If a body has an inertia that is not realizable: Drake would replace it.
     """
     rotors = rotors_of(identified)
     moving = {body.name for body in identified.model.bodies if body.kind == "link"}
@@ -155,7 +155,8 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoi
     robot, model = identified.robot, identified.model
     links = {body.name: pi for body, pi in zip(model.bodies, identified.pi, strict=True) if body.kind == "link"}
     carried = [
-        Part("inertial", link, "mass with all that is fixed to it", float(pi[0]), "kg") for link, pi in links.items()
+        Part("inertial", link, "mass including everything fixed to it", float(pi[0]), "kg")
+        for link, pi in links.items()
     ]
     carried += identified.inertias
     lacking = [*identified.others, *(replace(part, detail=NOTHING) for part in identified.offsets)]
@@ -175,14 +176,14 @@ def _told(identified: Identified, rotors: tuple[Rotor, ...], fixed: list[UrdfJoi
     carried += [Part("locked_joint", joint.name, f"fixed at {identified.value(joint):g}") for joint in fixed]
     for joint in robot.joints.values():
         if joint.name in model.names and not joint.effort > 0:
-            lacking.append(
-                Part("actuator", joint.name, "has an effort limit of 0; Drake leaves it out, rotors and all")
-            )
+            lacking.append(Part("actuator", joint.name, "has an effort limit of 0, so Drake ignores it and its rotors"))
         if joint.mimic is not None and joint.child in links:
-            lacking.append(Part("mimic", joint.name, "Drake holds it in a discrete plant only"))
+            lacking.append(Part("mimic", joint.name, "Drake supports it only in a discrete plant"))
     if tuple(identified.gravity) != _EARTH:
         values = ", ".join(f"{x:.6g}" for x in identified.gravity)
-        lacking.append(Part("gravity", robot.root, f"is the plant's; set its gravity vector to [{values}]"))
+        lacking.append(
+            Part("gravity", robot.root, f"is a property of Drake's plant; set its gravity vector to [{values}]")
+        )
     if robot.root != "world":
         lacking.append(Part("fixed_base", robot.root, "is free in Drake; weld it to the world"))
     return carried, lacking
@@ -193,7 +194,7 @@ def _lacking(identified: Identified, rotor: Rotor) -> list[Part]:
     found = []
     entries = [abs(a * b) for a, b in combinations(rotor.ratios, 2)]
     if any(entries):
-        found.append(rotor.part("its coupling of joints in the mass matrix", rotor.inertia * float(max(entries))))
+        found.append(rotor.part("the coupling between joints in the mass matrix", rotor.inertia * float(max(entries))))
     if rotor.carrier is None or rotor.carrier.any():
         found.append(rotor.coupling())
     return [*found, *rotor.imbalance(identified.gravity)]

@@ -33,4 +33,5 @@ def can_exist(pi: Array) -> bool:
 def refused(robot: Robot, name: str) -> ModelError:
     """What to say of a body that cannot exist."""
     where = f"{robot.path}: {name}"
-    return ModelError(where, "has an inertia that no body can have, which the simulator refuses; fit it within full")
+    what = "has an inertia that is not physically realizable, so the simulator rejects it"
+    return ModelError(where, f"{what}; fit it with constraints: full or tighter")

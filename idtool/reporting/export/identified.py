@@ -23,7 +23,7 @@ from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint, read_robot
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
-NOTHING = "the simulator has nothing like it"
+NOTHING = "the simulator does not support it"
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def read_identified(folder: Path) -> Identified:
     """
     for name in (URDF, CONFIG):
         if not (folder / name).is_file():
-            raise ModelError(folder / name, "is missing; give the folder that idtool fit wrote to")
+            raise ModelError(folder / name, "is missing; give the output folder of idtool fit or diagnose")
     return identified(read_robot(folder / URDF), read_config(folder / CONFIG))
 
 
@@ -177,6 +177,6 @@ class _Sorts:
         if alone.position_offset.any():
             self.offsets.append(Part(*whose, "ref of the joint", *amount))
         if alone.torque_sensors or alone.torque_delay.any():
-            self.others.append(Part(*whose, "it is the sensors', not the robot's", *amount))
+            self.others.append(Part(*whose, "it belongs to the sensors, not to the robot", *amount))
         elif alone.transmissions or alone.extra_torques or any(value for _, value in alone.hysteresis_terms):
             self.others.append(Part(*whose, NOTHING, *amount))

@@ -78,7 +78,7 @@ class Rotor:
     def coupling(self) -> Part:
         """What to say where the coupling with the carrier's rotation is left out."""
         size = self.inertia * self.largest_ratio * self.swing
-        return self.part("its coupling with its carrier's rotation in the mass matrix", size)
+        return self.part("the coupling with the rotation of its carrier in the mass matrix", size)
 
     def imbalance(self, gravity: Array) -> list[Part]:
         """What to say of what averaging leaves out, if it is more than rounding."""
@@ -87,7 +87,7 @@ class Rotor:
         torque = moment * self.largest_ratio * float(np.linalg.norm(gravity))
         found = []
         if moment > _ROUNDING * np.sqrt(mass * size):
-            found.append(self.part("its unbalance, as torque under gravity", torque, "N·m"))
+            found.append(self.part("its unbalance, as gravity torque at the joint", torque, "N·m"))
         if change > _ROUNDING * size:
             found.append(self.part("the part of its inertia that changes with its angle", change))
         return found

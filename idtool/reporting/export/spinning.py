@@ -50,7 +50,7 @@ def lacking(scene: Scene, rotor: Rotor) -> list[Part]:
     found = [rotor.coupling()] if rotor.carrier is None else []
     apart = _apart(scene, rotor)
     if apart:
-        found.append(rotor.part("its coupling of joints on different branches in the mass matrix", apart))
+        found.append(rotor.part("the coupling between joints on different branches in the mass matrix", apart))
     return [*found, *rotor.imbalance(scene.identified.gravity)]
 
 
@@ -69,7 +69,7 @@ def add_body(scene: Scene, rotor: Rotor) -> None:
     Raises
     ------
     ModelError
-        If it has an inertia that no body can have.
+        If its inertia is not realizable.
     """
     body, mount = rotor.body, rotor.body.mount
     R = mount.R @ Rotation.from_rotvec(body.axis * body.offset).as_matrix()  # its angle is 0 where the joints' are
@@ -90,7 +90,7 @@ def add_body(scene: Scene, rotor: Rotor) -> None:
         tendon = scene.add_tendon(body.name, {**{names[j]: rotor.ratios[j] for j in joints}, hinge: -1.0})
         etree.SubElement(scene.equalities, "tendon", tendon1=tendon)
     over = ", ".join(names[j] for j in joints)
-    scene.carried.append(rotor.part(f"a body that a stiff constraint holds to {over}", rotor.inertia))
+    scene.carried.append(rotor.part(f"a body that is coupled to {over} by a stiff constraint", rotor.inertia))
 
 
 def _unused(name: str, taken: Collection[str]) -> str:

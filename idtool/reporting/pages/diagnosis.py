@@ -29,18 +29,18 @@ from idtool.reporting.simulation_report import simulation_report
 
 _STEPS, _SIMULATION = ("The steps", "diagnosis_steps.html"), SimulationErrorsSection("diagnosis_simulation.html")
 _SECTIONS = (
-    ("What was found", "diagnosis_findings.html"),
+    ("Findings", "diagnosis_findings.html"),
     ErrorsBeforeAfterSection(),
     _STEPS,
-    ("Where the torque error lives", "residuals.html"),
+    ("Residual by state, time and frequency", "residuals.html"),
     ("Measured and predicted torque", "diagnosis_torques.html"),
     _SIMULATION,
     FrictionSection(),
     BodiesSection(),
     ROBOT,
-    ("How this was made", "origin.html"),
+    ("Origin of this report", "origin.html"),
 )
-_NAMES, _MODELS = ("before", "after"), "the model given and of that with the effects"
+_NAMES, _MODELS = ("before", "after"), "the original model and of the model with the effects"
 _MOST_VALUES = 50_000  # that all curves of torque hold together: some 400 kB of text
 _MOST_ROWS = 30  # candidates of a step that are listed
 _VERDICTS = {
@@ -87,8 +87,8 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         cards=[_card(i, step) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         worst=_worst(report),
-        near=CandidatesSection("Came near"),
-        others=CandidatesSection("What else was tried"),
+        near=CandidatesSection("Candidates that explain nearly as much"),
+        others=CandidatesSection("Other candidates"),
         **{
             "position_groups": by_unit(position_units(units)),
             **simulation_view(simulated, simulation, "identified"),
@@ -112,7 +112,7 @@ def _card(index: int, step: StepReport) -> dict[str, Any]:
         **{name: getattr(step, name) for name in StepReport.model_fields},
         "index": index,
         "known": known,
-        "title": f"{_title(step.effect)} on {on(step)}" if known else f"Unknown, on {on(step)}",
+        "title": f"{_title(step.effect)} on {on(step)}" if known else f"Unknown effect on {on(step)}",
         "sentence": _closed(step.evidence.sentence),
         "separate": _closed(step.evidence.separate),
         "texts": parameter_texts(step),

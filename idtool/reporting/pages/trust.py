@@ -32,7 +32,7 @@ from idtool.reporting.sections.uncertainty import (
 )
 from idtool.robot.inertia import PARAMETER_NAMES
 
-RESTS = ("What each number rests on", "trust.html")
+RESTS = ("Source of each parameter", "trust.html")
 BASE = BaseParametersSection()
 LOGS = RepeatabilitySection()
 BIAS = BiasSection()

@@ -16,7 +16,7 @@ from idtool.reporting.results.study import StudyReport
 _ORDER = ("none", "semi", "known_com", "com_ellipsoid", "points", "full", "ellipsoid", "shape")
 _MOST_TIMES = 1000
 _BAND = 2.0  # standard errors
-_SAMPLES = "samples to fit"
+_SAMPLES = "training samples"
 
 
 def learning_figure(report: StudyReport) -> Figure:
@@ -39,8 +39,8 @@ def advantage_figure(report: StudyReport) -> Figure:
         advantage, error = learning.advantage[name].advantage, learning.advantage[name].advantage_error
         y, lower, upper = (-100 * np.expm1(-advantage - k * error) for k in (0, -_BAND, _BAND))
         curves += banded_curve(name, learning.counts, y, lower, upper, _color(name, learning.curves))
-    panel = Panel("error less by [%]", curves, level=0)
-    return figure(f"Held-out error below that with {first}", _SAMPLES, [panel], x_log=True)
+    panel = Panel("error reduction [%]", curves, level=0)
+    return figure(f"Reduction of the held-out error relative to {first}", _SAMPLES, [panel], x_log=True)
 
 
 def violation_figure(report: StudyReport) -> Figure:
@@ -57,7 +57,7 @@ def online_figure(report: StudyReport) -> Figure:
     t, title = time_axis(online.t[kept])
     curves = _curves(t, {name: values[kept] for name, values in online.error.items()})
     panel = Panel("relative error", curves, log=True, level=0.1)
-    return figure("Remark 5: error of the parameters, online", title, [panel])
+    return figure("Remark 5: parameter error of the online estimate", title, [panel])
 
 
 def _curves(x: Sequence[float | None], values: Mapping[str, Sequence[float | None] | Array]) -> list[Trace]:

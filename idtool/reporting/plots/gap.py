@@ -19,12 +19,12 @@ def gap_figures(report: DiagnosisReport) -> list[Figure]:
         The content of diagnosis.json.
     """
     steps = [(i, step) for i, step in enumerate(report.steps, 1) if step.effect != UNKNOWN]
-    models = ["the model given", *(f"{i}: {effect_name(step.effect)} on {on(step)}" for i, step in steps)]
+    models = ["original model", *(f"{i}: {effect_name(step.effect)} on {on(step)}" for i, step in steps)]
     first, last = report.before, report.after
     torques = [first.torque, *(step.validation_rms_after for _, step in steps)]
     rollouts = [first.simulation, *(step.evidence.simulation_after for _, step in steps)]
     if len(models) > 1 and torques[-1] != last.torque:  # what came to be superfluous was taken out again
-        models.append("in the end")
+        models.append("final model")
         torques.append(last.torque)
         rollouts.append(last.simulation)
     torque_units = {"overall": together(report.units), **report.units}
@@ -78,8 +78,8 @@ def gap_figure(
     domain = (0.0, 1.0) if rollout is None else (0.55, 1.0)
     panels = [Panel(f"torque [{_short(torque[1])}]", torques, domain=domain, axis=zero)]
     if rollout is not None:
-        errors = [curve("rollout", at, rollout[0], "c2", **marked)]
-        panels.append(Panel(f"rollout [{_short(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
+        errors = [curve("simulation", at, rollout[0], "c2", **marked)]
+        panels.append(Panel(f"position [{_short(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
     steps = [_step(i, model) for i, model in enumerate(models)]
     x_axis = {"range": ends, "tickvals": at, "ticktext": steps, "zeroline": False}
     description = f"Errors of {name} by step, against the noise floor"
@@ -89,9 +89,9 @@ def gap_figure(
 def _step(i: int, model: str) -> str:
     """A model's name below the axis."""
     if i == 0:
-        return "given"
+        return "original"
     number, colon, _ = model.partition(":")
-    return number if colon else "end"
+    return number if colon else "final"
 
 
 def _short(unit: str) -> str:

@@ -125,7 +125,7 @@ class BodyReport(Record):
     def __repr__(self) -> str:
         com = ", ".join(f"{x:.4g}" for x in self.com)
         moments = ", ".join(f"{x:.4g}" for x in self.inertia_com[[0, 2, 5]])
-        existence = "realizable" if self.realizable else "no body can have this"
+        existence = "realizable" if self.realizable else "not realizable"
         error = f" ± {self.standard_error[0]:.2g}" if self.standard_error[0] >= 0 else ""
         mass = f"{self.mass:.4g}{error} kg"
         return f"{self.kind.capitalize()}: {mass} at ({com}) m, Ixx, Iyy, Izz {moments} kg·m², {existence}"

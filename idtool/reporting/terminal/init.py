@@ -16,5 +16,5 @@ def show_start(terminal: Terminal, report: InitReport) -> None:
     for left in report.left:
         terminal.say(f"to fill in: {left.key}: {left.what}", "yellow" if left.needed else None)
     terminal.say(f"written: {report.file}")
-    then = f"next, once {' and '.join(report.needed)} is filled in" if report.needed else "next"
+    then = f"next, after filling in {' and '.join(report.needed)}" if report.needed else "next"
     terminal.say(f"{then}: {report.next}")
