@@ -361,7 +361,7 @@ class FitReport(ReproducibleResult):
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
-    effects: tuple[EffectReport, ...] = field("Effects beside rigid bodies and friction.")
+    effects: tuple[EffectReport, ...] = field("Effects besides rigid bodies and friction.")
     rotors: Annotated[ReadOnly[Annotated[ReadOnly[ReflectedInertia], Keys("joint")]], Keys("rotor")] = field(
         "Reflected inertia at each joint that drives the rotor."
     )
