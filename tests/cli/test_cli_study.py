@@ -147,7 +147,7 @@ def test_adapting_heeds_the_set_asked_for(folder: Path) -> None:
 REFUSALS: dict[str, tuple[list[str], str]] = {
     "study: nothing held out": (
         ["study", "--holdout", "0"],
-        "--holdout: a study compares errors on data that were",
+        "--holdout: a study compares errors on held-out data",
     ),
     "study: all held out": (["study", "--holdout", "1"], "--holdout: 1 is not a fraction"),
     "study: next to all held out": (["study", "--holdout", "0.999"], "log.csv"),
