@@ -70,7 +70,7 @@ def _record(log: LogSource, model: Model) -> Path | Record:
     options = model.settings.log
     if log.as_logged and (options.columns or any(dict(options.scale).values())):
         what = "columns" if options.columns else "scale"
-        raise LogError(log.path, f"was read without the configuration's log.{what}; read it with Model.read_log")
+        raise LogError(log.path, f"was read without the setting log.{what}; read it with Model.read_log")
     return log.record
 
 

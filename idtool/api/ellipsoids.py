@@ -88,15 +88,13 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
         **notice_fields([_without_ellipsoid(link, why) for link, why in reasons.items()]),
     )
     result._header = (
-        f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes {margin:.0%} longer; m, rad."
+        f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes enlarged by {margin:.0%}; m, rad."
     )
     return result
 
 
 def _without_ellipsoid(link: str, reason: str) -> Notice:
-    return Notice(
-        "no_ellipsoid", "warning", link, f"no ellipsoid; {reason}", "give it one by hand under bounding_ellipsoids"
-    )
+    return Notice("no_ellipsoid", "warning", link, f"no ellipsoid; {reason}", "add one under bounding_ellipsoids")
 
 
 def check(model: Model | Source, *, repair: bool = False) -> CheckResult:

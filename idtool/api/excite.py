@@ -188,7 +188,7 @@ def _check_options(
 ) -> None:
     """Check the options before anything is read; ConfigError if one is out of its range."""
     if criterion not in CRITERIA:
-        raise ConfigError("--criterion", f"{criterion} is none; {suggestion(criterion, CRITERIA)}")
+        raise ConfigError("--criterion", f"{criterion} is not a criterion; {suggestion(criterion, CRITERIA)}")
     for option, value, least, most in (
         ("--duration", duration, 3.0, 3600.0),
         ("--rate", rate, 20.0, 20_000.0),
@@ -197,7 +197,7 @@ def _check_options(
         ("--max-frequency", 1.0 if max_frequency is None else max_frequency, 0.01, 1000.0),
     ):
         if not least <= value <= most:
-            raise ConfigError(option, f"{value:g} is not from {least:g} to {most:g}")
+            raise ConfigError(option, f"{value:g} is not between {least:g} and {most:g}")
 
 
 def _load_experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:

@@ -128,11 +128,11 @@ def check_configuration(file: Path, inputs: Sequence[Path], force: bool) -> None
         If not.
     """
     if any(file.resolve() == path.resolve() for path in inputs):
-        raise OutputError(file, "is a file that is read; give another --out")
+        raise OutputError(file, "is an input file; give another --out")
     if file.is_dir():
         raise OutputError(file, "is a folder; give a file as --out")
     if file.exists() and not force:
-        raise OutputError(file, "is there already; give --force to overwrite it, or another --out")
+        raise OutputError(file, "already exists; use --force to overwrite it, or choose another --out")
     folder = next(folder for folder in file.absolute().parents if folder.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise OutputError(folder, "cannot be written to; give another --out")

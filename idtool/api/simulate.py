@@ -229,12 +229,12 @@ def simulate(
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:
     if closed_loop and track:
-        raise ConfigError("--track", "goes without --closed-loop; give one of them")
+        raise ConfigError("--track", "cannot be combined with --closed-loop; use only one of them")
     if (closed_loop or track) and settings.controller is None:
         option = "--track" if track else "--closed-loop"
-        raise ConfigError("controller", f"is missing in the configuration; give kp and kd there, {option} needs them")
+        raise ConfigError("controller", f"is missing in the configuration; {option} needs its kp and kd")
     if window is not None and not 0 <= window < math.inf:
-        raise ConfigError("--window", f"{window:g} is no time; give seconds, or 0 for never")
+        raise ConfigError("--window", f"{window:g} is not a valid time; give seconds, or 0 for no restarts")
 
 
 def _choose_window(experiment: Experiment, window: float | None) -> float | None:
@@ -250,7 +250,7 @@ def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float
     """The record of the result, without the file."""
     notices = list(experiment.notices)
     if simulated.diverged:
-        message = f"{simulated.diverged} of {simulated.rollouts} rollouts ran away; they end where they did"
+        message = f"{simulated.diverged} of {simulated.rollouts} rollouts diverged; each ends where it diverged"
         notices.append(Notice("simulation_diverged", "warning", None, message))
     return SimulationReport(
         file=None,

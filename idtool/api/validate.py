@@ -234,7 +234,7 @@ def _check_bounds(max_rms: float | Mapping[str, float] | None, experiment: Exper
     names = (*experiment.equation.joints, "overall")
     for name, bound in bounds.items():
         if name not in names:
-            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, names)}")
+            raise ConfigError("--max-rms", f"{name} is not a joint; {suggestion(name, names)}")
         if not 0 < bound < math.inf:
-            raise ConfigError("--max-rms", f"{bound} is no bound; give a number above 0")
+            raise ConfigError("--max-rms", f"{bound} is not a bound; give a number above 0")
     return bounds

@@ -44,9 +44,9 @@ def ellipsoids_command(
     from idtool.reporting.terminal import Terminal
 
     if repair is not None and not check:
-        raise ConfigError("--repair", "goes with --check; give both")
+        raise ConfigError("--repair", "requires --check")
     if check and out is not None:
-        raise ConfigError("--out", "is for the ellipsoids; with --check, --repair names the file to write")
+        raise ConfigError("--out", "cannot be combined with --check; --repair names the file to write")
     terminal = Terminal(quiet, as_json)
     if out is not None:
         check_file(out, [urdf, urdf.with_suffix(".yaml"), *([config] if config else [])])
@@ -83,4 +83,4 @@ def _check_links(terminal: Terminal, urdf: Path, config: Path | None, repair: Pa
         result.save(repair)
     show_check(terminal, result, repair)
     is_realizable = {} if repair else {name: not link.violations for name, link in result.links.items()}
-    finish(terminal, result, is_realizable, "no body can have the inertia of")
+    finish(terminal, result, is_realizable, "inertia not realizable")

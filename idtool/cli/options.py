@@ -155,7 +155,7 @@ def parse_bounds(texts: list[str], experiment: Experiment) -> dict[str, float]:
         name, _, number = text.rpartition("=")
         name = name or "overall"
         if name not in names:
-            raise ConfigError("--max-rms", f"{name} is no joint; {suggestion(name, names)}")
+            raise ConfigError("--max-rms", f"{name} is not a joint; {suggestion(name, names)}")
         try:
             bound = float(number)
         except ValueError:

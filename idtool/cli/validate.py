@@ -81,7 +81,8 @@ def validate_command(
 def _run_regression(terminal: Terminal, has_options: bool) -> None:
     """Run `idtool validate` without arguments."""
     if has_options:
-        raise ConfigError("urdf", "is missing; the regression, which runs without one, takes no such options")
+        what = "is missing; the regression test, which runs without a URDF, does not accept these options"
+        raise ConfigError("urdf", what)
     from idtool.api.regression import regression
     from idtool.reporting.terminal.validation import show_regression
 

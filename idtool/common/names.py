@@ -27,7 +27,7 @@ def join_names(names: Collection[str]) -> str:
 def suggestion(name: str, known: Collection[str]) -> str:
     """Hint for an unknown name: the most similar known one, or a list of the known ones."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {printable(close[0])}?" if close else f"there are: {join_names(known)}"
+    return f"did you mean {printable(close[0])}?" if close else f"available: {join_names(known)}"
 
 
 def stem(path: Path) -> str:

@@ -42,7 +42,7 @@ def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for name in files:
             if (folder / name).is_dir():  # before any file is moved
-                raise OutputError(folder / name, "is a folder; move it away, or give another --out")
+                raise OutputError(folder / name, "is a folder; remove it, or give another --out")
         with tempfile.TemporaryDirectory(dir=folder, prefix=".idtool-") as scratch:
             for name, content in files.items():
                 data = content.encode() if isinstance(content, str) else content
@@ -65,7 +65,7 @@ def check_folder(folder: Path) -> None:
     paths = (folder, *folder.absolute().parents)
     existing = next((path for path in paths if os.path.exists(path)), Path("/"))
     if not existing.is_dir():
-        raise OutputError(existing, "is a file, where a folder is needed; give another --out")
+        raise OutputError(existing, "is a file, but a folder is needed; give another --out")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise OutputError(folder, "cannot be written to (Permission denied); give another --out")
 
@@ -79,7 +79,7 @@ def check_file(file: Path, inputs: Iterable[Path]) -> None:
         If it can't, or is.
     """
     if any(file.resolve() == path.resolve() for path in inputs):
-        raise OutputError(file, "is a file that is read; give another --out")
+        raise OutputError(file, "is an input file; give another --out")
     if os.path.isdir(file):
         raise OutputError(file, "is a folder; give a file as --out")
     check_folder(file.parent)

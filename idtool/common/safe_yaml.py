@@ -86,15 +86,17 @@ def _check_nodes(path: Path, root: yaml.Node, longest: int) -> None:
             for key, value in node.value:
                 if isinstance(key, yaml.ScalarNode) and key.value in keys:
                     line = key.start_mark.line + 1
-                    raise ConfigError(path, f"key '{key.value}' stands twice, again in line {line}; keep one")
+                    raise ConfigError(path, f"duplicate key '{key.value}' in line {line}; keep one")
                 keys.add(str(key.value))
                 children += [key, value]
         elif isinstance(node, yaml.SequenceNode):
             children = list(node.value)
         elif len(node.value) > longest:
-            raise ConfigError(path, f"holds a value of {len(node.value)} characters in line {node.start_mark.line + 1}")
+            raise ConfigError(
+                path, f"contains a value of {len(node.value)} characters in line {node.start_mark.line + 1}"
+            )
         sizes[id(node)] = 1 + sum(map(size, children))
         return sizes[id(node)]
 
     if size(root) >= _MAX_NODES:
-        raise ConfigError(path, f"holds more than {_MAX_NODES} values once its aliases are expanded")
+        raise ConfigError(path, f"contains more than {_MAX_NODES} values once its aliases are expanded")

@@ -160,17 +160,18 @@ class Signals:
     def _choose_velocity(self, config: Config) -> Mask:
         """True for the joints whose velocity is differentiated from q, shape (nv,)."""
         missing = ~self.channels.has_velocity
-        advice = "log the velocity too where positions are coarse"
-        notice = Notice("velocity_differentiated", "note", None, "no velocity logged, differentiated from q", advice)
+        advice = "log the velocity too if positions are coarse"
+        message = "no velocity was logged; it is differentiated from q"
+        notice = Notice("velocity_differentiated", "note", None, message, advice)
         self._note(notice, missing)
         if config.velocity != "auto":
             return np.asarray(missing | (config.velocity == "differentiated"))
         unrelated = self.channels.has_velocity & ~self.channels.has_consistent_velocity
-        message = "logged velocity is not the derivative of q; q is differentiated instead"
+        message = "the logged velocity is not the derivative of q; q is differentiated instead"
         advice = "compare the unit, sign and order of the velocities with those of the positions"
         self._note(Notice("velocity_unrelated", "warning", None, message, advice), unrelated)
         if self.channels.jitter > _MAX_JITTER:
-            message = f"time stamps jitter by {self.channels.jitter:.2f} samples rms: the measured velocity is used"
+            message = f"the stamps jitter by {self.channels.jitter:.2f} samples rms, so the measured velocity is used"
             advice = "stamp samples when they are taken, not when they are written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | unrelated)
@@ -191,11 +192,13 @@ class Signals:
     def _note_velocity_errors(self) -> None:
         lag = float(np.where(self.velocity_from_position, 0.0, np.abs(self.lag)).max())
         if lag > _MIN_LAG * self.log.dt:
-            message = f"the measured velocity is up to {lag * 1e3:.1f} ms late; the lag is undone"
+            message = f"the measured velocity is up to {lag * 1e3:.1f} ms late; the lag is corrected"
             self.notices.append(Notice("velocity_lag", "note", None, message))
         if self.channels.bias.any():
             bias = float(np.abs(self.channels.bias).max())
-            message = f"the measured velocity is off by up to {bias:.2g} rad/s (m/s) on average; this is undone"
+            message = (
+                f"the measured velocity is off by up to {bias:.2g} rad/s (m/s) on average; this offset is corrected"
+            )
             self._note(Notice("velocity_bias", "note", None, message), self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
@@ -206,11 +209,11 @@ class Signals:
         if not long_enough:
             raise LogError(
                 self.log.path,
-                f"no stretch without a gap is longer than the {(first + self._margin) * self.log.dt:.2f} s that the "
+                f"no segment without gaps is longer than the {(first + self._margin) * self.log.dt:.2f} s that the "
                 f"{self.band_hz:g} Hz filter and the derivatives need",
             )
         if len(long_enough) < len(ranges):
-            message = f"{len(ranges) - len(long_enough)} stretches between gaps were too short for the filter"
+            message = f"{len(ranges) - len(long_enough)} segments between gaps were too short for the filter"
             advice = "if they are many, find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
             if notice not in self.notices:

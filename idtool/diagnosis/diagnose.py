@@ -204,7 +204,7 @@ def _structure(search: EffectSearch) -> list[Candidate]:
     joints = base.experiment.equation.joints
     inflation = search.last_round.inflation if search.last_round is not None else 1.0
     probes = list(generic_probes(summarize_data(base)))
-    screened = screen_probes(base, probes, search.progress, "looking for what has no name")
+    screened = screen_probes(base, probes, search.progress, "looking for unknown effects")
     structure = []
     for j, name in enumerate(joints):
         own = [candidate for candidate in screened if candidate.probe.joint == name]

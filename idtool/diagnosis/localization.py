@@ -40,7 +40,7 @@ def localize_residual(
         Callback for the stage and its progress, from 0 to 1.
     """
     models = [(before.equation, theta_before), (after.equation, theta_after)]
-    series = residual_series(before, models, progress, "locating what was explained")
+    series = residual_series(before, models, progress, "locating the explained residual")
     squares_before, squares_after = np.square(series.residuals)
     explained = series.residuals[0] - series.residuals[1]
     gain = squares_before - squares_after
@@ -63,7 +63,7 @@ def localize_unexplained(
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    series = residual_series(experiment, [(experiment.equation, theta)], progress, "locating what is left")
+    series = residual_series(experiment, [(experiment.equation, theta)], progress, "locating the remaining residual")
     joints = experiment.equation.joints
     noise = np.array([floor[name] for name in joints])[:, None]
     squares = np.square(series.residuals[0])

@@ -251,7 +251,7 @@ def _rivals(fitted: Sequence[FittedCandidate], winner: FittedCandidate, progress
     if not others:
         return []
     probes = [candidate.probe for candidate in others]
-    with_winner = screen_probes(winner.trial.linearized, probes, progress, "comparing explanations")
+    with_winner = screen_probes(winner.trial.linearized, probes, progress, "comparing candidates")
     rivals = []
     for candidate, rescreened in zip(others, with_winner, strict=True):
         if rescreened.gain < _RIVAL_GAIN * candidate.screened.gain:
@@ -283,7 +283,7 @@ def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflat
     elif candidate.entry is None:
         reason = "its parameters are out of range"
     elif candidate.gain < MIN_SIGNIFICANCE**2 * inflation:
-        reason = "explains no more of data not used for fitting than chance does"
+        reason = "explains no more of the data not used for fitting than expected by chance"
     else:
         reason = f"explains {100 * share:.2g} % of the residual on its joint, less than another effect"
     return screened_record(candidate, base, reason)

@@ -144,7 +144,7 @@ def _state_regions(residual: JointResidual, among: Mask) -> Iterator[Region]:
     yield from _position_regions(residual, among, f"{q_unit}{suffix}")
     for k, name in enumerate(residual.names):
         if k != j:
-            moves = f"while {name} moves, above {{:.2g}} {_units(residual.is_prismatic[k])[1]}"
+            moves = f"while {name} moves faster than {{:.2g}} {_units(residual.is_prismatic[k])[1]}"
             yield from _half_lines(residual, among, f"speed of {name}", np.abs(series.v[k]), "", moves)
 
 
@@ -261,7 +261,7 @@ def _time_regions(residual: JointResidual, among: Mask, windows: Sequence[tuple[
 
 
 def _windows_text(windows: Sequence[tuple[float, float]]) -> str:
-    return "in a stretch of the log" if len(windows) == 1 else f"in {len(windows)} stretches of the log"
+    return "in one part of the log" if len(windows) == 1 else f"in {len(windows)} parts of the log"
 
 
 def is_inside(t: Array, windows: Sequence[tuple[float, float]]) -> Mask:
@@ -306,7 +306,7 @@ def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterato
     peak = int(np.argmax(np.where(is_ripple, amplitude, 0.0)))
     turn = "per 2π m" if residual.is_prismatic[j] else "per turn"
     score = min(amplitude[peak] ** 2 / 2 / total, 1.0)
-    yield Region(score, "angle", f"{n[peak]:.3g} periods {turn}{residual.suffix}", valid)
+    yield Region(score, "angle", f"at {n[peak]:.3g} periods {turn}{residual.suffix}", valid)
 
 
 def distance_since_reversal(series: ResidualSeries, j: int, velocity_deadband: float) -> Array:

@@ -30,7 +30,7 @@ def residual_maps(experiment: Experiment, theta: Array, progress: Progress) -> d
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    series = residual_series(experiment, [(experiment.equation, theta)], progress, "mapping what is left")
+    series = residual_series(experiment, [(experiment.equation, theta)], progress, "mapping the residual")
     joints = experiment.equation.joints
     return {name: _profile(series, j, experiment.band_hz) for j, name in enumerate(joints)}
 

@@ -102,7 +102,7 @@ class _ProbeSums:
 
 
 def screen_probes(
-    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "looking for causes"
+    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "screening candidates"
 ) -> list[ScreenedProbe]:
     """Screen the probes, each by itself, by the share of the residual that it explains.
 

@@ -88,7 +88,7 @@ def find_best_effect(
     inflation = _median_inflation(base, screened)
     best = best_by_key(_promising(screened))
     to_refine = _by_gain(best.values())[:_REFINED]
-    refined = screen_probes(base, list(_refined_probes(to_refine, screened)), progress, "looking closer")
+    refined = screen_probes(base, list(_refined_probes(to_refine, screened)), progress, "fitting candidates")
     best = best_by_key([*best.values(), *_promising(refined)])
 
     fitted: list[FittedCandidate] = []

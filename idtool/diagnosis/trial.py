@@ -212,7 +212,7 @@ def _number(entry: EffectEntry, name: str) -> float:
     """Value of a parameter known to be a number."""
     value = parameter_value(entry, name)
     if not isinstance(value, int | float):
-        raise TypeError(f"{name} of {entry.effect} is no number")
+        raise TypeError(f"{name} of {entry.effect} is not a number")
     return float(value)
 
 
@@ -237,7 +237,7 @@ def _gauss_newton_step(
         _, highest = ranges.get(key, _UNBOUNDED)
         differences.append(difference if value + difference < highest else -difference)
     probe = _parameter_probe(current, keys, values, differences)
-    (screened,) = screen_probes(current, [probe], progress, "moving shape values")
+    (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
     standard_errors = np.sqrt(np.diag(screened.covariance))
     errors = {key: float(x) for key, x in zip(keys, standard_errors, strict=True)}
 
@@ -288,7 +288,7 @@ def _grid_search(
         nonlinear_values[parameter.name] = 0.0 if value is None else _number(entry, parameter.name)
     values = [ratio * nonlinear_values[name] for ratio in _GRID]
     probes = [kind.probe(summary, joint, {**nonlinear_values, name: value}) for value in values]
-    gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying values")]
+    gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying parameter values")]
 
     best = values[int(np.argmax(gains))]
     limit = max(gains) - (1 - _NEAR_BEST) * abs(max(gains))

@@ -31,8 +31,8 @@ def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     description = effect_types()[chosen.effect].description
     shown = list(step.parameters.items())[:_MAX_PARAMETERS]
     parameters = ", ".join(_parameter(name, value, step.standard_error.get(name)) for name, value in shown)
-    where = "" if region in ("", "all along") else f" {region}"
-    return f"{chosen.target}:{where} {description} ({chosen.effect}: {parameters}): {_improvement(step, units)}"
+    where = "" if region in ("", "all along") else f"The residual was concentrated {region}. "
+    return f"{chosen.target}: {description} ({chosen.effect}: {parameters}). {where}{_improvement(step, units)}"
 
 
 def with_doubts(steps: Sequence[DiagnosisStep], model: Model) -> list[DiagnosisStep]:
@@ -62,12 +62,12 @@ def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     """Errors before and after a step."""
     joint = step.chosen.joint or "overall"
     unit = units.get(joint, next(iter(units.values())))
-    kind = "held-out torque" if step.before.validation is not None else "torque"
-    text = f"{kind} RMS {step.before.torque[joint]:.3g} → {step.after.torque[joint]:.3g} {unit}"
+    kind = "Held-out torque" if step.before.validation is not None else "Torque"
+    text = f"{kind} error {step.before.torque[joint]:.3g} → {step.after.torque[joint]:.3g} {unit} RMS"
     if step.before.simulation is not None and step.after.simulation is not None:
         position_unit = "m" if unit == "N" else "rad"
         before, after = step.before.simulation[joint], step.after.simulation[joint]
-        text += f", rollout {before:.2g} → {after:.2g} {position_unit}"
+        text += f", position error of the simulation {before:.2g} → {after:.2g} {position_unit}"
     return text
 
 
@@ -75,14 +75,14 @@ def fitted_along_sentence(entry: EffectEntry) -> str:
     """Message about an effect that was fitted but is not reported."""
     description = effect_types()[entry.effect].description
     parameters = ", ".join(_parameter(name, value, None) for name, value in entry.parameters.items())
-    return f"{description} ({parameters}); it was fitted along, but is not part of the model"
+    return f"{description} ({parameters}); it was included in the fit, but is not part of the model"
 
 
 def removal_sentence(removed: Candidate, by: Candidate) -> str:
     """Reason why an effect was removed again."""
     kind = effect_types()[by.effect]
-    why = f"with {by.effect} on {by.target}" if kind.reportable else f"where {kind.description}, as on {by.target},"
-    return f"{removed.effect} on {removed.target} was removed again: {why} it no longer explains enough"
+    why = f"with {by.effect} on {by.target}" if kind.reportable else f"because on {by.target} {kind.description}"
+    return f"{removed.effect} on {removed.target} was removed again: {why}, it no longer explains enough"
 
 
 def distinguishing_experiment(first: Candidate, second: Candidate) -> str:

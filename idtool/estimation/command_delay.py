@@ -105,7 +105,10 @@ class CommandDelay:
         if self.correlation < _CONFOUNDED:
             return text
         known = _milliseconds(self.value, self.known_friction_error).partition(" ")[2]
-        return f"{text}; viscous friction does much the same (correlation {self.correlation:.2f}): if known, {known}"
+        return (
+            f"{text}; viscous friction has nearly the same effect (correlation {self.correlation:.2f}); with "
+            f"known friction: {known}"
+        )
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -120,13 +123,13 @@ class CommandDelay:
             fitted = _milliseconds(self.value, self.standard_error)
             before, after = self.viscous
             difference = f"{1e3 * self.given.value:.3g} ms is given, but the data say {fitted}"
-            change = f"that takes {self.gain:.1%} off the torque error"
-            friction = f" and mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
+            change = f"the fitted delay reduces the torque error by {self.gain:.1%}"
+            friction = f" and changes mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
             message = f"{difference}; {change}{friction}"
-            return (Notice("command_delay_contradicted", "warning", setting, message, "give auto to have it fitted"),)
+            return (Notice("command_delay_contradicted", "warning", setting, message, "set auto to have it fitted"),)
         if self.given is None and self.value >= MAX_DELAY - _CONVERGED:
             most = f"{1e3 * MAX_DELAY:.0f} ms"
-            message = f"{most} or more fits best"
+            message = f"a delay of {most} or more fits best"
             advice = "check controller.kp and kd, or give the delay"
             return (Notice("command_delay_too_long", "warning", setting, message, advice),)
         return ()

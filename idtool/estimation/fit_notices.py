@@ -83,17 +83,17 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     prior = sum(float(body.pi[0]) for body in identification.prior)
     total = sum(float(pi[0]) for _, pi in _bodies(identification))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
-        message = f"the total mass is {total:.3g} kg, in the prior {prior:.3g} kg: logs seldom determine it"
+        message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior; logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
     for body, pi in _bodies(identification):
         if body.pi[0] > 0 and not 1 / _MASS_RATIO < pi[0] / body.pi[0] < _MASS_RATIO:
-            changes[body.name] = f"{pi[0]:.3g} kg for {body.pi[0]:.3g}"
+            changes[body.name] = f"{pi[0]:.3g} kg instead of {body.pi[0]:.3g}"
     if changes:
         masses = " and ".join(list(changes.values())[:2])
         message = (
-            f"{join_names(list(changes))}: over three times heavier or lighter than in the prior ({masses}): the mass "
-            "may compensate for something the model lacks, such as rotors, springs or larger bounding ellipsoids"
+            f"{join_names(list(changes))}: more than three times heavier or lighter than in the prior ({masses}): the "
+            "mass may compensate for something the model lacks, such as rotors, springs or larger bounding ellipsoids"
         )
         yield Notice("implausible_mass", "warning", None, message, advice)
 

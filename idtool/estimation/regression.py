@@ -99,5 +99,7 @@ def run_case(case: Case, folder: Path, progress: Progress) -> list[Outcome]:
     prior = result.validation.errors["prior"].rms(joints)
     unknown = set(case.max_rms) - set(rms)
     if unknown:
-        raise ConfigError(f"max_rms of case {case.name}", f"names no joint of it: {', '.join(sorted(unknown))}")
+        raise ConfigError(
+            f"max_rms of case {case.name}", f"names joints that the model does not have: {', '.join(sorted(unknown))}"
+        )
     return [Outcome(case.name, name, rms[name], bound, prior[name]) for name, bound in case.max_rms.items()]

@@ -266,7 +266,7 @@ def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) ->
     smoothed = [np.minimum(each.cutoff_hz, each.run.signals.band_hz) for each in made if each.kind == "smoothed"]
     if smoothed:
         message = (
-            "without a command and a controller for every joint, instruments are the measured motion below "
+            "not every joint has a command and a controller, so the instruments are the measured motion below "
             f"{np.max(smoothed):.3g} Hz: its remaining noise still biases the parameters"
         )
         notices.append(Notice("instruments_from_motion", "note", None, message))
@@ -274,7 +274,9 @@ def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) ->
         message = f"instruments are weak; some parameters may be as biased as with least squares: {join_names(weak)}"
         notices.append(Notice("weak_instruments", "warning", None, message))
     if change > _NOT_CONVERGED:
-        message = f"instruments have not settled: the last changed the torque by {change:.2g} of its noise"
+        message = (
+            f"the instruments have not converged: the last iteration changed the torque by {change:.2g} of its noise"
+        )
         notices.append(Notice("instruments_not_settled", "warning", None, message))
     return tuple(notices)
 

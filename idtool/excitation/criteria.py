@@ -249,7 +249,7 @@ def favoured_indices(names: Sequence[str], base: BaseParameters, equation: Linea
     for name in names:
         if name not in coefficients_of:
             hint = suggestion(name, list(coefficients_of))
-            raise ConfigError("--favour", f"{name} is no body, joint or coefficient; {hint}")
+            raise ConfigError("--favour", f"{name} is not a body, joint or coefficient; {hint}")
         indices = coefficients_of[name]
         matches = np.isin(base.own, indices)  # base parameters with that name
         if not matches.any():

@@ -153,7 +153,7 @@ def design(
     """
     if options.pattern not in PATTERNS:
         raise ConfigError(
-            "--pattern", f"{options.pattern} is no pattern; {suggestion(options.pattern, list(PATTERNS))}"
+            "--pattern", f"{options.pattern} is not a pattern; {suggestion(options.pattern, list(PATTERNS))}"
         )
     rng = np.random.default_rng(options.seed)
     frequency = options.max_frequency or max_frequency(task, config)
@@ -244,7 +244,7 @@ def _friction_segments(
 ) -> tuple[tuple[TrajectorySegment, ...], float]:
     """Slow sweeps and standstill, and the duration that remains [s]."""
     if not 0 <= options.friction_share < 1:
-        raise ConfigError("--slow", f"{options.friction_share:g} is no share; give a number from 0 to below 1")
+        raise ConfigError("--slow", f"{options.friction_share:g} is not a fraction; give a number from 0 to below 1")
     friction_duration = options.friction_share * options.duration
     standstill_duration = _STANDSTILL_SHARE * friction_duration
     if standstill_duration < _MIN_FRICTION_DURATION:

@@ -52,13 +52,15 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
     given = np.full(len(limits.joints), np.nan)
     for name, value in start.items():
         if name not in limits.joints:
-            raise ConfigError("--start", f"{name} is no moving joint; {suggestion(name, limits.joints)}")
+            raise ConfigError("--start", f"{name} is not a moving joint; {suggestion(name, limits.joints)}")
         given[limits.joints.index(name)] = value
     is_given = np.isfinite(given)
     home = np.where(is_given, given, limits.middle)
     for name, x, lower, upper in zip(limits.joints, home, limits.lower, limits.upper, strict=True):
         if not lower < x < upper:
-            raise ConfigError("--start", f"{name} = {x:g} is not within {lower:.4g} to {upper:.4g}, margin included")
+            raise ConfigError(
+                "--start", f"{name} = {x:g} is not between {lower:.4g} and {upper:.4g}, the limits with the margin"
+            )
 
     # Candidates spread more and more around the middle.
     radius = np.linspace(0, 1, _POSES)
@@ -78,14 +80,15 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
 
     where = "--start" if is_given.all() else task.model.robot.path
     if not is_static.any():
-        what = "gravity alone takes too much torque at the start; give another --start, or effort limits"
+        what = "at the start, gravity alone requires more torque than allowed; give another --start, or effort limits"
         raise ModelError(where, what)
     if task.collision is None:
         raise AssertionError  # without geometry, no pose is too near
     best = int(np.argmax(np.where(is_static, clearance, -np.inf)))
     (one, other), distance, _ = task.collision.nearest(poses[:, [best]])
     what = (
-        f"links {one} and {other} are {1000 * distance:.3g} mm apart at the start, {1000 * task.clearance:g} are wanted"
+        f"links {one} and {other} are {1000 * distance:.3g} mm apart at the start, but "
+        f"{1000 * task.clearance:g} mm are required"
     )
     raise ModelError(where, f"{what}; give another --start, or a smaller --clearance")
 
@@ -112,7 +115,7 @@ def scale_to_limits(task: DesignTask, segment: TrajectorySegment) -> TrajectoryS
         if _within_torque_and_clearance(task, scaled):
             return scaled
         share *= 1 - _FIRST_STEP * (k + 1)
-    what = f"no {segment.pattern.name} motion from the start pose keeps torque limits and clearance"
+    what = f"no {segment.pattern.name} motion from the start pose respects the torque limits and the clearance"
     raise ModelError(task.model.robot.path, f"{what}; give another --start, or a smaller --clearance or --margin")
 
 
@@ -142,7 +145,7 @@ def _within_motion_limits(task: DesignTask, segment: TrajectorySegment) -> Traje
         if (share == 1).all():
             return segment
         segment = _scaled(task, segment, share)
-    what = f"no {segment.pattern.name} motion was found within the limits; give others"
+    what = f"no {segment.pattern.name} motion was found within the limits; widen the limits"
     raise ModelError(task.model.robot.path, what)
 
 
@@ -204,7 +207,7 @@ def limit_utilization(task: DesignTask, trajectory: Trajectory) -> Array:
             utilization = np.maximum(utilization, task.robot_limits.utilization(*samples, task.torque(samples, t)))
     if (utilization > 1).any():
         exceeded = [f"{QUANTITIES[k]} of {task.robot_limits.joints[j]}" for k, j in np.argwhere(utilization > 1)]
-        what = f"the design leaves the limits: {join_names(exceeded)}; give a larger --margin"
+        what = f"the trajectory exceeds limits: {join_names(exceeded)}; give a larger --margin"
         raise ModelError(task.model.robot.path, what)
     return utilization
 

@@ -119,7 +119,7 @@ def joint_limits(model: Model, config: Config) -> Limits:
     actuated = [j.name for j in model.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
     for name in config.limits:
         if name not in actuated:
-            raise ConfigError(f"limits: {name}", f"is no actuated joint of the URDF; {suggestion(name, actuated)}")
+            raise ConfigError(f"limits: {name}", f"is not an actuated joint of the URDF; {suggestion(name, actuated)}")
     assumed: dict[str, list[str]] = {}
     limits = np.empty((5, len(model.joints)))
     for j, joint in enumerate(model.joints):
@@ -128,7 +128,7 @@ def joint_limits(model: Model, config: Config) -> Limits:
     lower, upper, velocity, acceleration, effort = limits
     for name, low, high in zip(model.names, lower, upper, strict=True):
         if not low < high:
-            what = f"leaves no room to move: from {low:g} to {high:g}; widen it, or leave the joint out of joints"
+            what = f"leaves no range of motion: from {low:g} to {high:g}; widen it, or leave the joint out of joints"
             raise ConfigError(f"limits: {name}", what)
     advice = "give limits in the configuration"
     notices = tuple(
@@ -152,19 +152,19 @@ def _limits_of_joint(
             raise ConfigError(f"limits: {joint.name}", "has no position limits in the URDF; give `position: [a, b]`")
         lower = max(lower, -DEFAULT_RANGE)
         upper = min(upper, DEFAULT_RANGE)
-        assumed.setdefault("no position limit, half a turn to either side of zero is assumed", []).append(joint.name)
+        assumed.setdefault("no position limit; ± half a turn is assumed", []).append(joint.name)
     velocity = min(own.velocity or math.inf, joint.velocity if joint.velocity > 0 else math.inf)
     if not math.isfinite(velocity):
         velocity = DEFAULT_VELOCITY[prismatic]
-        assumed.setdefault(f"no velocity limit, {velocity:g} {per_second} is taken", []).append(joint.name)
+        assumed.setdefault(f"no velocity limit; {velocity:g} {per_second} is assumed", []).append(joint.name)
     effort = min(own.effort or math.inf, joint.effort if joint.effort > 0 else math.inf)
     rise_time = DEFAULT_RISE_TIME[math.isfinite(effort)]
     acceleration = own.acceleration or velocity / rise_time
     if own.acceleration is None:
-        what = f"no acceleration limit, that which reaches the velocity limit in {rise_time:g} s is taken"
+        what = f"no acceleration limit; the one that reaches the velocity limit in {rise_time:g} s is assumed"
         assumed.setdefault(what, []).append(f"{joint.name} {acceleration:g} {per_second}²")
     if not math.isfinite(effort):
-        assumed.setdefault("no effort limit, torque is not limited", []).append(joint.name)
+        assumed.setdefault("no effort limit; the torque is not limited", []).append(joint.name)
     return lower, upper, velocity, acceleration, effort
 
 

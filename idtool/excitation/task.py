@@ -142,7 +142,7 @@ def make_design_task(
     """
     for name in noise:
         if name not in model.names:
-            raise ConfigError("--noise", f"{name} is no moving joint; {suggestion(name, model.names)}")
+            raise ConfigError("--noise", f"{name} is not a moving joint; {suggestion(name, model.names)}")
     full = joint_limits(model, config)
     limits = full.with_margin(margin)
     base = structural_base_parameters(model, equation, equalities)

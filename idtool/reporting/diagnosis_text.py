@@ -46,7 +46,7 @@ def summary(report: DiagnosisReport) -> str:
         The content of diagnosis.json.
     """
     known_steps = [step for step in report.steps if step.effect != UNKNOWN]
-    unknown_steps = [step for step in report.steps if step.effect == UNKNOWN]
+    unknown = _join_words(owner_name(step) for step in report.steps if step.effect == UNKNOWN)
     unit = common_unit(report.units)
     which = "held-out" if report.before.validation else "training"
     first = _overall(report.before)
@@ -54,28 +54,27 @@ def summary(report: DiagnosisReport) -> str:
     floor = f"{report.noise_floor['overall']:.3g} {unit}"
     if report.verdict == "no_disagreement":
         return (
-            f"Model and data do not disagree: the {which} torque error, {first:.3g} {unit} RMS, is as near to the "
-            f"noise floor, {floor}, as the data can tell. Nothing was added."
+            f"Model and data agree: the {which} torque error, {first:.3g} {unit} RMS, cannot be distinguished from the "
+            f"noise floor, {floor}. Nothing was added."
         )
-    unknown = (
-        f"{UNKNOWN}, on {_join_words([owner_name(step) for step in unknown_steps])}"
-        if unknown_steps
-        else "too little to be named"
-    )
     if not known_steps:
+        cause = "but the difference is too small to be attributed to an effect"
+        if unknown:
+            cause = f"and no known effect explains the difference on {unknown}"
         return (
-            f"Model and data disagree, and no known effect explains it: {unknown}. The {which} torque error is "
-            f"{first:.3g} {unit} RMS, the noise floor {floor}."
+            f"Model and data disagree, {cause}. The {which} torque error is {first:.3g} {unit} RMS, and the noise "
+            f"floor is {floor}."
         )
     share = report.gap_closed["overall"]
-    closed = "" if share is None else f": {100 * max(share, 0.0):.0f} % of the gap is closed"
-    rest = f" What is left is {unknown}." if unknown_steps else ""
+    closed = "" if share is None else f", so {100 * max(share, 0.0):.0f} % of the gap is closed"
+    rest = f" No known effect explains the remaining residual on {unknown}." if unknown else ""
     doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
-    rest += f" In doubt: {_join_words(doubted)}; the notes say why." if doubted else ""
-    effects = _join_words([_effect_or_rival(step) for step in known_steps])
+    rest += f" Doubtful: {_join_words(doubted)}; the notices give the reasons." if doubted else ""
+    lacking = _join_words([_effect_or_rival(step) for step in known_steps])
+    effects = "this effect" if len(known_steps) == 1 else "these effects"
     return (
-        f"The model lacks {effects}. With that, the {which} torque error goes from "
-        f"{first:.3g} to {last:.3g} {unit} RMS, the noise floor being {floor}{closed}.{rest}"
+        f"The model lacks {lacking}. With {effects}, the {which} torque error goes "
+        f"from {first:.3g} to {last:.3g} {unit} RMS. The noise floor is {floor}{closed}.{rest}"
     )
 
 
@@ -89,16 +88,18 @@ def next_steps(report: DiagnosisReport) -> list[str]:
     """
     steps = []
     if any(not fault.undone for fault in report.data_faults):
-        steps.append("Correct the data first, or say what they mean in the configuration, and diagnose again.")
+        steps.append(
+            "First correct the data, or describe them correctly in the configuration, and then diagnose again."
+        )
     for step in report.steps:
         if step.evidence.pair and step.alternatives:
-            purpose = f"To tell {_effect_on_owner(step)} from {_effect_on_owner(step.alternatives[0])}"
+            purpose = f"To distinguish {_effect_on_owner(step)} from {_effect_on_owner(step.alternatives[0])}"
             steps.append(f"{purpose}: {step.evidence.separate}")
     if owners := [owner_name(step) for step in report.steps if step.effect == UNKNOWN]:
-        what = "has a cause that is none of the effects known: see the residual maps"
-        steps.append(f"What is left on {_join_words(owners)} {what}.")
+        what = "is not caused by any known effect: see the residual maps in diagnosis.html"
+        steps.append(f"The remaining residual on {_join_words(owners)} {what}.")
     if "overall" in report.rollout_worse:
-        steps.append("Do not simulate with this model yet: its rollouts are worse than those of the model given.")
+        steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
     return steps
 
 
@@ -124,8 +125,8 @@ def _effect_or_rival(step: StepReport) -> str:
 
 
 def _join_words(words: Iterable[str]) -> str:
-    """Words as a list in a sentence, each once."""
-    *others, last = dict.fromkeys(words)
-    if not others:
-        return last
-    return f"{', '.join(others)} and {last}"
+    """Words as a list in a sentence, each once; empty for none."""
+    distinct = list(dict.fromkeys(words))
+    if len(distinct) < 2:
+        return "".join(distinct)
+    return f"{', '.join(distinct[:-1])} and {distinct[-1]}"

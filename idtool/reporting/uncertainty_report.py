@@ -169,7 +169,7 @@ def source_text(fit: Fit, identifiability: Identifiability, k: int) -> str:
     """The source of a parameter in words."""
     coefficients, source = fit.experiment.equation.coefficients, identifiability.sources[k]
     names = [coefficient_name(coefficients[i]) for i, _ in source.moves_with[:2]]
-    moves = f"; moves with {' and '.join(names)}" if names and source.information_source != "data" else ""
+    moves = f"; correlated with {' and '.join(names)}" if names and source.information_source != "data" else ""
     return f"{coefficient_name(coefficients[k])}: {_main_source_text(source, identifiability, coefficients)}{moves}"
 
 
@@ -181,12 +181,12 @@ def _main_source_text(
     if source.information_source == "constraints":
         low, high = source.range
         ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
-        return f"held by the constraints{ends} ({source.constraints:.0%})"
+        return f"limited by the constraints{ends} ({source.constraints:.0%})"
     if source.information_source == "combination":
         name = (
             combination_name(identifiability.base, source.combinations[0], coefficients) if source.combinations else ""
         )
-        return f"by the data only in a combination: {name}"
+        return f"determined by the data only in a combination: {name}"
     return "prior only" if source.prior > 0.9 else f"mostly prior ({source.prior:.0%})"
 
 

@@ -62,7 +62,7 @@ class Body:
     pi
         Prior inertia parameters in the body's frame, all members together, shape (10,).
     ellipsoids
-        Bounding ellipsoids in the body's frame; several are their union, none is no bound.
+        Bounding ellipsoids in the body's frame; several stand for their union; none: no bound.
     shapes
         Other bounding shapes in the body's frame, part of the same union.
     com

@@ -93,7 +93,7 @@ class SelfCollision:
             if body_of[a] != body_of[b] and frozenset((a, b)) not in adjacent:
                 pairs.append((a, b))
         if sum(len(parts_of[a]) * len(parts_of[b]) for a, b in pairs) > _MAX_PAIRS:
-            raise ModelError(model.robot.path, "has too many pieces of geometry to check for collision; simplify it")
+            raise ModelError(model.robot.path, "has too many geometry elements to check for collision; simplify it")
         if not pairs:
             return None
 
@@ -207,7 +207,7 @@ class SelfCollision:
         if not excluded.any():
             return self
         names = [f"{a} and {b}" for (a, b), out in zip(self.pairs, excluded, strict=True) if out]
-        message = f"links that touch by construction are not checked for collision: {join_names(names)}"
+        message = f"links that touch in all poses are not checked for collision: {join_names(names)}"
         notice = Notice("links_touch", "note", None, message)
         pairs = tuple(pair for pair, out in zip(self.pairs, excluded, strict=True) if not out)
         new_index = np.cumsum(~excluded) - 1

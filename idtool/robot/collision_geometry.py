@@ -122,7 +122,7 @@ def read_convex_parts(robot: Robot, frames: Mapping[str, Frame]) -> tuple[tuple[
     if not missing:
         return tuple(parts), ()
     why = next(iter(missing.values()))
-    message = f"the check for self-collision leaves out geometry of {join_names(missing)}: {why}"
+    message = f"the self-collision check ignores geometry of {join_names(missing)}: {why}"
     return tuple(parts), (Notice("geometry_not_read", "warning", None, message),)
 
 

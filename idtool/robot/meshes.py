@@ -71,7 +71,7 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
         If it is not found or cannot be read.
     """
     if name.partition("://")[0] in ("http", "https", "ftp"):
-        raise UnreadableGeometryError(f"mesh {name} is not on this machine and is not downloaded")
+        raise UnreadableGeometryError(f"mesh {name} is a web address and is not downloaded")
     path = next((path for path in _candidate_paths(urdf, name) if _is_file(path)), None)
     if path is None:
         raise UnreadableGeometryError(f"mesh {name} is not found")
@@ -91,7 +91,7 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
     corners = mesh.corners
     if not len(corners) or not (corners.min() > -_MAX_LENGTH and corners.max() < _MAX_LENGTH):
         what = f"a vertex that is not within {_MAX_LENGTH:g} m" if len(corners) else "no faces"
-        raise UnreadableGeometryError(f"mesh {path} holds {what}")
+        raise UnreadableGeometryError(f"mesh {path} contains {what}")
     return mesh
 
 

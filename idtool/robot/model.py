@@ -121,7 +121,7 @@ class _Builder:
         bodies = self._with_known_coms(lumped)
         for body in bodies[:links]:
             if not body.pi[0] > 0:
-                message = "no mass in the URDF, so there is no prior for it"
+                message = "no mass in the URDF, so it has no prior"
                 advice = "give it an inertial; otherwise parameters that the data do not determine are meaningless"
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         gravity = np.asarray(self.config.gravity)
@@ -133,7 +133,7 @@ class _Builder:
             for name in self.config.joints:
                 if name not in actuated:
                     raise ConfigError(
-                        f"joints: {name}", f"is no actuated joint of the URDF; {suggestion(name, actuated)}"
+                        f"joints: {name}", f"is not an actuated joint of the URDF; {suggestion(name, actuated)}"
                     )
                 if name not in self.logged:
                     raise ConfigError(f"joints: {name}", f"is not in every log; they have {join_names(self.logged)}")
@@ -156,8 +156,10 @@ class _Builder:
         locked = [name for name in actuated if name not in chosen]
         if locked:
             values = ", ".join(f"{name} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
-            advice = "if they stood elsewhere, give their positions under locked_joints"
-            self.notices.append(Notice("joints_held_still", "note", None, f"joints held still: {values}", advice))
+            advice = "if their positions were different, set them under locked_joints"
+            self.notices.append(
+                Notice("joints_held_still", "note", None, f"joints assumed to stand still: {values}", advice)
+            )
         return tuple(actuated[name] for name in chosen)
 
     def _check_names(self) -> None:
@@ -176,15 +178,17 @@ class _Builder:
             for name in names:
                 if name not in actuated:
                     hint = suggestion(name, actuated)
-                    raise ConfigError(f"{key}: {name}", f"is no actuated joint of the URDF; {hint}")
+                    raise ConfigError(f"{key}: {name}", f"is not an actuated joint of the URDF; {hint}")
         for key, names in of_links.items():
             for name in names:
                 if name not in self.robot.links:
                     hint = suggestion(name, self.robot.links)
-                    raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {hint}")
+                    raise ConfigError(f"{key}: {name}", f"is not a link of the URDF; {hint}")
         for name in self.config.locked_joints:
             if name in self.index:
-                raise ConfigError(f"locked_joints: {name}", "is also a moving joint; take it out of one of the two")
+                raise ConfigError(
+                    f"locked_joints: {name}", "is also listed as a moving joint; remove it from one of the two"
+                )
 
     def _motion(self, joint: UrdfJoint) -> tuple[Array, float]:
         """Ratios (nv,) and offset of a joint's position; no ratios where it is locked."""
@@ -198,7 +202,8 @@ class _Builder:
             leader = self.robot.joints.get(joint.mimic.joint)
             if leader is None or leader.name in visited:
                 where = f"{self.robot.path}: joint {joint.name}"
-                raise ModelError(where, f"mimics {joint.mimic.joint}, which leads nowhere")
+                what = f"mimics {joint.mimic.joint}, which does not exist or mimics this joint in turn"
+                raise ModelError(where, what)
             visited.add(leader.name)
             joint = leader
         if joint.name in self.index:
@@ -243,7 +248,7 @@ class _Builder:
         not_fixed = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed"}
         for joint, gear_ratio in rotor.ratios.items():
             if joint not in not_fixed:
-                raise ConfigError(f"rotors.{name}", f"{joint} is no moving joint; {suggestion(joint, not_fixed)}")
+                raise ConfigError(f"rotors.{name}", f"{joint} is not a moving joint; {suggestion(joint, not_fixed)}")
             joint_ratios, joint_offset = self._motion(not_fixed[joint])
             ratios += gear_ratio * joint_ratios
             offset += gear_ratio * joint_offset
@@ -289,14 +294,14 @@ class _Builder:
             if name in {body.name for body in self.bodies}:
                 raise ConfigError(key, "has the name of a moving link; rename the rotor")
             if name in {joint.parent for joint in self.robot.joints.values()}:
-                raise ConfigError(key, "is a URDF link that carries other links; a rotor carries none")
+                raise ConfigError(key, "is a URDF link that carries other links; a rotor cannot carry links")
             if rotor.parent is not None or rotor.origin is not None:
                 raise ConfigError(
                     key, "has the name of a URDF link, which defines its placement; leave out parent and origin"
                 )
             return self.frames[name]
         if rotor.parent is not None and rotor.parent not in links:
-            raise ConfigError(f"{key}.parent", f"{rotor.parent} is no link; {suggestion(rotor.parent, links)}")
+            raise ConfigError(f"{key}.parent", f"{rotor.parent} is not a link; {suggestion(rotor.parent, links)}")
         driven = self._driven_joint(rotor)
         stator = self.frames[rotor.parent or driven.parent]
         if rotor.origin is not None:
@@ -334,7 +339,7 @@ class _Builder:
         names = [body.name for body in bodies]
         for name in self.config.known_com:
             if name not in names:
-                hint = f"is no body of the model (a body includes the links fixed to it); {suggestion(name, names)}"
+                hint = f"is not a body of the model (a body includes the links fixed to it); {suggestion(name, names)}"
                 raise ConfigError(f"known_com: {name}", hint)
         return tuple(replace(body, com=self.config.known_com.get(body.name)) for body in bodies)
 

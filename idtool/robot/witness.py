@@ -293,7 +293,7 @@ def _violation_text(pi: Array, inequality: Inequality, amount: float) -> str:
         factor = _required_scale(Q[worst], float(mean[worst]))
         if factor is not None:
             return f"{_mass_outside(factor, 'bounding shape')} (Tr(JQ)/m = {mean[worst]:.3g})"
-    return f"{inequality.label}: short by {amount:.3g} in units of the body's mass and length"
+    return f"{inequality.label}: violated by {amount:.3g} in units of the body's mass and length"
 
 
 def _required_scale(Q: Array, mean: float) -> float | None:

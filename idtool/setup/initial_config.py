@@ -109,7 +109,7 @@ def _make_draft(
 def _with_trials(draft: Draft, model: Model, progress: Progress) -> Draft:
     """The draft with the results of trials, or the reason why there are none."""
     if draft.without_gains:
-        return replace(draft, no_trials_reason=f"the torque needs the gains of {join_names(draft.without_gains)}")
+        return replace(draft, no_trials_reason=f"the controller gains of {join_names(draft.without_gains)} are missing")
     parts = [_section(draft, key) for key in _SECTIONS_FOR_TRIALS]
     data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
     runner = TrialRunner(draft.robot, data, draft.log_summary.logs, progress)
@@ -128,7 +128,7 @@ def _with_trials(draft: Draft, model: Model, progress: Progress) -> Draft:
     try:
         return replace(draft, trial_results=run_trials(runner, on_joints, searched))
     except IdtoolError as error:
-        return replace(draft, no_trials_reason=f"the fit fails: {error}")
+        return replace(draft, no_trials_reason=f"the fit failed: {error}")
 
 
 def _section(draft: Draft, key: str) -> ConfigSection | None:
@@ -153,8 +153,8 @@ def _given_section(draft: Draft, key: str, *comments: str) -> ConfigSection:
 def _header(draft: Draft) -> list[str]:
     logs = join_names([path.name for path in draft.paths])
     return [
-        f"First configuration for {draft.robot.path.name}, by idtool init from {logs}. SI units.",
-        "Each key says what it is and, in brackets, where it came from. What is commented out is left to fill in.",
+        f"First configuration for {draft.robot.path.name}, written by idtool init from {logs}. SI units.",
+        "Comments describe the keys and, in brackets, the sources of their values. Fill in what is commented out.",
     ]
 
 
@@ -163,16 +163,14 @@ def _findings(draft: Draft) -> list[str]:
     summary, results = draft.log_summary, draft.trial_results
     count = len(summary.moving)
     lines = [
-        f"{count} joints that move: {join_names(summary.moving)}"
-        if count > 1
-        else f"1 joint that moves: {summary.moving[0]}"
+        f"{count} moving joints: {join_names(summary.moving)}" if count > 1 else f"1 moving joint: {summary.moving[0]}"
     ]
     if draft.locked:
-        lines.append(f"held still: {join_names(draft.locked)}")
+        lines.append(f"joints assumed to stand still: {join_names(draft.locked)}")
     if summary.topic is not None:
-        lines.append(f"topic {summary.topic}, of {join_names(summary.topics)}")
+        lines.append(f"topic {summary.topic}, among {join_names(summary.topics)}")
     if "filter" not in draft.given:
-        lines.append(f"motion below {summary.motion_hz:.2g} Hz, hence filter.cutoff_hz {summary.cutoff_hz:g}")
+        lines.append(f"motion below {summary.motion_hz:.2g} Hz, so filter.cutoff_hz is {summary.cutoff_hz:g}")
     if draft.bounds.ellipsoids:
         lines.append(f"bounding ellipsoids of {join_names(draft.bounds.ellipsoids)}")
     if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
@@ -207,16 +205,18 @@ def _todo_items(draft: Draft) -> list[TodoItem]:
             TodoItem("controller", f"kp and kd of {join_names(draft.without_gains)}: no torque was logged", True)
         )
     elif draft.no_trials_reason:
-        items.append(TodoItem("friction, effects", f"nothing was tried, as {draft.no_trials_reason}"))
+        items.append(TodoItem("friction, effects", f"nothing was tried, because {draft.no_trials_reason}"))
     if without_torque := draft.log_summary.without_torque:
         named = join_names([f"tau_{name} (not in {log})" for name, log in without_torque.items()])
-        items.append(TodoItem("log.columns", f"the torque of joints that move, or log their command: {named}"))
+        items.append(TodoItem("log.columns", f"column of the torque, or log the command instead: {named}"))
     if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.ellipsoids:
         items += _unbounded(draft)
     if "rotors" not in draft.given:
-        items.append(TodoItem("rotors", "mass, inertia and gear ratio, where the joints are geared"))
+        items.append(TodoItem("rotors", "mass, inertia and gear ratio, if the joints are geared"))
     if "total_mass" not in draft.given.get("known", {}):
-        items.append(TodoItem("known.total_mass", "what moves, on a scale: torque alone seldom tells it"))
+        items.append(
+            TodoItem("known.total_mass", "weigh the moving parts: the torque alone rarely determines their mass")
+        )
     return items
 
 
@@ -224,7 +224,7 @@ def _unbounded(draft: Draft) -> list[TodoItem]:
     bounds = draft.bounds
     if not bounds.missing:
         return []
-    what = f"of {join_names(bounds.missing)}"
+    what = f"ellipsoids of {join_names(bounds.missing)}"
     if bounds.unread:
         first = bounds.unread[0]
         which = (

@@ -78,7 +78,7 @@ def _beyond_limits(robot: Robot, logs: Sequence[LoadedLog]) -> Iterator[Notice]:
             name = log.log.path.name
             limits = f"limits {joint.lower:.4g} to {joint.upper:.4g}"
             where = f"{join_names(far)} ({q.minimum:.4g} to {q.maximum:.4g}, {limits})"
-            message = f"q is far beyond the URDF's limits: {where}"
+            message = f"q is far outside the URDF's limits: {where}"
             advice = "for degrees, set log.scale of q and v to 0.0174533; otherwise check the unit and the column of q"
             yield Notice("beyond_limits", "warning", name, message, advice)
 

@@ -149,7 +149,7 @@ def _unidentifiable_reasons(robot: Robot, given: Config, logs: Sequence[LoadedLo
         if joint.name not in logged:
             reasons[joint.name] = "not in every log"
         elif joint.name in given_locked:
-            reasons[joint.name] = "given as locked"
+            reasons[joint.name] = "locked in the configuration"
         else:
             reasons[joint.name] = _log_reason(joint.name, logs)
     return reasons
@@ -194,7 +194,9 @@ def _no_joint_message(
     parts = [f"{reason}: {join_names(names)}" for reason, names in joints_by_reason.items()]
     if without_torque:
         first = printable(next(iter(without_torque)))
-        parts.append(f"map the torque's column to tau_{first} in log.columns, and set its N·m per unit in log.scale")
+        parts.append(
+            f"map the column of the torque to tau_{first} in log.columns, and set its N·m per unit in log.scale"
+        )
         parts += [notice.text for log in logs for notice in log.inspection.reading]
     return f"no joint of the robot can be identified: {'; '.join(parts)}"
 

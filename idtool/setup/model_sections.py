@@ -19,18 +19,18 @@ def rotors(draft: Draft) -> ConfigSection:
     known = {name: ratio for name, ratio in draft.ratios.items() if name in draft.joints}
     told = [f"{name}: {ratio:g}" for name, ratio in known.items() if abs(ratio) != 1]
     comments = [
-        "Geared motors' rotors, bodies that spin with a joint at gear_ratio times its speed: to fill in where null.",
-        f"gear_ratio: {', '.join(told) or 'none there'} (URDF, <transmission>); inertial: about the com.",
+        "Rotors of geared motors: bodies that spin at gear_ratio times the speed of a joint. Fill in where null.",
+        f"gear_ratio: {', '.join(told) or 'none'} (URDF, <transmission>); inertial: about the centre of mass.",
     ]
     if len(told) < len(known):
         one = join_names([name for name, ratio in known.items() if abs(ratio) == 1])
-        comments.append(f"A ratio of 1, which URDFs give where none is known, was not taken over: {one}.")
+        comments.append(f"A ratio of 1 was ignored, because URDFs contain it if the ratio is unknown: {one}.")
     if draft.rotors:
         comments.append(
-            "A rotor with the name of a URDF link on a fixed joint is that link, with its place and inertia (URDF)."
+            "A rotor with the name of a URDF link on a fixed joint is that link, with its origin and inertia (URDF)."
         )
     replaced = join_names([effect for effect, kind in effect_types().items() if kind.is_rotor_inertia])
-    comments.append(f"A rotor takes the place of its joint's {replaced} under effects: remove that one.")
+    comments.append(f"A rotor replaces the {replaced} of its joint under effects: remove that entry.")
     template = {}
     for name in draft.joints:
         link, ratio = draft.rotors.get(name), known.get(name, 1.0)
@@ -48,14 +48,14 @@ def _free_name(draft: Draft, joint: str) -> str:
 
 def effects(draft: Draft) -> ConfigSection:
     """The section ``effects``: those that the trials kept."""
-    what = "What the model carries beside rigid bodies and friction"
+    what = "Effects besides rigid bodies and friction"
     found = draft.trial_results
     if found is None:
-        return ConfigSection("effects", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), [])
+        return ConfigSection("effects", (), None, (f"{what}: not tried, because {draft.no_trials_reason}.",), [])
     kept = [trial for trial in found.trials if trial.kept and not effect_types()[trial.effect].friction_key]
     if not kept:
-        return ConfigSection("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose looks for others.",), [])
-    comments = [f"{what} (found by trial: held-out RMS torque error without -> with it)."]
+        return ConfigSection("effects", (f"{what} ({_nothing_kept(found)}); idtool diagnose searches for others.",), [])
+    comments = [f"{what} (found by trial; held-out RMS torque error without -> with the effect)."]
     entries: list[dict[str, Any]] = []
     for trial in kept:
         effect, joint = trial.effect, trial.joint
@@ -83,7 +83,7 @@ def _nothing_kept(found: TrialResults) -> str:
     no_trials_reason = [name for effect, name in names.items() if effect not in was_tried]
     if not tried:
         return "none was tried"
-    shows = f"{tried[0]} does not show" if len(tried) == 1 else f"neither {' nor '.join(tried)} shows"
+    shows = f"{tried[0]} has no effect" if len(tried) == 1 else f"neither {' nor '.join(tried)} has an effect"
     others = "".join(f"; {name} was not tried" for name in no_trials_reason)
     return f"found by trial: {shows}{others}"
 
@@ -96,20 +96,24 @@ def bounding_ellipsoids(draft: Draft) -> ConfigSection:
     """The section ``bounding_ellipsoids``: ellipsoids around known geometry, templates for other links."""
     bounds = draft.bounds
     comments = [
-        "Smallest ellipsoids around each link's collision or visual geometry, 5 % longer; m, rad, link frame (URDF)."
+        "Smallest ellipsoids around each link's collision or visual geometry, enlarged by 5 %; m, rad, in the link "
+        "frame (URDF)."
     ]
     if not bounds.ellipsoids:
-        comments = ["An ellipsoid per link, in its frame, that holds all its mass; m, rad: none was found (URDF)."]
+        comments = [
+            "For each link, an ellipsoid in its frame that contains all its mass; m, rad. None was found (URDF)."
+        ]
     if not bounds.missing:
         return ConfigSection("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids))
     remarks = [f"{link}: {why}" for link, why in bounds.missing.items()]
     if bounds.unread:
         remarks.append(f"Meshes were {search_paths(draft.robot)}.")
     remarks.append(
-        "Template, the solid ellipsoid with the URDF's inertia: a guide only, it is to hold all that the link fills."
+        "Template: the solid ellipsoid with the URDF's inertia. It is only a guide: the ellipsoid must enclose the "
+        "whole link."
     )
     if bounds.unused:
-        remarks.append("With it go ellipsoids of links that are one body with a link that has none.")
+        remarks.append("It includes ellipsoids of links that are part of the same body as a link without an ellipsoid.")
     template = dict(bounds.unused)
     for link in bounds.missing:
         pi = draft.robot.links[link]
@@ -126,12 +130,12 @@ def controller(draft: Draft) -> ConfigSection | None:
     if not names:
         return None
     units = f"kp {draft.unit('stiffness', names)}, kd {draft.unit('damping', names)}"
-    what = f"The joint controller that made the torque, as none was logged: {units} at the joint"
-    late = ("delay: s from command to torque; auto: idtool fit finds it (default).",)
+    what = f"The joint controller, from which the torque is computed because none was logged: {units} at the joint"
+    late = ("delay: time from command to torque, s; auto: idtool fit determines it (default).",)
     given, delay = draft.given.get("controller"), {"delay": "auto"}
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
-        remark = "Nothing can be fitted without: fill in kp and kd where null."
+        remark = "Without these gains, nothing can be fitted: fill in kp and kd where null."
         return ConfigSection("controller", (f"{what}.", *late), None, (remark,), template)
     said = f"{what} (given in {draft.origin})."
     if "delay" in given:
@@ -143,9 +147,11 @@ def known(draft: Draft) -> ConfigSection:
     """The section ``known``: a template, with the URDF's masses for comparison."""
     robot = draft.robot
     links = [robot.joints[name].child for name in draft.joints]
-    what = "Masses that were measured by other means, kg; with a standard error they are soft. To fill in where null."
+    what = (
+        "Masses that were measured otherwise, kg; with a standard error they are soft constraints. Fill in where null."
+    )
     masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
-    prior = f"The URDF has {join_names(masses)}." if masses else "The URDF has none."
-    whole = "total_mass: of all that moves, rotors included; easily measured, and seldom told by torque."
+    prior = f"Masses in the URDF: {join_names(masses) or 'none'}."
+    whole = "total_mass: mass of all moving parts, rotors included; easy to measure, and rarely determined by torque."
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
     return ConfigSection("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})

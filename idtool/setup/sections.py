@@ -25,11 +25,11 @@ def locked_joints(draft: Draft) -> ConfigSection:
     """The section ``locked_joints``: joints that are held still, with given positions where there are any."""
     given = [name for name in draft.locked if name in draft.config.locked_joints]
     reasons = {name: lock.reason for name, lock in draft.log_summary.locked.items() if name not in given}
-    what = "Joints that are held still, rad or m"
+    what = "Joints that are assumed to stand still, and their positions, rad or m"
     if not draft.locked:
         return ConfigSection("locked_joints", (f"{what} (default: none).",), {})
     if reasons:
-        what += ": at the logs' median (logs), else at 0 or the limit next to it (URDF)"
+        what += ": the median in the logs (logs), otherwise 0 or the limit that is closest to it (URDF)"
     why = [f"{why}: {join_names([n for n in reasons if reasons[n] == why])}" for why in sorted(set(reasons.values()))]
     if given:
         why.append(f"given in {draft.origin}: {join_names(given)}")
@@ -38,7 +38,7 @@ def locked_joints(draft: Draft) -> ConfigSection:
 
 def gravity(draft: Draft) -> ConfigSection:
     """The section ``gravity``: the default."""
-    what = f"Gravity in the frame of the URDF's root link {draft.robot.root}, m/s² (default: its z points up)."
+    what = f"Gravity in the frame of the URDF's root link {draft.robot.root}, m/s² (default: the z axis points up)."
     return ConfigSection("gravity", (what,), list(Config().gravity))
 
 
@@ -46,18 +46,18 @@ def log(draft: Draft) -> ConfigSection:
     """The section ``log``: the topic if there are several, and a template."""
     seen = draft.log_summary
     rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
-    comments = [f"How the logs are read; their rate is {rates} Hz, from their time stamps (logs)."]
+    comments = [f"How the logs are read. Their sampling rate is {rates} Hz, according to their time stamps (logs)."]
     value = None
     if seen.topic is not None:
         comments.append(
-            f"topic: of {join_names(seen.topics)}, the one with most of the URDF's joints and signals (logs)."
+            f"topic: among {join_names(seen.topics)}, the one with most of the URDF's joints and signals (logs)."
         )
         value = {"topic": seen.topic}
     first = draft.joints[0]
     unit = draft.unit("torque", draft.joints)
     remark = (
-        f"scale: {unit} per logged unit where that is not {unit}, e.g. torque constant × gear ratio; columns: other "
-        "names."
+        f"scale: {unit} per logged unit, if the log is not in {unit}, e.g. torque constant × gear ratio; columns: "
+        "names of the columns in the file."
     )
     template = {"scale": {"tau": {first: None}}, "columns": {f"tau_{first}": None}}
     return ConfigSection("log", tuple(comments), value, (remark,), template)
@@ -65,40 +65,44 @@ def log(draft: Draft) -> ConfigSection:
 
 def velocity(draft: Draft) -> ConfigSection:
     """The section ``velocity``: the default, and its outcome on these logs as a comment."""
-    what = "Joint velocity: measured, differentiated from q, or auto, the quieter one that can be trusted"
+    what = "Joint velocity: measured, differentiated (from q), or auto (the less noisy reliable one)"
     found = draft.trial_results
     if found is None:
         return ConfigSection("velocity", (f"{what} (default).",), "auto")
     if not found.differentiated:
-        chose = "the measured one of all joints"
+        chose = "the measured velocity for all joints"
     else:
-        chose = f"q, differentiated, of {join_names(found.differentiated)}"
-        chose += "" if len(found.differentiated) == len(draft.joints) else ", the measured one of the others"
-    return ConfigSection("velocity", (f"{what} (default): on these logs auto takes {chose} (logs).",), "auto")
+        chose = f"the differentiated position for {join_names(found.differentiated)}"
+        if len(found.differentiated) < len(draft.joints):
+            chose += " and the measured velocity for the other joints"
+    return ConfigSection("velocity", (f"{what} (default). On these logs, auto uses {chose} (logs).",), "auto")
 
 
 def low_pass(draft: Draft) -> ConfigSection:
     """The section ``filter``: a low-pass, with a cut-off by the band of the motion."""
     seen = draft.log_summary
     what = (
-        "One zero-phase low-pass for every signal alike. cutoff_hz: above what moves the joints, which lies below "
-        f"{seen.motion_hz:.2g} Hz: {seen.bands:g} times that, from 5 Hz up to 40 Hz or a fifth of the rate (logs); "
-        "kind and order (default)."
+        "One zero-phase low-pass for all signals. cutoff_hz: the motion lies below "
+        f"{seen.motion_hz:.2g} Hz (logs); the cut-off is {seen.bands:g} times this frequency, but at least 5 Hz and at "
+        "most 40 Hz or a fifth of the sampling rate. kind and order (default)."
     )
     if seen.commanded:
-        what += " Torque computed from commands holds the encoders' noise, which passes for inertia at a higher one."
+        what += (
+            " Torque that is computed from commands contains the encoders' noise, which would be mistaken for inertia "
+            "with a higher cut-off."
+        )
     return ConfigSection("filter", (what,), {"kind": "butterworth", "cutoff_hz": seen.cutoff_hz, "order": 4})
 
 
 def friction(draft: Draft) -> ConfigSection:
     """The section ``friction``: viscous and Coulomb friction, and an offset where the trials kept one."""
-    what = "Friction terms: viscous, Coulomb (default), and offset, a constant"
+    what = "Friction terms: viscous and Coulomb (default), and offset (a constant torque)"
     found = draft.trial_results
     if found is None:
         return ConfigSection(
-            "friction", (), None, (f"{what}: not tried, as {draft.no_trials_reason}.",), Friction().model_dump()
+            "friction", (), None, (f"{what}: not tried, because {draft.no_trials_reason}.",), Friction().model_dump()
         )
-    comments = [f"{what}, where the held-out torque, {HELD_OUT}, needs it (found by trial)."]
+    comments = [f"{what} where it reduces the held-out torque error; held out: {HELD_OUT} (found by trial)."]
     value: dict[str, Any] = {name: Friction().model_dump() for name in draft.joints}
     for trial in found.trials:
         if trial.kept and trial.joint is not None and effect_types()[trial.effect].friction_key:

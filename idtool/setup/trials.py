@@ -207,13 +207,13 @@ def _notices(
     left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (evaluator.torque(), base.held_out))
     odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
     if odd:
-        message = f"unexplained share of the held-out torque (rms): {join_names(odd)}"
-        advice = "check its sign and unit (log.scale), and that log and URDF name the joints alike"
+        message = f"unexplained fraction of the held-out torque (rms): {join_names(odd)}"
+        advice = "check its sign and unit (log.scale), and that the joints have the same names in log and URDF"
         yield Notice("unexplained_torque", "warning", None, message, advice)
     worse = [name for name, x in zip(joints, grown, strict=True) if x > 1 + _WORTH]
     if worse:
         message = f"the added effects increase the held-out error of {join_names(worse)}"
-        meaning = "one set of bodies is fitted to all joints, and the others gained more"
+        meaning = "the same bodies are fitted to all joints, and the other joints improve more"
         yield Notice("joints_worse", "warning", None, message, meaning)
 
 

@@ -147,14 +147,14 @@ def test_a_model_says_what_is_wrong_with_it(tmp_path: Path) -> None:
     with pytest.raises(idtool.ModelError, match=r"none\.urdf: cannot be read"):
         idtool.Model(tmp_path / "none.urdf")
     wrong = idtool.Model(LEG, {"joints": ["hpi"]})
-    with pytest.raises(idtool.IdtoolError, match=r"hpi: is no actuated joint of the URDF; did you mean hip\?"):
+    with pytest.raises(idtool.IdtoolError, match=r"hpi: is not an actuated joint of the URDF; did you mean hip\?"):
         wrong.bodies  # noqa: B018
-    assert "cannot be used: joints: hpi: is no actuated joint" in repr(wrong)
+    assert "cannot be used: joints: hpi: is not an actuated joint" in repr(wrong)
 
 
 def test_a_log_read_otherwise_than_the_configuration_says_is_refused() -> None:
     model = idtool.Model(LEG, {**idtool.Model(LEG).config, "log": {"scale": {"tau": {"hip": 2.0}}}})
-    with pytest.raises(idtool.LogError, match=r"leg_train\.mcap: was read without the configuration's log\.scale"):
+    with pytest.raises(idtool.LogError, match=r"leg_train\.mcap: was read without the setting log\.scale"):
         idtool.fit(model, idtool.Log(TRAIN), quick=True)
     log = model.read_log(TRAIN)
     plain = idtool.Log(TRAIN)

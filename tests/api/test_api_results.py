@@ -196,7 +196,7 @@ def test_simulate_returns_and_writes_what_the_command_does(result: idtool.FitRes
     assert found.save(tmp_path / "folder") == (tmp_path / "folder" / "simulated.mcap",)
     np.testing.assert_array_equal(idtool.Log(tmp_path / "folder" / "simulated.mcap").q, found.log.q)
     assert repr(found).startswith("SimulationResult: 2.999 s open loop, 0.5 s at a time\n")
-    with pytest.raises(idtool.IdtoolError, match="is a file that is read"):
+    with pytest.raises(idtool.IdtoolError, match="is an input file"):
         found.save(out / "log.csv")
 
 
@@ -277,13 +277,13 @@ def test_a_bag_may_stand_in_the_urdfs_place(out: Path) -> None:
 def test_every_mistake_is_an_error_of_idtools(out: Path) -> None:
     log = out / "log.csv"
     for call, error in (
-        (lambda: idtool.fit(LEG, []), "logs: none given"),
+        (lambda: idtool.fit(LEG, []), "logs: no log given"),
         (lambda: idtool.fit(LEG, "none.mcap"), "none.mcap: there is no such file"),
-        (lambda: idtool.fit(LEG, log, holdout=2), "--holdout: 2 is no share"),
-        (lambda: idtool.validate(LEG, log, max_rms={"hpi": 1.0}), "--max-rms: hpi is no joint; did you mean hip?"),
-        (lambda: idtool.validate(LEG, log, max_rms=-1.0), "--max-rms: -1.0 is no bound; give a number above 0"),
-        (lambda: idtool.simulate(LEG, log, window=-1.0), "--window: -1 is no time"),
-        (lambda: idtool.diagnose(LEG, log, effects=["stribek"]), "--effects: stribek is no effect; did you mean"),
+        (lambda: idtool.fit(LEG, log, holdout=2), "--holdout: 2 is not a fraction"),
+        (lambda: idtool.validate(LEG, log, max_rms={"hpi": 1.0}), "--max-rms: hpi is not a joint; did you mean hip?"),
+        (lambda: idtool.validate(LEG, log, max_rms=-1.0), "--max-rms: -1.0 is not a bound; give a number above 0"),
+        (lambda: idtool.simulate(LEG, log, window=-1.0), "--window: -1 is not a valid time"),
+        (lambda: idtool.diagnose(LEG, log, effects=["stribek"]), "--effects: stribek is not an effect; did you mean"),
         (lambda: idtool.diagnose(LEG, log, assume=["end_stop"]), "--assume: end_stop acts on a joint"),
         (lambda: idtool.diagnose(LEG, log, most=0), "--max-effects: 0 is too few"),
     ):
@@ -324,7 +324,7 @@ def test_the_figure_of_a_diagnosis_shows_the_gap_closing(
 ) -> None:
     monkeypatch.setattr("idtool.diagnosis.diagnose.diagnose", lambda *_: diagnosis)
     figure = idtool.diagnose(LEG, out / "log.csv").plot()
-    assert [trace.name for trace in figure.data] == ["torque", "noise floor", "rollout"] * (1 + len(JOINTS))
+    assert [trace.name for trace in figure.data] == ["torque", "noise floor", "simulation"] * (1 + len(JOINTS))
     hip = figure.data[3 * 2]
     assert list(hip.y) == pytest.approx([1.1 * 1.3, 1.1 * 0.6])
-    assert list(hip.text) == ["the model given", "1: Stribeck friction on hip"]
+    assert list(hip.text) == ["original model", "1: Stribeck friction on hip"]

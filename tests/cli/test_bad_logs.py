@@ -42,7 +42,7 @@ CSV: dict[str, tuple[bytes | list[Row], str]] = {
     "only a header": ([HEADER], "has no samples"),
     "one sample": (TABLE[:2], "at least two"),
     "two samples": (TABLE[:3], "lasts 0.002 s"),
-    "too short for the filter": (TABLE[:60], "no stretch without a gap is longer than the"),
+    "too short for the filter": (TABLE[:60], "no segment without gaps is longer than the"),
     "too short to fit": (TABLE[:101], "log.csv: "),
     "words in place of numbers": (column_set(TABLE, "q_hip", lambda i: "far"), "line 2, column q_hip: 'far' is no"),
     "one word": (column_set(TABLE, "v_hip", lambda i: "x" if i == 700 else 1), "line 702, column v_hip: 'x' is no"),
@@ -105,7 +105,7 @@ MCAP: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no topics": (lambda path: write_mcap(path, Channel("/x", [], [])), "no topic carries joint states"),
     "no joint states": (
         lambda path: write_mcap(path, a_channel("/imu", "json", "Imu", "jsonschema", "{}")),
-        "no topic carries joint states (sensor_msgs/msg/JointState); there are: /imu (Imu, json)",
+        "no topic carries joint states (sensor_msgs/msg/JointState); available: /imu (Imu, json)",
     ),
     "two topics of joint states": (
         lambda path: write_mcap(path, ros2(moving()), ros2(moving(), "/arm/joint_states")),

@@ -41,14 +41,14 @@ def test_links_that_cannot_be_are_named_with_the_inequality(robot: Path) -> None
         (row,) = [line for line in lines if line.split()[:1] == [name]]
         assert row.split()[-1] == ("NO" if said else "yes")
         assert f"{name}: {said}" in lines or not said
-    assert f"{len(WRONG)} of {len(LINKS)} links have an inertia that no body can have" in lines
+    assert f"{len(WRONG)} of {len(LINKS)} links have an inertia that is not physically realizable" in lines
     assert files(robot.parent) == {"robot.urdf": robot.read_bytes()}
 
 
 def test_a_sound_urdf_passes(sound: Path) -> None:
     done = idtool("ellipsoids", sound, "--check")
     assert (done.code, done.err) == (0, "")
-    assert "0 of 2 links have an inertia that no body can have" in done.out
+    assert "0 of 2 links have an inertia that is not physically realizable" in done.out
 
 
 def test_the_check_as_json(robot: Path, sound: Path) -> None:
@@ -140,12 +140,12 @@ def test_the_leg_itself_passes_within_its_ellipsoids(tmp_path: Path) -> None:
 
 
 REFUSALS: dict[str, tuple[list[str], str]] = {
-    "a repair without a check": (["--repair", "new.urdf"], "--repair: goes with --check; give both"),
-    "a place for the ellipsoids of a check": (["--check", "--out", "e.yaml"], "--out: is for the ellipsoids"),
+    "a repair without a check": (["--repair", "new.urdf"], "--repair: requires --check"),
+    "a place for the ellipsoids of a check": (["--check", "--out", "e.yaml"], "--out: cannot be combined with --check"),
     "a negative margin": (["--margin", "-0.1"], "--margin"),
     "bounds of another robot": (
         ["--check", "--config", "other.yaml"],
-        "bounding_ellipsoids: sond: is no link of the URDF; did you mean sound?",
+        "bounding_ellipsoids: sond: is not a link of the URDF; did you mean sound?",
     ),
     "a mesh that is not there": (["--check", "--config", "hull.yaml"], "no.stl"),
     "a configuration that is not there": (["--check", "--config", "none.yaml"], "none.yaml: cannot be read"),
@@ -252,5 +252,5 @@ def test_ellipsoids_take_no_inputs_place(tmp_path: Path, name: str) -> None:
     for file in (LEG, LEG.with_suffix(".yaml")):
         shutil.copy(file, tmp_path)
     done = idtool("ellipsoids", "leg.urdf", "--out", name, folder=tmp_path)
-    assert (done.code, done.err) == (2, f"error: {name}: is a file that is read; give another --out\n")
+    assert (done.code, done.err) == (2, f"error: {name}: is an input file; give another --out\n")
     assert (tmp_path / name).read_bytes() == LEG.with_name(name).read_bytes()

@@ -227,7 +227,7 @@ def test_rollouts_that_run_away_end_where_they_did(short: Path, tmp_path: Path) 
     done = idtool("simulate", "leg.urdf", short, "--out", "out.csv", "--json", folder=tmp_path)
     assert done.code == 0
     assert done.json["lost"] > 0
-    assert f"{done.json['lost']} of 2 rollouts ran away; they end where they did" in done.json["warnings"]
+    assert f"{done.json['lost']} of 2 rollouts diverged; each ends where it diverged" in done.json["warnings"]
     log = read_log(tmp_path / "out.csv")
     assert len(log) == done.json["samples"] < ROWS
     assert all(np.isfinite(x).all() for x in log.signals.values())
@@ -238,10 +238,10 @@ REFUSED = {
     "closed loop without a controller": (["--closed-loop"], "controller"),
     "both": (["--track", "--closed-loop"], "--track"),
     "a window of less than nothing": (["--window", "-1"], "--window"),
-    "a window that is no number": (["--window", "nan"], "--window"),
-    "an ending that is no log's": (["--out", "out/log.txt"], "use .csv or .mcap"),
-    "onto what is read": (["--out", "log.csv"], "is a file that is read"),
-    "a folder that is a file": (["--out", "log.csv/out.csv"], "log.csv: is a file, where a folder is needed"),
+    "a window that is not a number": (["--window", "nan"], "--window"),
+    "an ending that is not a log's": (["--out", "out/log.txt"], "use .csv or .mcap"),
+    "onto what is read": (["--out", "log.csv"], "is an input file"),
+    "a folder that is a file": (["--out", "log.csv/out.csv"], "log.csv: is a file, but a folder is needed"),
     "a folder in its place": (["--out", "folder.csv"], "folder.csv"),
 }
 
@@ -256,7 +256,7 @@ def test_what_is_refused(tmp_path: Path, options: list[str], naming: str) -> Non
 def test_logs_that_do_not_say_what_drives_them(tmp_path: Path, config: Path) -> None:
     trajectory(tmp_path / "wave.csv")
     refuse(
-        tmp_path, "simulate", LEG, "wave.csv", "--config", config, naming="with --track the controller follows its q"
+        tmp_path, "simulate", LEG, "wave.csv", "--config", config, naming="with --track, the controller follows its q"
     )
     done = idtool("simulate", LEG, "wave.csv", "--closed-loop", "--config", config, folder=tmp_path)
     assert (done.code, done.out) == (2, "")

@@ -145,18 +145,18 @@ def test_adapting_heeds_the_set_asked_for(folder: Path) -> None:
 REFUSALS: dict[str, tuple[list[str], str]] = {
     "study: nothing held out": (
         ["study", "--holdout", "0"],
-        "--holdout: a study compares errors on data that were",
+        "--holdout: a study compares errors on held-out data",
     ),
-    "study: all held out": (["study", "--holdout", "1"], "--holdout: 1 is no share"),
+    "study: all held out": (["study", "--holdout", "1"], "--holdout: 1 is not a fraction"),
     "study: next to all held out": (["study", "--holdout", "0.999"], "log.csv"),
     "study: next to nothing held out": (["study", "--holdout", "0.001"], "--holdout: "),
     "study: no draws": (["study", "--draws", "0"], "--draws"),
     "study: draws in words": (["study", "--draws", "many"], "--draws"),
     "study: another log that is not there": (["study", "--validate", "none.mcap"], "none.mcap: there is no such file"),
     "study: a time constant": (["study", "--forgetting", "3"], "--forgetting"),
-    "adapt: no time": (["adapt", "--forgetting", "0"], "--forgetting: 0 s is no time constant; give a positive one"),
-    "adapt: a negative time": (["adapt", "--forgetting", "-3"], "--forgetting: -3 s is no time constant"),
-    "adapt: a time that is none": (["adapt", "--forgetting", "nan"], "--forgetting: nan s is no time constant"),
+    "adapt: no time": (["adapt", "--forgetting", "0"], "--forgetting: 0 s is not a time constant; give a positive one"),
+    "adapt: a negative time": (["adapt", "--forgetting", "-3"], "--forgetting: -3 s is not a time constant"),
+    "adapt: a time that is none": (["adapt", "--forgetting", "nan"], "--forgetting: nan s is not a time constant"),
     "adapt: a time in words": (["adapt", "--forgetting", "long"], "--forgetting"),
     "adapt: a holdout": (["adapt", "--holdout", "0.3"], "--holdout"),
 }

@@ -163,7 +163,7 @@ def test_instruments_without_a_command_are_smoothed(folder: Path, logs: tuple[Pa
     report = asked(folder / "iv", logs[1], "--config", CONFIG, "--method", "iv")
     assert (report["method"], report["bias"]["method"], report["bias"]["instruments"]) == ("iv", "iv", "smoothed")
     assert report["bias"]["weak"] == []
-    assert any(note.startswith("without a command and a controller") for note in report["warnings"])
+    assert any(note.startswith("not every joint has a command") for note in report["warnings"])
     assert report["repeatability"] is None
 
 
@@ -185,7 +185,7 @@ def test_instruments_under_a_command_are_simulated(folder: Path) -> None:
     config = config_with(folder / "commanded.yaml", CONFIG, controller={"kp": dict.fromkeys(JOINTS, STIFF)})
     report = asked(folder / "commanded", log, "--config", config, "--method", "iv")
     assert (report["bias"]["instruments"], report["bias"]["weak"]) == ("closed_loop", [])
-    assert not any("without a command" in note for note in report["warnings"])
+    assert not any("not every joint has a command" in note for note in report["warnings"])
 
 
 def test_a_simulation_that_does_not_follow_is_no_check(folder: Path) -> None:
@@ -216,14 +216,14 @@ def test_the_table_of_many_logs_is_no_wider_than_that_of_few(folder: Path) -> No
     done = idtool("fit", LEG, *logs, "--config", CONFIG, "--out", folder / "many", "--no-simulation")
     assert (done.code, done.err) == (0, "")
     _, head, *rows = done.out[done.out.index("Least repeatable between the logs") :].splitlines()
-    assert head.split() == ["parameter", "least", "in", "greatest", "in", "times", "expected", "beyond", "chance"]
+    assert head.split() == ["parameter", "smallest", "in", "largest", "in", "times", "expected", "beyond", "chance"]
     assert "…" not in "".join(rows[:4]).replace("+ …", "")
     assert any(f"{log.name} " in rows[0] for log in logs)
 
 
 def test_the_terminal_says_what_is_determined(folder: Path, logs: tuple[Path, Path]) -> None:
     done = idtool("fit", LEG, *logs, "--config", CONFIG, "--out", folder / "shown", "--no-simulation")
-    assert "determines 38 of the 38 combinations of the 66 parameters" in done.out
+    assert "the logs determine 38 of the 38 base parameters (the combinations of the 66 parameters" in done.out
     (head,) = (line.split() for line in done.out.splitlines() if line.startswith("body "))
     assert {"data", "combination", "constraints", "prior"} <= set(head)
     (head,) = (line.split() for line in done.out.splitlines() if line.startswith("parameter "))

@@ -176,7 +176,7 @@ def test_a_joint_that_is_not_in_the_log_is_locked(tmp_path: Path, table: list[Ro
         assert reports[-1]["joints"] == ["hip", "knee"]
         assert set(reports[-1]["bodies"]) == {"thigh_link", "shank_link", "hip_rotor", "knee_rotor"}
     for report, place in zip(reports, ("0", "0.3"), strict=True):
-        assert f"joints held still: abad at {place}" in [notice["message"] for notice in report["notices"]]
+        assert f"joints assumed to stand still: abad at {place}" in [notice["message"] for notice in report["notices"]]
     prior = [report["rms"]["prior_validation"]["hip"] for report in reports]
     assert prior[0] != pytest.approx(prior[1], rel=1e-3)  # gravity pulls another way
 
@@ -195,7 +195,7 @@ def test_a_joint_that_is_left_out_although_it_moves_is_said(tmp_path: Path, tabl
         said.append([warning for warning in warnings if warning.startswith("assumed to stand still")])
     ((moving,), still) = said
     assert moving.startswith(
-        f"assumed to stand still, but they move in the log: abad (moves by {travel:.3g} rad, taken at 0.1); the effect "
+        f"assumed to stand still, but they move in the log: abad (moves by {travel:.3g} rad, assumed to be at 0.1); "
     )
     assert moving.endswith("biases the parameters; add them to joints, or log them at rest")
     assert still == []
@@ -208,7 +208,7 @@ def test_a_missing_velocity_is_differentiated_and_said(tmp_path: Path, folder: P
     (tmp_path / "log.csv").write_text(csv_text(lacking))
     report = fitted(tmp_path / "out", LEG, tmp_path / "log.csv")
     messages = [notice["message"] for notice in report["notices"]]
-    assert "no velocity logged, differentiated from q: hip" in messages
+    assert "no velocity was logged; it is differentiated from q: hip" in messages
 
 
 def test_no_filter_crosses_a_gap(tmp_path: Path, folder: Path) -> None:

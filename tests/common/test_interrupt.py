@@ -124,7 +124,7 @@ def test_an_output_that_cannot_be_is_refused_before_the_work_is_done(tmp_path: P
     (tmp_path / "file").touch()
     for command in ("fit", "diagnose", "study", "adapt", "validate"):
         done = idtool(command, LEG, "none.mcap", "--out", "file", folder=tmp_path)
-        assert (done.code, done.err) == (2, "error: file: is a file, where a folder is needed; give another --out\n")
+        assert (done.code, done.err) == (2, "error: file: is a file, but a folder is needed; give another --out\n")
 
 
 def test_an_interrupt_during_the_work_is_said_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,44 +78,44 @@ DEFECTS: dict[str, Defect] = {
     "v of another joint": (another_joints_velocity, "problem", "hip", "of v's power in the motion's band"),
     "v not filled": (constant("v"), "problem", "hip", "v is 0 throughout while q moves"),
     "v coarse": (rounded("v", 0.3), "warning", "hip", "v comes in steps of 0.3"),
-    "v saturated": (clipped("v", 2.0), "warning", "hip", "v sits at its extremes, -2 and 2"),
+    "v saturated": (clipped("v", 2.0), "warning", "hip", "v stays at its extremes, -2 and 2"),
     "tau missing": (drop("tau"), "problem", "hip", "tau is missing"),
-    "tau from a controller": (position_controlled, "note", "hip", "tau is missing, qcmd is there"),
+    "tau from a controller": (position_controlled, "note", "hip", "tau is missing, but qcmd is available"),
     "tau not filled": (constant("tau"), "problem", "hip", "tau is 0 throughout while q moves"),
     "tau not filled, with a sign": (constant("tau", -0.0), "problem", "hip", "tau is 0 throughout while q moves"),
     "tau coarse": (rounded("tau", 0.3), "warning", "hip", "tau comes in steps of 0.3"),
-    "tau saturated": (clipped("tau", 1.5), "warning", "hip", "tau sits at its extremes, -1.5 and 1.5"),
-    "tau held": (held_samples("tau", 4), "warning", "hip", "of tau's samples repeat the one before"),
-    "tau not finite": (not_finite, "warning", "hip", "10 samples of tau not finite"),
+    "tau saturated": (clipped("tau", 1.5), "warning", "hip", "tau stays at its extremes, -1.5 and 1.5"),
+    "tau held": (held_samples("tau", 4), "warning", "hip", "of the samples of tau repeat the previous one"),
+    "tau not finite": (not_finite, "warning", "hip", "10 samples of tau are not finite"),
     "q coarse": (rounded("q", 2 * np.pi / 1000), "warning", "hip", "q comes in steps of 0.00628"),
-    "q held": (held_samples("q", 2), "warning", "hip", "50.0% of q's samples repeat"),
+    "q held": (held_samples("q", 2), "warning", "hip", "50.0% of the samples of q repeat"),
     "q frozen": (
         frozen("q"),
         "warning",
         "hip",
-        "q keeps one value for 0.2 s in all while the joint moves, first 4",
+        "q keeps one value for 0.2 s in total while the joint moves, first 4",
     ),
     "v frozen": (
         frozen("v"),
         "warning",
         "hip",
-        "v keeps one value for 0.2 s in all while the joint moves, first 4",
+        "v keeps one value for 0.2 s in total while the joint moves, first 4",
     ),
-    "tau frozen": (frozen("tau"), "warning", "hip", "tau keeps one value for 0.2 s in all while the joint moves"),
-    "q clipped": (clipped("q", 0.4), "warning", "hip", "q sits at its extremes, -0.4 and 0.4"),
+    "tau frozen": (frozen("tau"), "warning", "hip", "tau keeps one value for 0.2 s in total while the joint moves"),
+    "q clipped": (clipped("q", 0.4), "warning", "hip", "q stays at its extremes, -0.4 and 0.4"),
     "q wrapped": (wrapped, "problem", "hip", "of q by about a full turn"),
     "q missing": (drop("q"), "problem", "hip", "q is missing"),
     "q and v in degrees": (in_degrees, "note", "hip", "q spans 88."),
     "joint at rest": (at_rest, "warning", "hip", "the joint does not move"),
-    "joint mostly at rest": (seldom_moving, "note", "hip", "the joint stands still 7"),
-    "gap": (gap, "note", None, "1 gap, 0.25 s in all"),
-    "long gap": (long_gap, "warning", None, "1 gap, 2 s in all; the longest, 2 s, 14.999 s into the log"),
-    "clock set back": (backward, "warning", None, "1 stamp earlier than the one before"),
-    "duplicate stamps": (duplicates, "note", None, "15 stamps equal to the one before"),
-    "late stamps": (late_stamps, "warning", None, "the time from stamp to stamp strays by 0.16 samples rms"),
-    "samples off their stamps": (hidden_jitter, "warning", None, "the samples were taken 0.25 samples rms off"),
+    "joint mostly at rest": (seldom_moving, "note", "hip", "the joint is at rest 7"),
+    "gap": (gap, "note", None, "1 gap, 0.25 s in total"),
+    "long gap": (long_gap, "warning", None, "1 gap, 2 s in total; the longest is 2 s, 14.999 s after the start"),
+    "clock set back": (backward, "warning", None, "1 stamp earlier than the previous one"),
+    "duplicate stamps": (duplicates, "note", None, "15 stamps equal to the previous one"),
+    "late stamps": (late_stamps, "warning", None, "the time between stamps varies by 0.16 samples rms"),
+    "samples off their stamps": (hidden_jitter, "warning", None, "stamps by 0.25 samples rms"),
     "rows repeated": (repeated_rows(8), "warning", None, "12.5% of the samples repeat"),
-    "samples skipped": (skipped_samples, "warning", None, "2.9% of the steps took the time of two samples"),
+    "samples skipped": (skipped_samples, "warning", None, "2.9% of the steps are two or more sample periods long"),
 }
 
 
@@ -223,7 +223,7 @@ def test_feedback_through_an_unknown_law_is_known_by_its_noise() -> None:
     s["tau"][:, 1] = torque(s["t"], 1) - 30.0 * np.tanh(s["v"][:, 1] / 4)
     source = inspect(s).joints["hip"].torque
     assert source
-    assert (source.kind, "of its noise is that of q and v" in source.reason) == ("commanded", True)
+    assert (source.kind, "of its noise comes from q and v" in source.reason) == ("commanded", True)
 
 
 @pytest.mark.parametrize("step", [0.1, 0.25])
@@ -249,8 +249,11 @@ def test_many_short_segments() -> None:
     assert (inspection.stamps.gaps, inspection.joints["abad"].signals["q"].not_finite) == (0, 2000)
     first = inspection.findings[0]
     assert (first.severity, first.subject) == ("problem", None)
-    assert first.message == "gaps and missing values cut the log in 2000: 100% of it is in stretches below 0.5 s"
-    assert "hardly anything is left to fit" in first.advice
+    assert (
+        first.message
+        == "gaps and missing values divide the log into 2000 segments: 100% of it is in segments shorter than 0.5 s"
+    )
+    assert "hardly any usable data remain for the fit" in first.advice
 
 
 @pytest.mark.parametrize(("stretches", "severity"), [(15, "problem"), (3, "warning"), (1, None)])
@@ -258,7 +261,7 @@ def test_values_that_are_missing_here_and_there(stretches: int, severity: str | 
     """They leave so many stretches of 0.4 s in ten seconds, and one long one."""
     s = clean_signals(seconds=10.0)
     s["tau"][400 * np.arange(stretches + 1), 2] = np.nan
-    found = [f.severity for f in inspect(s).findings if "stretches below 0.5 s" in f.message]
+    found = [f.severity for f in inspect(s).findings if "segments shorter than 0.5 s" in f.message]
     assert found == [severity] * (severity is not None)
 
 

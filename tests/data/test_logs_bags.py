@@ -18,7 +18,7 @@ PARTS = ITEMS[:100], ITEMS[100:220], ITEMS[220:]
 
 
 def test_a_folder_without_metadata(tmp_path: Path) -> None:
-    said = r"run: is a folder without metadata.yaml, so it is no rosbag2 folder. Run .*name a file"
+    said = r"run: is a folder without metadata.yaml, so it is not a rosbag2 folder. Run .*name a file"
     (tmp_path / "run").mkdir()
     with pytest.raises(LogError, match=said):
         read_log(tmp_path / "run")

@@ -166,7 +166,7 @@ def test_rows_of_two_topics_that_take_turns(written: Written) -> None:
     log = read_log(written("t,/a/hip/effort,/b/hip/position,/b/hip/velocity\n" + rows, "log.csv"))
     assert list(log.signals) == ["q", "v"]
     assert log.t.tolist() == [i + 0.5 for i in range(10)]
-    assert sentences(log.notices)[0].endswith("kept the 10 samples of hip, left out 10 samples, tau_hip")
+    assert sentences(log.notices)[0].endswith("kept the 10 samples of hip, ignored 10 samples, tau_hip")
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,9 @@ def test_cut_off_in_the_last_line(written: Written, rng: np.random.Generator) ->
         assert len(log) == (40 if whole else 39)
         np.testing.assert_allclose(log.signals["q"], values[: len(log), 1:], atol=6e-7)
         cut = (
-            () if whole or size == last else ("the file was cut off in mid-write; kept: 39 samples, up to t = 0.380 s",)
+            ()
+            if whole or size == last
+            else ("the file was cut off while it was written; kept: 39 samples, up to t = 0.380 s",)
         )
         assert sentences(log.notices) == cut
 
@@ -236,8 +238,8 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
             "t,q.abad,v.abad\n0,1,2\n",
             "is not a log: its first line has no joint signal, but t, q.abad, v.abad; name the",
         ),
-        ("t,q_hip\n", "has no samples after its first line"),
-        ("t,q_hip", "has no samples after its first line"),
+        ("t,q_hip\n", "has no samples after the header line"),
+        ("t,q_hip", "has no samples after the header line"),
         ("t,q_hip\n1,2\n", "has 1 samples; at least two are needed"),
         ("\n\n", "is not a log: its first line has no joint signal, but none"),
         ("Lorem ipsum\ndolor\n", "is not a log: its first line has no joint signal, but Lorem ipsum"),

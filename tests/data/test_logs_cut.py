@@ -31,7 +31,7 @@ def kept(path: Path, data: bytes, full: Log) -> int:
     for signal in full.signals:
         np.testing.assert_array_equal(log.signals[signal], full.signals[signal][: len(log)])
     assert sentences(log.notices) == (
-        f"the file was cut off in mid-write; kept: {len(log)} samples, up to t = {log.t[-1]:.3f} s",
+        f"the file was cut off while it was written; kept: {len(log)} samples, up to t = {log.t[-1]:.3f} s",
     )
     return len(log)
 

@@ -132,7 +132,7 @@ def test_commands_of_other_times_are_left_out(tmp_path: Path) -> None:
     log = read_log(write_mcap(tmp_path / "log", commands, ros2(items)))
     assert list(log.signals) == ["q", "v", "tau"]
     assert sentences(log.notices) == (
-        "the commands were left out: their joints or times differ from those of the states",
+        "the commands were ignored: their joints or times differ from those of the states",
     )
     same_times = replace(ros2(items, "/orders"), metadata={"idtool.commands_of": "/joint_states"})
     log = read_log(write_mcap(tmp_path / "log", same_times, ros2(items)))
@@ -221,7 +221,7 @@ def test_scale(tmp_path: Path, ending: str) -> None:
     ("scale", "said"),
     [
         ({"tau": {"hipp": 2.0}}, "log.scale: tau: the log has no joint hipp; did you mean hip?"),
-        ({"v": {"hip": 2.0}}, "log.scale: the log has no v; there are: q, tau"),
+        ({"v": {"hip": 2.0}}, "log.scale: the log has no v; available: q, tau"),
     ],
 )
 def test_scale_of_what_is_not_there(tmp_path: Path, scale: Mapping[str, Mapping[str, float]], said: str) -> None:

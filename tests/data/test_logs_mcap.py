@@ -174,7 +174,7 @@ def test_sources_that_take_turns(tmp_path: Path) -> None:
     log = read_log(write_mcap(tmp_path / "log", ros2(both), chunk_size=3000))
     check_log(log, arm)
     assert sentences(log.notices)[0].endswith(
-        "kept the 100 samples of abad, hip, knee, left out 20 samples, q_finger, v_finger, tau_finger"
+        "kept the 100 samples of abad, hip, knee, ignored 20 samples, q_finger, v_finger, tau_finger"
     )
 
 
@@ -188,7 +188,7 @@ def test_a_source_that_speaks_seldom(tmp_path: Path) -> None:
     ]
     log = read_log(write_mcap(tmp_path / "log", ros2(items)))
     check_log(log, [replace(s, effort=()) for s in arm])
-    assert sentences(log.notices)[0].endswith("left out q_finger, v_finger")
+    assert sentences(log.notices)[0].endswith("ignored q_finger, v_finger")
 
 
 def test_two_publishers_of_one_topic(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def test_json_mixed_shapes(tmp_path: Path) -> None:
     ]
     log = read_log(write_mcap(tmp_path / "log", json_channel(items)))
     check_log(log, items[1::2])
-    assert sentences(log.notices)[0].endswith("kept the 30 samples of hip, knee, left out 30 samples")
+    assert sentences(log.notices)[0].endswith("kept the 30 samples of hip, knee, ignored 30 samples")
 
 
 @pytest.mark.parametrize(
@@ -262,4 +262,4 @@ def test_encodings_that_are_not_known(tmp_path: Path) -> None:
     with pytest.raises(LogError) as error:
         read_log(write_mcap(tmp_path / "log", *others))
     there = ", ".join(f"/robot/left_arm/state_{i} ({name}, own_{i})" for i in range(6))
-    assert str(error.value).endswith(f"there are: {there} and 3 more")
+    assert str(error.value).endswith(f"available: {there} and 3 more")

@@ -105,10 +105,10 @@ def test_a_last_file_that_was_cut_off(tmp_path: Path, part: float) -> None:
     log = read_log(folder)
     assert 220 < len(log) <= 300
     check_log(log, ITEMS[: len(log)])
-    assert sentences(log.notices) == (f"run_2.mcap was cut off in mid-write; {kept(log, slice(220, None))}",)
+    assert sentences(log.notices) == (f"run_2.mcap was cut off while it was written; {kept(log, slice(220, None))}",)
     done = idtool("inspect", folder, folder=tmp_path)
     assert (done.code, done.err) == (0, "")
-    assert "run_2.mcap was cut off in mid-write" in " ".join(done.out.split())
+    assert "run_2.mcap was cut off while it was written" in " ".join(done.out.split())
 
 
 @pytest.mark.parametrize("left", [b"", b"\0" * 4096, b"\x89MCAP0\r\n"])
@@ -117,7 +117,7 @@ def test_a_last_file_of_which_nothing_is_left(tmp_path: Path, left: bytes) -> No
     (folder / "run_2.mcap").write_bytes(left)
     log = read_log(folder)
     check_log(log, ITEMS[:220])
-    assert sentences(log.notices) == ("run_2.mcap was cut off in mid-write; kept: no samples",)
+    assert sentences(log.notices) == ("run_2.mcap was cut off while it was written; kept: no samples",)
 
 
 @pytest.mark.parametrize("beyond", [0, 3, 9])
@@ -128,7 +128,7 @@ def test_zeros_from_the_end_of_a_record_on(tmp_path: Path, beyond: int) -> None:
     path.write_bytes(data[: end + beyond] + bytes(4096))
     log = read_log(path)
     check_log(log, ITEMS[:21])
-    assert sentences(log.notices) == (f"the file was cut off in mid-write; {kept(log)}",)
+    assert sentences(log.notices) == (f"the file was cut off while it was written; {kept(log)}",)
 
 
 def test_a_file_in_between_that_was_cut_off(tmp_path: Path) -> None:
@@ -138,7 +138,9 @@ def test_a_file_in_between_that_was_cut_off(tmp_path: Path) -> None:
     log = read_log(folder)
     assert 180 < len(log) < 300
     assert len(log.segments) == 2
-    assert sentences(log.notices) == (f"run_1.mcap was cut off in mid-write; {kept(log, slice(100, len(log) - 80))}",)
+    assert sentences(log.notices) == (
+        f"run_1.mcap was cut off while it was written; {kept(log, slice(100, len(log) - 80))}",
+    )
 
 
 def test_several_files_that_were_cut_off_out_of_order(tmp_path: Path) -> None:
@@ -151,8 +153,8 @@ def test_several_files_that_were_cut_off_out_of_order(tmp_path: Path) -> None:
     log = read_log(folder)
     (split,) = np.flatnonzero(np.diff(log.t) > 0.01) + 1
     assert sentences(log.notices)[:2] == (
-        f"run_2.mcap was cut off in mid-write; {kept(log, slice(split, None))}",
-        f"run_0.mcap was cut off in mid-write; {kept(log, slice(0, split))}",
+        f"run_2.mcap was cut off while it was written; {kept(log, slice(split, None))}",
+        f"run_0.mcap was cut off while it was written; {kept(log, slice(0, split))}",
     )
 
 
@@ -188,7 +190,7 @@ def test_a_compressed_bag(tmp_path: Path) -> None:
     log = read_log(folder)
     check_log(log, ITEMS[: len(log)])
     assert len(log) < 300
-    assert sentences(log.notices) == (f"{names[-1]} was cut off in mid-write; {kept(log, slice(220, None))}",)
+    assert sentences(log.notices) == (f"{names[-1]} was cut off while it was written; {kept(log, slice(220, None))}",)
 
 
 def test_a_compressed_file_that_is_no_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,7 +43,7 @@ def test_topic_without_messages_is_no_candidate(tmp_path: Path) -> None:
     ("topic", "said"),
     [
         ("/joint_state", "has no topic /joint_state; did you mean /joint_states?"),
-        ("/imu", "topic /imu carries sensor_msgs/msg/Imu, cdr, not joint states; there are: /joint_states"),
+        ("/imu", "topic /imu carries sensor_msgs/msg/Imu, cdr, not joint states; available: /joint_states"),
         ("/empty", "topic /empty has no messages"),
     ],
 )

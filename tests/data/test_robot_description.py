@@ -84,12 +84,12 @@ IMU = Channel("/imu", [1], [b"x" * 40], schema=("sensor_msgs/msg/Imu", "ros2msg"
 REFUSED: dict[str, tuple[list[Channel], str]] = {
     "none": (
         [IMU],
-        "run1.mcap: no topic /robot_description carries a URDF (std_msgs/msg/String); there are: "
+        "run1.mcap: no topic /robot_description carries a URDF (std_msgs/msg/String); available: "
         "/imu (sensor_msgs/msg/Imu, cdr), /joint_states (sensor_msgs/msg/JointState, cdr); give a URDF before the log",
     ),
     "of another type": (
         [replace(IMU, topic="/robot_description")],
-        "there are: /robot_description (sensor_msgs/msg/Imu, cdr), /joint_states",
+        "available: /robot_description (sensor_msgs/msg/Imu, cdr), /joint_states",
     ),
     "of another name": (
         [described(TEXT, topic="/robot_description_semantic")],
@@ -119,7 +119,7 @@ REFUSED: dict[str, tuple[list[Channel], str]] = {
         [described("<sdf/>", topic="/arm/robot_description")],
         "run1.mcap/arm/robot_description: is not a URDF",
     ),
-    "xacro": ([described("<robot><xacro:leg/></robot>")], "holds xacro macros"),
+    "xacro": ([described("<robot><xacro:leg/></robot>")], "contains xacro macros"),
     "an entity": ([described(f'<!DOCTYPE r [<!ENTITY e "x">]>{TEXT[22:]}')], "declares a document type"),
 }
 

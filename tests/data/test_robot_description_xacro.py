@@ -47,7 +47,7 @@ def test_xacro_is_to_be_expanded(tmp_path: Path, name: str) -> None:
     text, command = MACROS[name]
     assert text != BODY or name.endswith(".xacro")
     (tmp_path / name).write_text(text)
-    refuse(tmp_path, "adapt", name, "log.csv", file=f"{name}: holds xacro macros; run xacro", naming=command)
+    refuse(tmp_path, "adapt", name, "log.csv", file=f"{name}: contains xacro macros; run xacro", naming=command)
 
 
 def test_a_xacro_that_is_not_there(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def test_the_memory_that_batches_take_does_not_grow_with_the_log(kind: str) -> N
 def test_a_log_too_short_for_the_filter_is_refused_with_the_length_it_takes() -> None:
     signals = signals_of(swinging(clock(2)))
     needed = 2 * signals.ranges[0].start
-    with pytest.raises(LogError, match=r"no stretch without a gap is longer than the 0\.\d+ s that the 40 Hz filter"):
+    with pytest.raises(LogError, match=r"no segment without gaps is longer than the 0\.\d+ s that the 40 Hz filter"):
         signals_of(swinging(clock(2)[:needed]))
     assert signals_of(swinging(clock(2)[: needed + 1])).ranges
 
@@ -156,7 +156,7 @@ def test_a_stretch_too_short_for_the_filter_is_left_out_and_said() -> None:
     signals = signals_of(swinging(t))
     assert len(signals.ranges) == 1
     assert signals.ranges[0].stop < 2980
-    assert "1 stretches between gaps were too short for the filter" in sentences(signals.notices)
+    assert "1 segments between gaps were too short for the filter" in sentences(signals.notices)
 
 
 @pytest.mark.parametrize("rate", [100.0, 500.0])

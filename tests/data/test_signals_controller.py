@@ -93,7 +93,7 @@ def test_a_velocity_that_is_off_on_average_moves_neither_the_motion_nor_the_torq
     for of in (lambda m: m.logged_tau, lambda m: m.v):
         np.testing.assert_allclose(joined(biased, of), joined(true, of), rtol=0, atol=2e-4)
     assert any(
-        "off by up to 0.03 rad/s (m/s) on average; this is undone: hip, knee" in warning
+        "off by up to 0.03 rad/s (m/s) on average; this offset is corrected: hip, knee" in warning
         for warning in sentences(biased.notices)
     )
     assert not any("on average" in warning for warning in sentences(true.notices))

@@ -46,11 +46,11 @@ def test_a_missing_velocity_is_differentiated_and_said(velocity: str) -> None:
     v = np.stack([swing(t, 1)[:, 0], np.full(len(t), np.nan)], axis=1)
     signals = signals_of(swinging(t, v=v), velocity=velocity)
     assert signals.velocity_from_position[1]
-    assert "no velocity logged, differentiated from q: knee" in sentences(signals.notices)
+    assert "no velocity was logged; it is differentiated from q: knee" in sentences(signals.notices)
     np.testing.assert_allclose(joined(signals, lambda m: m.v), swing(joined(signals, lambda m: m.t), 1).T, atol=1e-6)
     both = signals_of(swinging(t, v=None), velocity=velocity)
     assert both.velocity_from_position.all()
-    assert "no velocity logged, differentiated from q: hip, knee" in sentences(both.notices)
+    assert "no velocity was logged; it is differentiated from q: hip, knee" in sentences(both.notices)
 
 
 @pytest.mark.parametrize("lag", [0.004, 0.0025, -0.0013, 0.08, -0.08])
@@ -60,7 +60,7 @@ def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     signals = signals_of(swinging(t, v=swing(t - lag, 1)), velocity="measured")
     np.testing.assert_allclose(signals.lag, lag, atol=0.05 * DT)
     assert any(
-        f"up to {abs(lag) * 1e3:.1f} ms late; the lag is undone" in warning for warning in sentences(signals.notices)
+        f"up to {abs(lag) * 1e3:.1f} ms late; the lag is corrected" in warning for warning in sentences(signals.notices)
     )
     used = joined(signals, lambda m: m.t)
     truth = swing(used, 1).T
@@ -136,7 +136,7 @@ def test_a_velocity_that_belongs_to_something_else_is_not_used(rng: np.random.Ge
     for strange in (swing(t, 1) * 180 / np.pi, swing(t, 1)[:, ::-1], noise(rng, swing(t), 1.0)):
         signals = signals_of(swinging(t, v=strange))
         assert signals.velocity_from_position.all()
-        assert "logged velocity is not the derivative of q; q is differentiated instead: hip, knee" in sentences(
+        assert "the logged velocity is not the derivative of q; q is differentiated instead: hip, knee" in sentences(
             signals.notices
         )
         np.testing.assert_allclose(

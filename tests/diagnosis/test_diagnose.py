@@ -128,7 +128,7 @@ def test_a_payload_heavier_than_the_robot_is_in_doubt(folder: Path) -> None:
         assert cure in doubt
     assert doubt in report["warnings"]
     assert report["verdict"] == "partly_explained"
-    assert "In doubt: a payload on lower; the notes say why." in report["summary"]
+    assert "Doubtful: a payload on lower; the notices give the reasons." in report["summary"]
     assert "the payload on lower, 9.9" in (out / "diagnosis.html").read_text()
     right = diagnosed(files, folder / "right", "--no-simulation", "--inertia", "fixed", "--effects", "rotor_inertia")
     assert (right["verdict"], right["steps"][0]["evidence"]["doubt"]) == ("explained", "")

@@ -359,7 +359,7 @@ def test_details_say_what_to_do(arm: Signals, of_arm: Callable[..., Experiment])
     assert "`log.scale`" in fault.advice
     (fault,) = find_data_faults(of_arm(changed(arm, late)), silent)
     assert "6 ± " in fault.message
-    assert "undoes it" in fault.advice
+    assert "idtool corrects it" in fault.advice
     assert fault.severity == "note"
 
 

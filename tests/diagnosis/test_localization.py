@@ -44,11 +44,11 @@ REGIONS: list[tuple[Hidden, str, list[float]]] = [
     (noisy(lambda t, q, v, tau: np.abs(tau) > 10), "at torques above {} N·m", [10.0]),
     (noisy(lambda t, q, v, tau: t < 4), "at the start of the log, up to {} s", [4.0]),
     (noisy(lambda t, q, v, tau: t > 12), "at the end of the log, from {} s", [12.0]),
-    (noisy(lambda t, q, v, tau: np.abs(t - 6) < 1), "in a stretch of the log", []),
+    (noisy(lambda t, q, v, tau: np.abs(t - 6) < 1), "in one part of the log", []),
     (noisy(lambda t, q, v, tau: t > 0), "all along", []),
     (torque_on_joint(0, after_reversals), "in the first {} rad after reversals", [0.05]),
     (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(2 * np.pi * 6.3 * t)), "at {} Hz", [6.3]),
-    (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(28 * q + 1)), "{} periods per turn", [28.0]),
+    (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(28 * q + 1)), "at {} periods per turn", [28.0]),
 ]
 
 
@@ -68,13 +68,13 @@ def test_a_torque_that_comes_with_another_joints_motion(tmp_path: Path) -> None:
     moves = np.abs(v[1]) > 0.3
     experiment = experiment_of(tmp_path, noisy(lambda *_: moves))
     region = localize_unexplained(experiment, experiment.equation.prior, FLOOR, silent)["j1"].region
-    assert re.fullmatch(r"while j2 moves, above 0\.(3|2[89]|3[0-3]) rad/s", region)
+    assert re.fullmatch(r"while j2 moves faster than 0\.(3|2[89]|3[0-3]) rad/s", region)
     experiment = experiment_of(tmp_path, noisy(lambda *_: moves & (q[0] > 0.4)))
     one, other = sorted(
         localize_unexplained(experiment, experiment.equation.prior, FLOOR, silent)["j1"].region.split(" and ")
     )
     assert re.fullmatch(r"above 0\.(4|3\d|4\d) rad", one)
-    assert re.fullmatch(r"while j2 moves, above 0\.(3|2\d|3\d) rad/s", other)
+    assert re.fullmatch(r"while j2 moves faster than 0\.(3|2\d|3\d) rad/s", other)
 
 
 def test_noise_is_nowhere(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_prismatic_joint_has_metres_and_several_joints_have_names() -> None:
     assert re.fullmatch(r"below 0\.(5|49) m/s of slide", said(np.abs(v[0]) < 0.5))
     assert re.fullmatch(r"above 0\.5\d? m of slide", said(q[0] > 0.5))
     assert re.fullmatch(r"at torques above 1(\.\d)? N of slide", said(np.abs(tau[0]) > 1))
-    assert re.fullmatch(r"while turn moves, above 1(\.\d)? rad/s", said(np.abs(v[1]) > 1))
+    assert re.fullmatch(r"while turn moves faster than 1(\.\d)? rad/s", said(np.abs(v[1]) > 1))
 
 
 WINDOWS = ((2.113, 4.207), (6.551, 7.009), (10.204, 14.498))
@@ -121,7 +121,7 @@ def test_a_contact_is_located(tmp_path: Path) -> None:
     near = np.any([(t >= first - 0.1) & (t <= last + 0.1) for first, last in WINDOWS], axis=0)
     assert not told[~near].any()
     assert told[truth].mean() > 0.7
-    assert re.fullmatch(r"in \d stretches of the log", where.region)
+    assert re.fullmatch(r"in \d parts of the log", where.region)
 
 
 def test_windows_are_few_and_short_or_none() -> None:

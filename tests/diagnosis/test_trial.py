@@ -125,7 +125,7 @@ def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: 
 
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
     base = grounded(tmp_path, log)
-    with pytest.raises(ConfigError, match="velocity of -1 cannot be"):
+    with pytest.raises(ConfigError, match="velocity of -1 is out of range"):
         fit_trial(base, [entry("stribeck_friction", stribeck=0.0, velocity=-1.0)], [0], silent)
 
 

@@ -63,28 +63,46 @@ STOP = {"stiffness": 5, "position": 1}
 COUPLING = {"coefficient": 0.1, "source": "shoulder"}
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "an unknown effect": (entry("end_stopp", **STOP), "end_stopp: is not an effect of this version; did you mean end_"),
-    "an unknown joint": (entry("end_stop", "elbo", **STOP), "end_stop: elbo is no moving joint; did you mean elbow?"),
+    "an unknown joint": (
+        entry("end_stop", "elbo", **STOP),
+        "end_stop: elbo is not a moving joint; did you mean elbow?",
+    ),
     "no joint": ({"effect": "end_stop", "parameters": STOP}, "end_stop: acts on a joint"),
-    "a link": ({**entry("end_stop", **STOP), "link": "lower"}, "end_stop: acts on a joint; give joint, and no link"),
+    "a link": (
+        {**entry("end_stop", **STOP), "link": "lower"},
+        "end_stop: acts on a joint; give `joint` and not `link`",
+    ),
     "an unknown parameter": (entry("end_stop", **STOP, stif=1), "end_stop: has no parameter stif; did you mean stiff"),
     "a missing one": (entry("end_stop", stiffness=1), "end_stop: needs the parameters stiffness, position; add posi"),
     "one of two lines": (entry("end_stop", **STOP, **{"a\nb": 1}), r"end_stop: has no parameter a\nb"),
     "a word": (entry("end_stop", stiffness="hard", position=1), "end_stop: stiffness is not a number"),
     "a list": (entry("end_stop", stiffness=1, position=[1]), "end_stop: position is not a number"),
     "not finite": (entry("end_stop", stiffness=1, position=float("nan")), "end_stop: position is not a number"),
-    "a spring that pushes": (entry("end_stop", stiffness=-1, position=1), "stiffness of -1 cannot be; give 0 or more"),
-    "friction that drives": (entry("stribeck_friction", stribeck=-1, velocity=1), "stribeck of -1 cannot be"),
-    "no Stribeck velocity": (entry("stribeck_friction", stribeck=1, velocity=0), "velocity of 0 cannot be; give 1e-06"),
-    "negative periods": (entry("torque_ripple", amplitude=1, phase=0, periods=-2), "periods of -2 cannot be"),
-    "no time constant": (entry("friction_drift", viscous=1, coulomb=0, time_constant=0), "time_constant of 0 cannot"),
-    "inertia below nothing": (entry("rotor_inertia", inertia=-1), "inertia of -1 cannot be"),
-    "drag that drives": (entry("quadratic_drag", drag=-1), "drag of -1 cannot be"),
+    "a spring that pushes": (
+        entry("end_stop", stiffness=-1, position=1),
+        "stiffness of -1 is out of range; give 0 or more",
+    ),
+    "friction that drives": (entry("stribeck_friction", stribeck=-1, velocity=1), "stribeck of -1 is out of range"),
+    "no Stribeck velocity": (
+        entry("stribeck_friction", stribeck=1, velocity=0),
+        "velocity of 0 is out of range; give 1e-06",
+    ),
+    "negative periods": (entry("torque_ripple", amplitude=1, phase=0, periods=-2), "periods of -2 is out of range"),
+    "no time constant": (
+        entry("friction_drift", viscous=1, coulomb=0, time_constant=0),
+        "time_constant of 0 is out of range",
+    ),
+    "inertia below nothing": (entry("rotor_inertia", inertia=-1), "inertia of -1 is out of range"),
+    "drag that drives": (entry("quadratic_drag", drag=-1), "drag of -1 is out of range"),
     "an unknown source": (
         entry("transmission_coupling", coefficient=1, source="sholder"),
-        "transmission_coupling: source sholder is no moving joint; did you mean shoulder?",
+        "transmission_coupling: source sholder is not a moving joint; did you mean shoulder?",
     ),
-    "a number as source": (entry("transmission_coupling", coefficient=1, source=0), "source 0 is no moving joint"),
-    "a list as source": (entry("transmission_coupling", coefficient=1, source=["a"]), "is no moving joint; there are:"),
+    "a number as source": (entry("transmission_coupling", coefficient=1, source=0), "source 0 is not a moving joint"),
+    "a list as source": (
+        entry("transmission_coupling", coefficient=1, source=["a"]),
+        "is not a moving joint; available:",
+    ),
     "itself as source": (
         entry("transmission_coupling", "shoulder", **COUPLING),
         "transmission_coupling: source shoulder is the joint itself; name another",

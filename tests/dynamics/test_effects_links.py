@@ -239,22 +239,28 @@ def push(**changed: Any) -> dict[str, Any]:
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "no link": (on_link("payload", None, **LOAD), "payload: acts on a link; give link, and no joint"),
-    "a joint": ({**load(), "joint": "lift"}, "payload: acts on a link; give link, and no joint"),
-    "an unknown link": (on_link("payload", "tol", **LOAD), "payload: tol is no link of the URDF; did you mean tool?"),
-    "the base": (on_link("payload", "base", **LOAD), "payload: link base is moved by no joint; name one that is"),
+    "no link": (on_link("payload", None, **LOAD), "payload: acts on a link; give `link` and not `joint`"),
+    "a joint": ({**load(), "joint": "lift"}, "payload: acts on a link; give `link` and not `joint`"),
+    "an unknown link": (
+        on_link("payload", "tol", **LOAD),
+        "payload: tol is not a link of the URDF; did you mean tool?",
+    ),
+    "the base": (
+        on_link("payload", "base", **LOAD),
+        "payload: link base is not moved by any joint; name a link that is",
+    ),
     "a parameter missing": (
         on_link("payload", "tool", mass=1, com=[0, 0, 0]),
         "payload: needs the parameters mass, com",
     ),
-    "no mass": (load(mass=0), "payload: mass of 0 cannot be; give one above 0"),
-    "a centre in a plane": (load(com=[0, 0]), "payload: com is not a list of 3 numbers; give one"),
-    "a centre of words": (load(com=["a", "b", "c"]), "payload: com is not a list of 3 numbers; give one"),
-    "an inertia of nine": (load(inertia=[0] * 9), "payload: inertia is not a list of 6 numbers; give one"),
+    "no mass": (load(mass=0), "payload: mass of 0 is not possible; give a value above 0"),
+    "a centre in a plane": (load(com=[0, 0]), "payload: com is not a list of 3 numbers"),
+    "a centre of words": (load(com=["a", "b", "c"]), "payload: com is not a list of 3 numbers"),
+    "an inertia of nine": (load(inertia=[0] * 9), "payload: inertia is not a list of 6 numbers"),
     "no body's inertia": (load(inertia=[1, 0, 1, 0, 0, 3]), "payload: inertia is not realizable"),
     "a negative inertia": (load(inertia=[-1, 0, 1, 0, 0, 1]), "payload: inertia is not realizable"),
     "windows that are numbers": (push(windows=[0, 1]), "external_contact: windows is not a list of lists of 2 numbers"),
-    "no windows": (push(windows=[]), "external_contact: windows is not a list of lists of 2 numbers; give one"),
+    "no windows": (push(windows=[]), "external_contact: windows is not a list of lists of 2 numbers"),
     "a window backwards": (push(windows=[[1, 0]]), "external_contact: windows must be in ascending order"),
     "windows that touch": (push(windows=[[0, 1], [1, 2]]), "external_contact: windows must be in ascending order"),
     "a tilt of a link": (on_link("gravity_tilt", "tool", gravity=TILTED), "gravity_tilt: acts on the whole robot"),
@@ -282,7 +288,7 @@ def test_links_behind_a_joint_that_is_held_still(tmp_path: Path) -> None:
     tool = experiment(urdf, csv, load(), locked_joints={"end": 0.4}).equation.effects[-1]
     assert tool.frame.body == 2  # type: ignore[attr-defined]
     config_with(tmp_path / "arm.yaml", effects=[on_link("payload", "flange", **LOAD)])
-    said = "payload: link flange hangs on joint end, which is held still; name the link before it"
+    said = "payload: link flange is carried by joint end, which is locked; name the link before it"
     refuse(tmp_path, "fit", urdf, csv, "--out", "out", naming=said)
 
 

@@ -175,15 +175,15 @@ def test_a_displacement_that_no_motion_of_the_log_tells_is_refused(tmp_path: Pat
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no displacement": (
         entry("presliding_hysteresis", "lift", amplitude=1, displacement=0),
-        "presliding_hysteresis: displacement of 0 cannot be",
+        "presliding_hysteresis: displacement of 0 is out of range",
     ),
     "friction that drives": (
         entry("presliding_hysteresis", "lift", amplitude=-1, displacement=0.1),
-        "presliding_hysteresis: amplitude of -1 cannot be; give 0 or more",
+        "presliding_hysteresis: amplitude of -1 is out of range; give 0 or more",
     ),
     "damping that drives": (
         entry("presliding_hysteresis", "lift", amplitude=1, displacement=0.1, damping=-0.1),
-        "presliding_hysteresis: damping of -0.1 cannot be; give one from 0 to 0.5",
+        "presliding_hysteresis: damping of -0.1 is out of range; give a value from 0 to 0.5",
     ),
     "one of two": (
         entry("presliding_hysteresis", "lift", amplitude=1),

@@ -210,16 +210,16 @@ def test_every_command_takes_the_entries_and_the_model_keeps_them(tmp_path: Path
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "no gain": (entry("torque_gain", gain=0), "torque_gain: gain of 0 cannot be"),
-    "a gain that turns the torque round": (entry("torque_gain", gain=-1), "torque_gain: gain of -1 cannot be"),
+    "no gain": (entry("torque_gain", gain=0), "torque_gain: gain of 0 is out of range"),
+    "a gain that turns the torque round": (entry("torque_gain", gain=-1), "torque_gain: gain of -1 is out of range"),
     "a gain by another name": (entry("torque_gain", gan=1), "torque_gain: has no parameter gan; did you mean gain?"),
-    "no level": (entry("torque_saturation", level=0, bend=1), "torque_saturation: level of 0 cannot be"),
+    "no level": (entry("torque_saturation", level=0, bend=1), "torque_saturation: level of 0 is out of range"),
     "no bend": (entry("torque_saturation", level=1), "torque_saturation: needs the parameters level, bend; add bend"),
     "a word": (entry("encoder_offset", offset="left"), "encoder_offset: offset is not a number"),
     "no joint": (entry("encoder_offset", None, offset=1), "encoder_offset: acts on a joint"),
-    "an unknown joint": (entry("time_delay", "lit", delay=0.01), "lit is no moving joint; did you mean lift?"),
+    "an unknown joint": (entry("time_delay", "lit", delay=0.01), "lit is not a moving joint; did you mean lift?"),
     "a link": ({**entry("time_delay", None, delay=0.01), "link": "fore"}, "time_delay: acts on a joint, or on all"),
-    "milliseconds": (entry("time_delay", delay=5), "delay of 5 s cannot be identified; give one within 1 s"),
+    "milliseconds": (entry("time_delay", delay=5), "a delay of 5 s is too long; give at most 1 s"),
 }
 
 

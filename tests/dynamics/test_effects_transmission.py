@@ -301,10 +301,16 @@ def test_every_command_takes_the_entries_and_the_model_keeps_them(tmp_path: Path
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "no stiffness": (entry("joint_elasticity", "lift", stiffness=0), "joint_elasticity: stiffness of 0 cannot be"),
-    "a spring that pushes": (entry("joint_elasticity", "lift", stiffness=-5), "stiffness of -5 cannot be"),
-    "an unknown joint": (entry("joint_elasticity", "lit", stiffness=5), "lit is no moving joint; did you mean lift?"),
-    "no width": (entry("backlash", "lift", width=0), "backlash: width of 0 cannot be"),
+    "no stiffness": (
+        entry("joint_elasticity", "lift", stiffness=0),
+        "joint_elasticity: stiffness of 0 is out of range",
+    ),
+    "a spring that pushes": (entry("joint_elasticity", "lift", stiffness=-5), "stiffness of -5 is out of range"),
+    "an unknown joint": (
+        entry("joint_elasticity", "lit", stiffness=5),
+        "lit is not a moving joint; did you mean lift?",
+    ),
+    "no width": (entry("backlash", "lift", width=0), "backlash: width of 0 is out of range"),
     "a list": (entry("backlash", "lift", width=[0.1]), "backlash: width is not a number"),
 }
 

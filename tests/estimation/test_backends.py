@@ -70,7 +70,9 @@ def test_a_backend_for_quadratic_programmes_solves_one(robot_of: Robots) -> None
 
 
 def test_a_backend_for_quadratic_programmes_only_is_named_with_those_that_can_more(robot_of: Robots) -> None:
-    with pytest.raises(SolverError, match=r"^solver\.backend: OSQP does not take matrix inequalities; use .*CLARABEL"):
+    with pytest.raises(
+        SolverError, match=r"^solver\.backend: OSQP does not support matrix inequalities; use .*CLARABEL"
+    ):
         solve_with_backend(problem_of(data(robot_of)), "OSQP")
 
 
@@ -86,7 +88,7 @@ def test_a_first_order_method_that_stops_short_is_refused(robot_of: Robots, monk
 def test_what_no_parameters_fulfil_is_said(robot_of: Robots) -> None:
     s = data(robot_of, known={"mass": {"link1": 3, "link2": 2}, "total_mass": 4})
     with pytest.raises(
-        SolverError, match=r"^solver: found no parameters that fulfil the constraints and what is known"
+        SolverError, match=r"^solver: found no parameters that satisfy the constraints and the exactly known"
     ):
         estimate_of(s, solver="cvxpy")
 

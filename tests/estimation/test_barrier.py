@@ -108,7 +108,7 @@ def test_what_is_known_exactly_holds_exactly(stated: Stated, rng: np.random.Gene
 
 def test_what_cannot_be_is_refused(stated: Stated) -> None:
     problem = stated("full", known={"mass": {"link1": 3.0}, "total_mass": 2.0})
-    with pytest.raises(SolverError, match="loosen one"):
+    with pytest.raises(SolverError, match="relax one"):
         Barrier(problem, *normal(problem), GAP)
 
 

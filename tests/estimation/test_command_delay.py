@@ -157,7 +157,7 @@ def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
     wrong = fit(experiment_of(log, controller={"delay": 3 * MS}), silent, analyze_uncertainty=True)
     (said,) = (note for note in sentences(wrong.notices) if note.startswith("controller.delay"))
     assert said.startswith("controller.delay: 3 ms is given, but the data say 7.")
-    assert "off the torque error and mean viscous friction from 1." in said
+    assert "and changes mean viscous friction from 1." in said
     report = fit_report(wrong).to_json()["controller"]
     assert (report["delay"], report["given"], report["contradicted"]) == (3 * MS, 3 * MS, True)
     assert report["fitted"] == pytest.approx(7.5 * MS, abs=0.05 * MS)
@@ -217,7 +217,7 @@ def test_without_a_fit_a_delay_of_auto_is_none_and_said(tmp_path: Path) -> None:
     logged = idtool.Log.from_arrays("run", log.t, log.joints, **log.signals)
     model = idtool.Model(URDF, tmp_path / "leg.yaml")
     result = idtool.validate(model, logged, simulation=False)
-    assert any(note.startswith("controller.delay: auto, but nothing is") for note in result.warnings)
+    assert any(note.startswith("controller.delay: auto, but this command does not fit it") for note in result.warnings)
     identified = idtool.fit(model, logged, quick=True).model
     assert not any("auto" in note for note in idtool.validate(identified, logged, simulation=False).warnings)
 

@@ -313,7 +313,9 @@ def test_what_no_parameters_fulfil_is_said_in_one_line(state: State, case: str, 
     with pytest.raises(SolverError) as caught:
         solve(problem)
     said = str(caught.value)
-    assert said.startswith("solver: found no parameters that fulfil the constraints and what is known exactly (known")
+    assert said.startswith(
+        "solver: found no parameters that satisfy the constraints and the exactly known values (known"
+    )
     assert "\n" not in said
 
 

@@ -29,7 +29,7 @@ def test_of_data_as_they_should_be_nothing_is_said() -> None:
     """But that a scale would tell what the torque does not."""
     (only,) = said(quick=False).splitlines()
     assert only.startswith("the torque does not determine the mass of abad_link")
-    assert only.endswith("weigh the moving part and give known.total_mass")
+    assert only.endswith("weigh the moving parts and set known.total_mass")
 
 
 def test_a_robot_that_was_weighed_is_not_to_be_weighed() -> None:

@@ -183,18 +183,18 @@ def test_the_words(robot_of: Robots) -> None:
     asked = ask(planar(robot_of))
     assert asked.text("l2", "I_zz").startswith("l2 I_zz: determined by the data")
     assert asked.text("l1", "m") == "l1 mass: prior only"
-    head, _, tail = asked.text("l2", "m").partition(": by the data only in a combination: ")
+    head, _, tail = asked.text("l2", "m").partition(": determined by the data only in a combination: ")
     assert head == "l2 mass"
-    combined, _, partners = tail.partition("; moves with ")
+    combined, _, partners = tail.partition("; correlated with ")
     assert combined == "l1 I_zz + 0.16 l2 mass"
     assert set(partners.split(" and ")) == {"l1 m·c_x", "l1 I_zz"}
     assert asked.of("l1", "I_zz").prior > 0.9
-    assert asked.text("l1", "I_zz").startswith("l1 I_zz: prior only; moves with ")
+    assert asked.text("l1", "I_zz").startswith("l1 I_zz: prior only; correlated with ")
     less = InformationShares("prior", 0.1, 0.2, 0.7, (None, 3.0), (), ())
     open_ended = InformationShares("constraints", 0.1, 0.6, 0.3, (None, 3.0), ((10, 0.5), (0, -0.4), (1, 0.3)), ())
     asked = replace(asked, answer=replace(asked.answer, sources=(less, open_ended, *asked.answer.sources[2:])))
     assert asked.text("l1", "m") == "l1 mass: mostly prior (70%)"
-    assert asked.text("l1", "mc_x") == "l1 m·c_x: held by the constraints (60%); moves with l2 mass and l1 mass"
+    assert asked.text("l1", "mc_x") == "l1 m·c_x: limited by the constraints (60%); correlated with l2 mass and l1 mass"
 
 
 def forked(robot_of: Robots, **config: Any) -> Synthetic:
@@ -247,7 +247,7 @@ def test_an_ellipsoid_pins_the_static_moment_of_a_known_mass(robot_of: Robots) -
     low, high = asked.of("l2", "mc_y").range
     assert (
         words
-        == f"l2 m·c_y: held by the constraints, {low:.3g} to {high:.3g} ({asked.of('l2', 'mc_y').constraints:.0%})"
+        == f"l2 m·c_y: limited by the constraints, {low:.3g} to {high:.3g} ({asked.of('l2', 'mc_y').constraints:.0%})"
     )
 
 

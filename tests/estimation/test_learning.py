@@ -158,7 +158,7 @@ def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("sizes", "said"),
     [
-        ([], "no part without a gap is long enough for the filter"),
+        ([], "no part without gaps is long enough for the filter"),
         ([5], "joint hip hardly moves in the part to fit; log a motion"),
     ],
     ids=["no samples", "samples that do not count"],

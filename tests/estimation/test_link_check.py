@@ -92,7 +92,7 @@ def test_bounds_of_a_link_that_is_not_there_are_an_error(robot_of: Read, key: st
     bound = {"semi_axes": [1, 1, 1]} if key == "bounding_ellipsoids" else {"kind": "box", "size": [1, 1, 1]}
     with pytest.raises(ConfigError) as caught:
         found(robot_of(links_urdf(LINKS)), **{key: {"sond": [bound]}})
-    assert str(caught.value) == f"{key}: sond: is no link of the URDF; did you mean sound?"
+    assert str(caught.value) == f"{key}: sond: is not a link of the URDF; did you mean sound?"
 
 
 def repair(robot: Robot, **config: object) -> bytes:

@@ -210,13 +210,13 @@ def test_other_sets_are_refused(robot_of: Callable[[str], Robot], name: str, kin
     rng = np.random.default_rng(0)
     robot = robot_of(random_urdf(rng, size=3, kinds=("revolute",), mimic=0, massless=0))
     problem, start = stated(synthetic(rng, robot, 60, bounds(rng, robot)), kind, WEAK_PRIOR, 1.0)
-    with pytest.raises(SolverError, match=rf"^solver\.name: {name} knows only constraints: full, and link\d has"):
+    with pytest.raises(SolverError, match=rf"^solver\.name: {name} supports only constraints: full, but link\d has"):
         LOCAL[name](problem, start)
 
 
 def test_exact_facts_are_refused_and_others_are_not(state: State) -> None:
     problem, start = state("pullback", 1.0, known={"mass": {"link2": 1}})
-    with pytest.raises(SolverError, match=r"^solver\.name: manifold cannot hold known .* standard_error"):
+    with pytest.raises(SolverError, match=r"^solver\.name: manifold cannot keep known .* standard_error"):
         manifold(problem, start)
     soft = {"mass": {"link2": {"value": 1, "standard_error": 0.1}}}
     problem, start = state("pullback", 1.0, known=soft)

@@ -287,7 +287,7 @@ def test_draws_follow_the_seed(tmp_path: Path, quick: pytest.MonkeyPatch) -> Non
 
 def test_nothing_held_out_is_refused() -> None:
     experiment = prepare(read_robot(LEG), read_config(LEG_YAML), [TRAIN], holdout=0.0)
-    with pytest.raises(ConfigError, match=r"^--holdout: a study compares errors on data that were not fitted; hold"):
+    with pytest.raises(ConfigError, match=r"^--holdout: a study compares errors on held-out data; use a larger"):
         study(experiment, silent, 1)
 
 

@@ -239,7 +239,7 @@ def test_a_log_of_a_stiffer_knee_is_named(spoilt: Callable[[str, Callable[[Log],
     assert compared
     assert asked
     assert compared.outlier == 2
-    assert any("the odd one out is stiff.csv" in said for said in texts(found.notices))
+    assert any("the log that differs from the others is stiff.csv" in said for said in texts(found.notices))
     coefficients = fitted().experiment.equation.coefficients
     differ = [coefficients[k] for k in asked.base.own[~compared.agrees]]
     assert ("knee", "viscous") in [(c.owner, c.name) for c in differ]

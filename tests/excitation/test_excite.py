@@ -201,19 +201,19 @@ def test_an_interrupted_search_gives_the_best_so_far(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--favour", "uper"], "--favour: uper is no body, joint or coefficient; did you mean upper?"),
+        (["--favour", "uper"], "--favour: uper is not a body, joint or coefficient; did you mean upper?"),
         (["--favour", "upper.m"], "--favour: the torque does not depend on upper.m: no motion can determine it"),
-        (["--noise", "c=1"], "--noise: c is no moving joint; there are: a, b"),
+        (["--noise", "c=1"], "--noise: c is not a moving joint; available: a, b"),
         (["--noise", "-1"], "--noise: -1 is not NUMBER or JOINT=NUMBER, above 0"),
-        (["--start", "a=1.95"], "--start: a = 1.95 is not within"),
+        (["--start", "a=1.95"], "--start: a = 1.95 is not between"),
         (["--start", "1"], "--start: 1 is not JOINT=NUMBER"),
-        (["--pattern", "spline"], "--pattern: spline is no pattern; did you mean bspline?"),
-        (["--criterion", "f"], "--criterion: f is none; there are: d, a, e, condition"),
-        (["--slow", "1"], "--slow: 1 is no share"),
-        (["--duration", "2"], "--duration: 2 is not from 3 to 3600"),
+        (["--pattern", "spline"], "--pattern: spline is not a pattern; did you mean bspline?"),
+        (["--criterion", "f"], "--criterion: f is not a criterion; available: d, a, e, condition"),
+        (["--slow", "1"], "--slow: 1 is not a fraction"),
+        (["--duration", "2"], "--duration: 2 is not between 3 and 3600"),
         (["--rate", "50"], "filter.cutoff_hz: 40 Hz is too high for --rate 50"),
         (["--out", "m.bag"], "m.bag: unsupported log format '.bag'"),
-        (["--pattern", "shell", "--tip", "hand"], "--tip: hand is no link"),
+        (["--pattern", "shell", "--tip", "hand"], "--tip: hand is not a link"),
     ],
 )
 def test_errors_a_user_can_act_on(tmp_path: Path, options: list[str], told: str) -> None:
@@ -236,7 +236,7 @@ def test_an_arm_too_weak_to_hold_itself_is_refused(tmp_path: Path) -> None:
     )
     done = idtool("excite", path, folder=tmp_path)
     assert done.code == 2
-    assert "gravity alone takes too much torque at the start" in done.err
+    assert "at the start, gravity alone requires more torque than allowed" in done.err
 
 
 def test_json_and_table_say_the_same(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def test_the_urdfs_limits(tmp_path) -> None:  # type: ignore[no-untyped-def]
     assert (found.velocity.tolist(), found.effort.tolist()) == ([4, 4], [30, 30])
     assert found.acceleration.tolist() == [40, 40]
     assert tuple(notice.message for notice in found.notices) == (
-        "no acceleration limit, that which reaches the velocity limit in 0.1 s is taken: a 40 rad/s², b 40 rad/s²",
+        "no acceleration limit; the one that reaches the velocity limit in 0.1 s is assumed: a 40 rad/s², b 40 rad/s²",
     )
 
 
@@ -62,7 +62,7 @@ def test_joints_without_limits(tmp_path) -> None:  # type: ignore[no-untyped-def
     assert (found.lower[0], found.upper[0]) == (-np.pi, np.pi)
     assert found.velocity[0] == 3
     assert np.isinf(found.effort[0])
-    assert [notice.message.partition(":")[0].partition(",")[0] for notice in found.notices] == [
+    assert [notice.message.partition(":")[0].partition(";")[0] for notice in found.notices] == [
         "no position limit", "no velocity limit", "no acceleration limit", "no effort limit",
     ]  # fmt: skip
 
@@ -70,8 +70,8 @@ def test_joints_without_limits(tmp_path) -> None:  # type: ignore[no-untyped-def
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"aa": {"velocity": 1}}, "limits: aa: is no actuated joint of the URDF; did you mean a?"),
-        ({"a": {"position": [2.5, 3]}}, "limits: a: leaves no room to move: from 2.5 to 2"),
+        ({"aa": {"velocity": 1}}, "limits: aa: is not an actuated joint of the URDF; did you mean a?"),
+        ({"a": {"position": [2.5, 3]}}, "limits: a: leaves no range of motion: from 2.5 to 2"),
         ({"a": {"position": [1, -1]}}, "give the lower limit first: -1 is not above 1"),
         ({"a": {"velocity": 0}}, "limits.a.velocity: input should be greater than 0"),
         ({"a": {"speed": 1}}, "unknown key 'speed'; did you mean"),

@@ -178,7 +178,7 @@ def test_the_share_of_the_gap_that_is_closed() -> None:
 def test_there_is_no_gap_where_model_and_data_do_not_disagree(leg: tuple[Fit, Fit]) -> None:
     report = report_of(diagnosis_of(*leg))
     assert set(report["gap_closed"].values()) == {None}
-    assert "do not disagree" in report["summary"]
+    assert "Model and data agree" in report["summary"]
     assert "Nothing was added" in report["summary"]
     assert report["next"] == report["steps"] == []
 
@@ -202,7 +202,7 @@ def test_rollouts_that_got_worse_while_torque_got_better(
     diagnosis = replace(found, steps=(step,), before=levels[0], after=levels[1])
     report = report_of(diagnosis)
     assert report["steps"][0]["evidence"]["rollout_worse"] == report["rollout_worse"] == worse
-    red = "\x1b[1;31m   its rollouts got worse while the torque got better: abad 0.0300 → "
+    red = "\x1b[1;31m   with it, the torque is predicted better, but the simulation is worse: abad 0.0300 → "
     assert (red in said(diagnosis, color=True)) == bool(worse)
     assert any("Do not simulate" in text for text in report["next"]) == bool(worse)
 
@@ -221,13 +221,15 @@ def test_without_held_out_data_the_training_error_stands_in(found: Diagnosis) ->
 
 def test_the_verdict_in_words(found: Diagnosis) -> None:
     text = report_of(found)["summary"]
-    assert text.startswith("The model lacks Stribeck friction on hip (or load-dependent friction on hip). With that, ")
-    assert "from 0.873 to 0.475 N·m RMS, the noise floor being 0.387 N·m: 82 % of the gap is closed." in text
+    assert text.startswith(
+        "The model lacks Stribeck friction on hip (or load-dependent friction on hip). With this effect, "
+    )
+    assert "from 0.873 to 0.475 N·m RMS. The noise floor is 0.387 N·m, so 82 % of the gap is closed." in text
     partly = report_of(faulty(found))["summary"]
-    assert partly.endswith("What is left is unknown, on knee.")
+    assert partly.endswith("No known effect explains the remaining residual on knee.")
     alone = replace(faulty(found), steps=faulty(found).steps[-1:], after=found.before, verdict="unexplained")
     text = report_of(alone)["summary"]
-    assert text.startswith("Model and data disagree, and no known effect explains it: unknown, on knee.")
+    assert text.startswith("Model and data disagree, and no known effect explains the difference on knee.")
 
 
 def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
@@ -249,15 +251,17 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     assert _verdict(steps) == "partly_explained"
     report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
     assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
-    assert report["summary"].endswith("% of the gap is closed. In doubt: a payload on thigh_link; the notes say why.")
+    assert report["summary"].endswith(
+        "% of the gap is closed. Doubtful: a payload on thigh_link; the notices give the reasons."
+    )
 
 
 def test_what_to_do_next(found: Diagnosis) -> None:
     first, second, third = report_of(faulty(found))["next"]
-    assert first.startswith("Correct the data first")
-    wanted = "To tell Stribeck friction on hip from load-dependent friction on hip: slow strokes of the hip"
+    assert first.startswith("First correct the data")
+    wanted = "To distinguish Stribeck friction on hip from load-dependent friction on hip: slow strokes of the hip"
     assert second.startswith(wanted)
-    assert third.startswith("What is left on knee has a cause that is none of the effects known")
+    assert third.startswith("The remaining residual on knee is not caused by any known effect")
 
 
 def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:
@@ -271,7 +275,7 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
     assert "1. hip: friction rises below 0.15 rad/s" in lines
     (hip,) = [line.split() for line in lines if line.startswith("hip ")]
     assert hip == ["hip", "1.43", "0.660", "0.500", "83", "%", "0.0300", "0.0120"]
-    assert "why not" not in said(found)
+    assert "reason" not in said(found)
     assert "within two standard errors of zero" in said(found, explain=True)
     assert lines[-1] == "written: out/diagnosis.json, diagnosis.html"
 
@@ -279,9 +283,9 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
 def test_the_terminal_says_faults_first_and_shows_names_as_they_are(found: Diagnosis) -> None:
     step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"), entry=STRIBECK)
     text = said(faulty(replace(found, steps=(step,))))
-    assert text.startswith(f"fault of the data: hip: velocity lag: {BEHIND}: {BEHIND}\nThe model lacks")
+    assert text.startswith(f"data fault: hip: velocity lag: {BEHIND}: {BEHIND}\nThe model lacks")
     assert "[bold]hip[/bold]" in next(line for line in text.splitlines() if line.startswith("1 "))
-    assert f"taken out again: {BEHIND}" in text
+    assert f"\n{BEHIND}\n" in text
     assert f"warning: {BEHIND}" in text
     assert "3. " not in text
 
@@ -345,13 +349,16 @@ def test_the_commands_options(tmp_path: Path, asked: list[Asked]) -> None:
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        (["--effects", "torque_ripple,stribek"], "--effects: stribek is no effect; did you mean stribeck_friction?"),
-        (["--effects", ""], "--effects: nothing is no effect; there are: "),
-        (["--effects", "unknown"], "--effects: unknown is no effect; "),
-        (["--assume", "endstop:knee"], "--assume: endstop is no effect; did you mean end_stop?"),
-        (["--assume", "end_stop:kne"], "--assume: kne is no joint of the model; did you mean knee?"),
+        (
+            ["--effects", "torque_ripple,stribek"],
+            "--effects: stribek is not an effect; did you mean stribeck_friction?",
+        ),
+        (["--effects", ""], "--effects: nothing is not an effect; available: "),
+        (["--effects", "unknown"], "--effects: unknown is not an effect; "),
+        (["--assume", "endstop:knee"], "--assume: endstop is not an effect; did you mean end_stop?"),
+        (["--assume", "end_stop:kne"], "--assume: kne is not a joint of the model; did you mean knee?"),
         (["--assume", "end_stop"], "--assume: end_stop acts on a joint; give end_stop:JOINT"),
-        (["--assume", "payload:knee"], "--assume: knee is no link of the model; "),
+        (["--assume", "payload:knee"], "--assume: knee is not a link of the model; "),
         (["--max-effects", "0"], "command: invalid value for '--max-effects'"),
         (["--inertia", "free"], "command: invalid value for '--inertia'"),
     ],

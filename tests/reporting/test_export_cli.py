@@ -136,5 +136,5 @@ def test_the_model_itself_may_be_named_and_is_not_written_over(out: Path) -> Non
     assert files(out).keys() - before.keys() == {FILES["drake"]}
     for name in ("identified.urdf", "model.yaml"):
         done = idtool("export", out, "--to", "mujoco", "--out", out / name)
-        assert (done.code, done.err) == (2, f"error: {out / name}: is a file that is read; give another --out\n")
+        assert (done.code, done.err) == (2, f"error: {out / name}: is an input file; give another --out\n")
         assert files(out)[name] == before[name]

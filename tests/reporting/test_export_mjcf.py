@@ -100,7 +100,7 @@ def test_an_inertia_that_no_body_can_have_is_refused(urdf: Path, izz: float) -> 
     bad = f'<inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="{izz}"/></inertial>'
     urdf.write_text(chain(link(1)).replace('<link name="l1"/>', f'<link name="l1">{bad}</link>'))
     for export in (to_mujoco, to_drake):
-        with pytest.raises(ModelError, match=r"identified\.urdf: l1: has an inertia that no body can have"):
+        with pytest.raises(ModelError, match=r"identified\.urdf: l1: has an inertia that is not physically realizable"):
             export(model_of(urdf))
 
 
@@ -151,4 +151,4 @@ def test_the_controller_is_told_in_words(urdf: Path) -> None:
     text = to_mujoco(model_of(urdf, controller=controller)).text.decode()
     assert "j1: kp 20.0, kd 1.5\n" in text
     assert "j2: kp 30.0, kd 0.0\n" in text
-    assert "0.005 s late" in text
+    assert "delayed by 0.005 s" in text

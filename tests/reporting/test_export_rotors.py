@@ -195,7 +195,7 @@ def test_a_rotor_may_have_no_inertia_but_about_its_axis(rng: np.random.Generator
         np.testing.assert_allclose(ours, theirs, **EXACT)
     rotor["inertial"]["inertia"] = [0, 0, 0, 0, 0, -1e-4]
     for to in (to_mujoco, to_drake):
-        with pytest.raises(ModelError, match="rotor r: has an inertia that no body can have"):
+        with pytest.raises(ModelError, match="rotor r: has an inertia that is not physically realizable"):
             to(model_of(urdf, **config))
 
 

@@ -136,12 +136,12 @@ def test_when_a_mass_has_settled_is_said(report: dict[str, Any]) -> None:
     for i, body in enumerate(BODIES):
         last = 1 - np.exp(-20 / (i + 1))
         wanted = -(i + 1) * np.log(1 - 0.95 * last)  # 1 − exp(−t/T) = 0.95 of the last
-        assert float(rows[body]["within 5 % of it after [s]"]) == pytest.approx(wanted, abs=0.02)
-    assert "every body's mass stays within 5 %" in page_of(report).plain
+        assert float(rows[body]["settled to 5 % after [s]"]) == pytest.approx(wanted, abs=0.02)
+    assert "the mass of every body remains within 5 %" in page_of(report).plain
     for row, time in zip(report["theta"], t, strict=True):
         row[10] = time
     text = page_of(report).plain
-    assert f"every body's mass stays within 5 % of its last value. {BODY}" not in text
+    assert f"the mass of every body remains within 5 % of its last value. {BODY}" not in text
     assert settling_time(t, t) == pytest.approx(19.0, abs=0.01)
 
 
@@ -154,7 +154,7 @@ def test_a_mass_that_wanders_to_the_end_is_named(report: dict[str, Any]) -> None
     for i, row in enumerate(report["theta"]):
         row[10] = 1.0 + 0.2 * (i % 2)
     page = page_of(report)
-    assert "Not yet within 5 % of a lasting value: the mass of thigh." in page.plain
+    assert "The mass of thigh has not settled." in page.plain
     assert page.levels == ["note", "good", "note"]
 
 
@@ -170,7 +170,7 @@ def test_settling() -> None:
 def test_a_body_that_cannot_exist_is_named(report: dict[str, Any]) -> None:
     report["final"]["bodies"]["shank"]["realizable"] = False
     page = page_of(report)
-    assert "1 of 3 bodies of the last estimate are not: shank." in page.plain
+    assert "1 of 3 bodies of the last estimate are not realizable: shank." in page.plain
     assert page.levels[1] == "bad"
     assert page.table("mass [kg]")["shank"]["realizable"] == "NO"
 
@@ -180,7 +180,7 @@ def test_tables_hold_the_reports_figures(report: dict[str, Any]) -> None:
     assert "RMS error of the torque predicted one sample ahead, N·m, below 40 Hz" in page.plain
     assert page.table("rms")[SLIDE]["rms"] == "0.7700"
     assert page.table("rms")["overall"]["rms"] == "0.7000"
-    assert "Friction at the end, viscous N·m·s/rad, else N·m" in page.plain
+    assert "Friction at the end, viscous N·m·s/rad, others N·m" in page.plain
     assert page.table("offset")[SCRIPT] == {"joint": SCRIPT, "viscous": "0.3000", "Coulomb": "0.3000", "offset": "–"}
 
 

@@ -69,7 +69,7 @@ def test_a_prior_that_no_body_can_have_is_not_drawn(prior: np.ndarray) -> None:
 def test_an_infeasible_body_is_explained() -> None:
     broken = body_of(realizable=False, violations=[f"I1 + I2 < I3 {SCRIPT}"], witness=None, deviation_ellipsoid=None)
     page = page_of({"fine": body_of(), BODY: broken})
-    assert f"No body can have these parameters: I1 + I2 < I3 {SCRIPT}" in page.plain
+    assert f"These parameters are not physically realizable: I1 + I2 < I3 {SCRIPT}" in page.plain
     assert f"{BODY} 0.6000 kg, not realizable" in page.plain
     shown = [attrs for tag, attrs in page.tags if tag == "details"]
     assert ["open" in attrs for attrs in shown] == [False, True]
@@ -99,7 +99,7 @@ def test_many_point_masses_are_cut_short() -> None:
     masses = np.linspace(0.1, 1, 1000)
     body = body_of(witness={"masses": masses.tolist(), "points": np.zeros((1000, 3)).tolist()})
     page = page_of({"b": body})
-    assert "988 more are in report.json." in page.text
+    assert "988 more are listed in report.json." in page.text
     (view,) = page.data["bodies"]
     np.testing.assert_allclose(view["masses"]["masses"], masses[-300:], rtol=1e-4)
 

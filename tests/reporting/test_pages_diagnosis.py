@@ -88,13 +88,15 @@ def test_the_findings_say_how_far_to_trust_them(found: Diagnosis) -> None:
     page = page_of(found)
     assert page.levels[:4] == ["good", "note", "good", "good"]  # the verdict, a pair, the delay, the rollouts
     assert "The model lacks Stribeck friction on hip (or load-dependent friction on hip) and a time delay" in page.plain
-    assert "The data cannot tell it from load-dependent friction on hip." in page.plain
-    assert "Its gain in held-out data is 21 times its standard error." in page.plain
-    assert "positions are 0.0110 rad RMS from the measured ones; without the effects, 0.0300 rad." in page.plain
+    assert "The data cannot distinguish it from load-dependent friction on hip." in page.plain
+    assert "Its gain on data not used for fitting is 21 times its standard error." in page.plain
+    assert (
+        "position error of the simulation is 0.0110 rad RMS with the effects and 0.0300 rad without them." in page.plain
+    )
     page = page_of(faulty(found))
     assert page.levels[:5] == ["bad", "note", "note", "good", "bad"]  # the fault first; the unknown
     assert f"velocity lag: {BEHIND}" in page.plain
-    assert "Taken out again" in page.plain
+    assert "Removed effect" in page.plain
 
 
 def test_a_doubt_stands_at_its_step(found: Diagnosis) -> None:
@@ -111,7 +113,7 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     assert page.levels[:4] == ["good", "note", "note", "bad"]
     assert "Do not simulate with this model." in page.plain
     assert (
-        "With it, the torque is predicted better, but the rollouts got worse: abad, hip, knee, overall." in page.plain
+        "With it, the torque is predicted better, but the simulation is worse: abad, hip, knee, overall." in page.plain
     )
     assert page.tags.count(("td", {"class": "bad"})) == 1 + len(JOINTS) + 1  # of the step, and of all joints
     assert ("td", {"class": "bad"}) not in page_of(found).tags
@@ -119,23 +121,23 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
 
 def test_the_gap_is_drawn_step_by_step(found: Diagnosis) -> None:
     gap = page_of(found).figures_of(GAP)
-    names = ["the model given", "1: Stribeck friction on hip", "2: time delay on all joints"]
+    names = ["original model", "1: Stribeck friction on hip", "2: time delay on all joints"]
     assert [figure.label for figure in gap] == [
         f"{GAP}{name} by step, against the noise floor" for name in ("all joints", *JOINTS)
     ]
     hip = gap[2]
     assert [hip.data[0]["text"], hip.data[2]["text"]] == [names, names]
-    assert hip.titles == ["torque [N·m]", "rollout [rad]", "step"]
-    assert hip.layout["xaxis"]["ticktext"] == ["given", "1", "2"]
+    assert hip.titles == ["torque [N·m]", "position [rad]", "step"]
+    assert hip.layout["xaxis"]["ticktext"] == ["original", "1", "2"]
     assert hip.y("torque") == pytest.approx([1.43, 0.66, 0.605])
     assert hip.y("noise floor") == [0.5, 0.5]
-    assert hip.y("rollout") == [0.03, 0.012, 0.011]
+    assert hip.y("simulation") == [0.03, 0.012, 0.011]
     left = faulty(found)
     assert page_of(left).figures_of(GAP) == gap  # what is unknown moves nothing
     ended = replace(found, after=level(0.2, 0.52, 0.35, simulated=0.011))
     hip = page_of(ended).figures_of(GAP)[2]
-    assert hip.data[0]["text"][-1] == "in the end"
-    assert hip.layout["xaxis"]["ticktext"] == ["given", "1", "2", "end"]
+    assert hip.data[0]["text"][-1] == "final model"
+    assert hip.layout["xaxis"]["ticktext"] == ["original", "1", "2", "final"]
     assert hip.y("torque")[-1] == pytest.approx(0.572)
 
 
@@ -147,8 +149,8 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
     assert step[3:5] == ["stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"]
     assert step[5:] == ["0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"]
     words = {row[0]: row[1] for row in page.rows if len(row) == 2}
-    assert words["where"] == "all joints"  # the last of equal heads: of the delay
-    assert "64.0 ± 3.0 % of the disagreement's power" in page.plain
+    assert words["residual found on"] == "all joints"  # the last of equal heads: of the delay
+    assert "64.0 ± 3.0 % of the residual's power" in page.plain
     assert "1.250 to 2.500 s, 4.000 to 4.500 s" in page.plain
     assert ["backlash", "hip", "10.0 ± 3.0 %", "2", "within two standard errors of zero"] in page.rows
 
@@ -198,7 +200,7 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     drawn = np.array([figure.y("prior") for figure in page.figures_of("Measured and simulated position")], dtype=float)
     wanted = found.first.simulation.traces[0].curves["identified"]
     np.testing.assert_allclose(*(np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted)), atol=1e-3)
-    assert "Prior: the model given, fitted without them." in page.text
+    assert "Prior: the original model, fitted without these effects." in page.text
     hip = page.table("stays")["hip"]
     for column, fitted in (("model", found.last), ("prior", found.first)):
         assert fitted.simulation is not None
@@ -217,7 +219,7 @@ def test_a_page_without_rollouts_or_held_out_data(found: Diagnosis) -> None:
     )
     complete(page)
     assert "Simulation" not in page.text
-    assert "Nothing was held out" in page.plain
+    assert "No data were held out" in page.plain
     assert "Rollouts" not in page.text
     gap = page.figures_of(GAP)
     assert all(figure.names == ["torque", "noise floor"] for figure in gap)
@@ -233,14 +235,14 @@ def test_a_model_of_which_one_runs_away_still_has_its_page(found: Diagnosis) -> 
         changed = replace(found, first=failed) if fit is found.first else replace(found, last=failed)
         page = page_of(changed)
         complete(page)
-        assert ("Simulation" in page.text) == shown
+        assert ("<h2>Simulation</h2>" in page.html) == shown
 
 
 def test_clean_data(leg: tuple[Fit, Fit]) -> None:
     page = page_of(diagnosis_of(leg[0], leg[0]))
     complete(page)
     assert page.levels[0] == "good"
-    assert "Model and data do not disagree" in page.plain
+    assert "Model and data agree" in page.plain
     assert "Nothing was added." in page.plain
     assert "The steps" not in page.text
     assert page.figures_of(GAP) == []
@@ -249,7 +251,7 @@ def test_clean_data(leg: tuple[Fit, Fit]) -> None:
 
 def test_the_worst_joint_is_the_one_that_is_open(found: Diagnosis) -> None:
     html = page_of(found).html
-    where = html.index("Where the torque error lives")
+    where = html.index("Residual by state, time and frequency")
     assert html.index("<details open>", where) < html.index("<summary>hip</summary>", where)
     assert html.index("<details open>", where) > html.index("<summary>abad</summary>", where)
 
@@ -297,7 +299,7 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     complete(page)
     for joint in joints:
         assert len(page.figures_of(f"Residual of {joint} against")) == 6
-    assert "diagnosis.json holds them" in page.text
+    assert "more are listed in diagnosis.json" in page.text
 
 
 def test_what_is_left_is_said_even_where_nothing_was_found(leg: tuple[Fit, Fit]) -> None:
@@ -305,5 +307,5 @@ def test_what_is_left_is_said_even_where_nothing_was_found(leg: tuple[Fit, Fit])
     page = page_of(diagnosis_of(*leg, unknown_of(before), verdict="unexplained"))
     complete(page)
     assert page.levels[:2] == ["bad", "bad"]
-    assert "no known effect explains it: unknown, on knee." in page.plain
+    assert "no known effect explains the difference on knee." in page.plain
     assert "near the upper end of its travel" in page.plain

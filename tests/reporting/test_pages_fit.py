@@ -100,7 +100,7 @@ def test_the_fit_page_draws_the_held_out_data(fitted: Fit, report: dict[str, Any
     all_fitted = replace(fitted, validation=replace(fitted.validation, errors=nothing))
     page = Page(fit_page(all_fitted, partial(FitReport, report), "idtool fit"))
     assert page.figures_of(TORQUE)[0].data[0]["x"][0] < 0.5
-    assert "nothing was held out" in page.text
+    assert "no data were held out" in page.text
 
 
 def test_tables_hold_the_reports_figures(fitted: Fit, report: dict[str, Any]) -> None:
@@ -149,7 +149,7 @@ def test_a_joint_no_better_than_the_prior_is_named(fitted: Fit, report: dict[str
         report["rms"][part] = dict(zip((SCRIPT, SLIDE, "overall"), values, strict=True))
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
     text = " ".join(page.text.split())
-    assert f"No better than the prior: {SCRIPT}." in text
+    assert f"The model is no better than the prior for {SCRIPT}." in text
     assert "3.0 times as large" in text
     assert "longer or more varied logs" in text
     assert page.levels[0] == "note"
@@ -158,7 +158,7 @@ def test_a_joint_no_better_than_the_prior_is_named(fitted: Fit, report: dict[str
 def test_an_unrealizable_body_is_named(fitted: Fit, report: dict[str, Any]) -> None:
     report["bodies"][BODY]["realizable"] = False
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
-    assert f"1 of 2 bodies are not: {BODY}." in page.text
+    assert f"1 of 2 bodies are not realizable: {BODY}." in page.text
     assert "bad" in page.levels
     assert page.table("prior [kg]")[BODY]["realizable"] == "NO"
 
@@ -176,10 +176,12 @@ def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any])
 
 
 def test_a_warning_comes_with_what_to_do(fitted: Fit, report: dict[str, Any]) -> None:
-    report["notices"] = [notice_of("joints held still: tail at 0", "give their positions under locked_joints")]
+    report["notices"] = [
+        notice_of("joints assumed to stand still: tail at 0", "set their positions under locked_joints")
+    ]
     text = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text
-    assert "joints held still: tail at 0" in text
-    assert "give their positions under locked_joints" in text
+    assert "joints assumed to stand still: tail at 0" in text
+    assert "set their positions under locked_joints" in text
 
 
 def test_what_is_known_otherwise_is_beside_what_was_identified(fitted: Fit, report: dict[str, Any]) -> None:
@@ -213,7 +215,7 @@ def test_the_page_tells_what_its_numbers_rest_on(fitted: Fit, report: dict[str, 
 
 
 def test_a_quick_fit_has_no_such_sections(fitted: Fit, report: dict[str, Any]) -> None:
-    asked = "Base parameters", "What each number rests on"
+    asked = "Base parameters", "Source of each parameter"
     assert all(heading in Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text for heading in asked)
     report["base_parameters"] = None
     for body in report["bodies"].values():

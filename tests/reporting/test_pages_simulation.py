@@ -91,8 +91,8 @@ def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
 
 def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion))
-    assert "10 times of 12, spread over the logs, each for 0.5 s from the measured state" in page.plain
-    assert "stays where it was" in page.plain
+    assert "in 10 of 12 windows, spread over the logs. Each window is 0.5 s long" in page.plain
+    assert "keeps its position" in page.plain
     (figure,) = page.figures_of("Position error against time since the restart")
     assert figure.x == [0.01, 0.05, 0.1, 0.5]
     assert figure.titles == ["RMS error [rad and m together]", "time since the restart [s]"]
@@ -100,15 +100,15 @@ def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: 
     assert {name: figure.y(name) for name in figure.names} == {
         "model": [0.001, 0.005, 0.01, 0.05],
         "prior": [0.002, 0.01, 0.02, 0.1],
-        "stays where it was": [0.009, 0.045, 0.09, 0.45],
+        "keeps its position": [0.009, 0.045, 0.09, 0.45],
     }
 
 
 def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion, closed=True))
     assert (
-        "under the joint controller, on the logged command and with its delay, over 5.00 s; never restarted"
-        in page.plain
+        "under the joint controller, with the logged command and the controller's delay, over 5.00 s. It is never "
+        "restarted" in page.plain
     )
     assert "q = qcmd" in page.plain
     assert page.figures_of("Position error") == []
@@ -118,9 +118,13 @@ def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
     ("own", "level", "said"),
     [
         (0.1, "good", "0.100 rad and m together RMS"),
-        (0.3, "note", "the prior's, 0.200"),  # worse than the prior
-        (1.5, "note", "so it drifts: 0.0150 rad and m together after 0.01 s"),  # worse than what does not move
-        (float("nan"), "note", "runs away"),
+        (0.3, "note", "that of the prior 0.200"),  # worse than the prior
+        (
+            1.5,
+            "note",
+            "so the simulation drifts: 0.0150 rad and m together after 0.01 s",
+        ),  # worse than what does not move
+        (float("nan"), "note", "diverges"),
     ],
 )
 def test_the_finding(motion: dict[str, Array], own: float, level: str, said: str) -> None:
@@ -136,7 +140,7 @@ def test_the_finding(motion: dict[str, Array], own: float, level: str, said: str
 
 def test_a_rollout_that_ran_away_is_said(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion, diverged={"model": 3, "prior": 0}))
-    assert "3 of 10 ran away and were stopped." in page.plain
+    assert "3 of 10 simulations diverged and were stopped." in page.plain
     assert page.levels[1] == "note"
 
 
@@ -149,7 +153,7 @@ def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> Non
     boxes = [attrs["data-curve"] for _, attrs in page.tags if "data-curve" in attrs]
     assert boxes == ["prior"]  # of the torques
     assert page.figures_of(POSITION)[0].names == ["measured", "simulated"]
-    assert page.figures_of("Position error")[0].names == ["model", "stays where it was"]
+    assert page.figures_of("Position error")[0].names == ["model", "keeps its position"]
 
 
 @pytest.mark.parametrize("asked", [True, False])

@@ -18,8 +18,8 @@ JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
 
 
-LEARNING, ADVANTAGE = "Fig. 5: held-out error", "Held-out error below that with none"
-VIOLATION, ONLINE = "Worst violation of realizability", "Remark 5: error of the parameters, online"
+LEARNING, ADVANTAGE = "Fig. 5: held-out error", "Reduction of the held-out error relative to none"
+VIOLATION, ONLINE = "Worst violation of realizability", "Remark 5: parameter error of the online estimate"
 
 
 def batched(traces: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
@@ -126,11 +126,14 @@ def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
     assert [best.gain, best.error] == pytest.approx([1 - ratio, 0.02 * ratio])
     assert best.most == pytest.approx((1, 0.8, 0.02 * 0.2))
     text = page_of(report).plain
-    assert "Fitted to fewer than 100 samples, best first: ellipsoid, full, semi, none. On average, the held-out" in text
-    assert "error is below that with none from the same samples: with ellipsoid by 51.05 ± 0.98 % (most with 1" in text
-    assert "(most with 1 sample: 80.00 ± 0.40 %), with full by" in text
+    assert (
+        "Constraint sets fitted to fewer than 100 samples, in order of their held-out error: "
+        "ellipsoid, full, semi, none. On average, the held-out" in text
+    )
+    assert "error is lower than that with none from the same samples: with ellipsoid by 51.05 ± 0.98 % (at" in text
+    assert "(at most, with 1 sample: 80.00 ± 0.40 %), with full by" in text
     assert "clearly" not in text
-    assert "From 100 samples on, all sets predict alike" in text
+    assert "With 100 samples or more, the errors of all sets are within 5 %" in text
 
 
 GAINS = {"none": [0.0] * 8, "semi": [0.0] * 8, "full": [0.3] * 4 + [0.0] * 4, "ellipsoid": [0.4] * 4 + [0.0] * 4}
@@ -159,7 +162,7 @@ def test_sets_alike_are_seldom_called_clearly_different(rng: np.random.Generator
 def test_each_set_is_said_to_be_better_worse_or_neither(report: dict[str, Any], rng: np.random.Generator) -> None:
     report["learning"] = drawn(rng, {**GAINS, "points": [-0.5] * 4 + [0.0] * 4})
     page = page_of(report)
-    share, most = r"\d+\.\d ± \d\.\d %", r"\(most with \d+ samples?: [^)]+\)"
+    share, most = r"\d+\.\d ± \d\.\d %", r"\(at most, with \d+ samples?: [^)]+\)"
     assert re.search(
         f": with ellipsoid by {share} {most}, with full by {share} {most}. "
         rf"Clearly worse than none: points, by {share}. Not clearly better than none: semi \(-?{share}\). Many",
@@ -179,7 +182,10 @@ def test_curves_that_stay_apart_are_said_to(report: dict[str, Any]) -> None:
     said = said_of(report["learning"])
     assert said.together is None
     assert said.counts == (1, 2)
-    assert "Fitted to 2 or fewer samples, best first: full, none." in page_of(report).plain
+    assert (
+        "Constraint sets fitted to 2 or fewer samples, in order of their held-out error: full, none."
+        in page_of(report).plain
+    )
 
 
 def test_curves_that_part_again_are_not_together() -> None:
@@ -211,12 +217,12 @@ def test_a_set_without_pairs_is_not_compared(report: dict[str, Any]) -> None:
     said = said_of(report["learning"])
     assert (said.order, said.together) == (("semi", "none"), 2)
     assert "semi, none. " in page_of(report).plain
-    assert "too few draws were solved at one of the counts: full." in page_of(report).plain
+    assert "too few draws could be solved for one of the sample counts: full." in page_of(report).plain
     draws["none"][:2, 0] = np.nan
     report["learning"] = of_draws(draws)
     page = page_of(report)
-    assert "best first: not known. Not compared, as too few draws" in page.plain
-    assert "at one of the counts: none, full, semi." in page.plain
+    assert "in order of their held-out error: not known. Not compared, because too few draws" in page.plain
+    assert "for one of the sample counts: none, full, semi." in page.plain
     assert page.levels[0] == "note"
 
 
@@ -232,9 +238,9 @@ def test_all_the_data_are_one_draw(report: dict[str, Any]) -> None:
 
 def test_sets_whose_bodies_cannot_exist_are_named(report: dict[str, Any]) -> None:
     text = page_of(report).plain
-    assert "no distribution of mass can have: none 2 of 6, semi 1 of 6." in text
+    assert "not realizable: none 2 of 6, semi 1 of 6." in text
     assert (
-        "Fitted to 30 samples, the worst body is beyond what can exist by, in the median: none 0.027, semi 0.010"
+        "Fitted to 30 samples, the median violation of realizability by the worst body is: none 0.027, semi 0.010"
         in text
     )
     for name in ("none", "semi"):
@@ -242,17 +248,17 @@ def test_sets_whose_bodies_cannot_exist_are_named(report: dict[str, Any]) -> Non
         report["learning"]["violation"][name] = [0.0] * 10
     page = page_of(report)
     assert page.levels == ["good"] * 4
-    assert "every body of every set could exist" in page.plain
+    assert "the bodies of all sets are realizable" in page.plain
 
 
 def test_the_first_to_converge_online_is_named(report: dict[str, Any]) -> None:
     text = page_of(report).plain
-    assert "The parameter error fell below 10 % first with ellipsoid, after 1.15 s; with full after 4.61 s." in text
-    assert "Not in the time that the data last: none." in text
+    assert "The parameter error first fell below 10 % with ellipsoid, after 1.15 s; with full after 4.61 s." in text
+    assert "It did not fall below 10 % within the data with none." in text
     report["adaptation"]["time_to_10_percent"]["full"] = 1.151
-    assert "first with full and ellipsoid, after 1.15 s." in page_of(report).plain
+    assert "fell below 10 % with full and ellipsoid, after 1.15 s." in page_of(report).plain
     report["adaptation"]["time_to_10_percent"] = dict.fromkeys(("none", "full", "ellipsoid"))
-    assert "No set's parameter error fell below 10 %" in page_of(report).plain
+    assert "The parameter error did not fall below 10 % within the data with any set" in page_of(report).plain
 
 
 def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:
@@ -262,7 +268,7 @@ def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:
     assert page.table("semi", ["samples"])["1"]["none"] == "–"
     assert page.figures_of(VIOLATION)[0].y("none") == [None] * 10
     assert page.figures_of(LEARNING)[0].y("none")[:2] == [None, 5.5]
-    assert "in the median: semi 0.010" in page.plain
+    assert "by the worst body is: semi 0.010" in page.plain
 
 
 def test_charts_hold_the_reports_figures(report: dict[str, Any]) -> None:
@@ -270,7 +276,7 @@ def test_charts_hold_the_reports_figures(report: dict[str, Any]) -> None:
     (errors,), (gains,) = page.figures_of(LEARNING), page.figures_of(ADVANTAGE)
     (broken,), (online,) = page.figures_of(VIOLATION), page.figures_of(ONLINE)
     assert errors.x == report["learning"]["counts"]
-    assert errors.titles == ["RMS torque error [N·m]", "samples to fit"]
+    assert errors.titles == ["RMS torque error [N·m]", "training samples"]
     assert errors.layout["xaxis"]["type"] == errors.layout["yaxis"]["type"] == "log"
     assert errors.names == ["none", "semi", "full", "ellipsoid"]
     for lower, upper, median in batched(errors.data):

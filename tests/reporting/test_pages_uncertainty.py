@@ -98,8 +98,8 @@ def test_a_bar_shows_the_shares(report: dict[str, Any]) -> None:
     of_one = [("d", "--d:90;--c:4"), *[(None, "--d:60;--c:10")] * 3, *[(None, None)] * 6]
     assert bars(page) == 2 * of_one
     assert "of its 24 parameters" in page.plain
-    assert "20 inertia parameters, 2 rest on the data, 6 on the data in a combination" in page.plain
-    assert "0 on the constraints, and 12 on the prior" in page.plain
+    assert "20 inertial parameters, 2 are mainly determined by the data, 6 by the data in combination" in page.plain
+    assert "0 by the constraints, and 12 by the prior" in page.plain
 
 
 def test_words_values_and_ranges_stand_below(report: dict[str, Any]) -> None:
@@ -133,23 +133,23 @@ def test_base_parameters_that_are_held_come_first(report: dict[str, Any]) -> Non
     page = page_of(report)
     start = page.rows.index(["base parameter", "unit", "value", "± se", "95 % interval", "pull", "estimate"])
     assert page.rows[start + 1 :][:4] == [
-        ["knee coulomb", "N·m", "1.23", "0.10", "1.00 to 1.40", "7.2", "held away"],
-        ["knee viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "4.0", "held away"],
+        ["knee coulomb", "N·m", "1.23", "0.10", "1.00 to 1.40", "7.2", "away from the data"],
+        ["knee viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "4.0", "away from the data"],
         ["hip coulomb", "N·m", "1.234", "–", "–", "–", "not determined"],
-        ["hip viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "0.0", "as the data say"],
+        ["hip viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "0.0", "from the data"],
     ]
-    assert "2 held away, 1 not determined, 1 as the data say" in page.plain
-    assert "These logs determine 3 of the 4. Prior or constraints hold 2 of them" in page.plain
+    assert "2 away from the data, 1 not determined, 1 from the data" in page.plain
+    assert "These logs determine 3 of the 4. Prior or constraints keep 2 of them" in page.plain
     assert "32 blocks of 0.250 s" in page.plain
-    assert "errors 1.07 times as large." in page.plain
+    assert "they are 1.07 times as large." in page.plain
     assert ["hip", "512", "0.01230", "0.04560", "12 %"] in page.rows
 
 
 def test_errors_without_blocks_are_called_so(report: dict[str, Any]) -> None:
     report["uncertainty"] |= {"blocks": 0, "bootstrap_ratio": None}
-    assert "too short to see how the residual scatters" in page_of(report).plain
+    assert "too short to be divided into blocks of time" in page_of(report).plain
     report["uncertainty"] |= {"blocks": 20, "correlated_beyond_blocks": True}
-    assert "they may be too small" in page_of(report).plain
+    assert "the standard errors may be too small" in page_of(report).plain
 
 
 def test_many_base_parameters_are_cut_short(report: dict[str, Any]) -> None:
@@ -159,7 +159,7 @@ def test_many_base_parameters_are_cut_short(report: dict[str, Any]) -> None:
     page = page_of(report)
     shown = [row[0] for row in page.rows if re.fullmatch(r"p\d+", row[0])]
     assert shown == ["p199", *(f"p{i}" for i in range(59))]
-    assert "140 more are in report.json." in page.plain
+    assert "140 more are listed in report.json." in page.plain
 
 
 def test_logs_are_drawn_around_their_weighted_mean(report: dict[str, Any]) -> None:
@@ -186,8 +186,8 @@ def test_what_does_not_repeat_comes_first(report: dict[str, Any]) -> None:
     assert [(row[0], *row[-2:]) for row in page.rows if re.match(r"p\d", row[0]) and len(row) > 2] == [
         ("p2", "2.000", "yes"), ("p0", "3.000", ""), ("p1", "1.000", "")
     ]  # fmt: skip
-    assert "1 are determined by fewer than two logs." in page.plain
-    assert "The odd log is log 1" in page.plain
+    assert "1 more are determined by fewer than two logs" in page.plain
+    assert "The log that differs from the others is log 1" in page.plain
     assert page.rows[-2:] == [["log 0", "1.000", "1.900"], ["log 1", "1.600", "1.200"]]
     errors = [attrs.get("class") for tag, attrs in page.tags if tag == "td"][-4:]
     assert errors == [None, "bad", "bad", None]
@@ -206,8 +206,8 @@ def test_of_many_logs_the_odd_one_is_shown(report: dict[str, Any]) -> None:
     page = page_of(report | {"repeatability": logs})
     assert [row[0] for row in page.rows if row[0].startswith("log ")] == [*(f"log {k}" for k in range(7)), "log 33"]
     assert len(dots(page)) == 8 * 20
-    assert "80 more, which scatter less" in page.plain
-    assert "32 more logs are in report.json." in page.plain
+    assert "80 more, with less scatter" in page.plain
+    assert "32 more logs are listed in report.json." in page.plain
 
 
 def test_reflected_inertia_has_the_unit_of_its_joint(report: dict[str, Any]) -> None:
@@ -218,7 +218,7 @@ def test_reflected_inertia_has_the_unit_of_its_joint(report: dict[str, Any]) -> 
     page = page_of(report)
     assert ["hip", "r1", "0.0857", "0.0026", "0.081 to 0.091", "kg·m²"] in page.rows
     assert ["knee", "r1", "0.05400", "–", "–", "kg"] in page.rows
-    assert "They determine 2 of 3 rotors' reflected inertias" in page.plain
+    assert "The data determine 2 of 3 reflected rotor inertias" in page.plain
     report["rotors"] = {}
     assert "eflected inertia" not in page_of(report).plain
 
@@ -226,7 +226,7 @@ def test_reflected_inertia_has_the_unit_of_its_joint(report: dict[str, Any]) -> 
 def test_friction_that_is_not_determined_is_named(report: dict[str, Any]) -> None:
     assert "The data determine all 4 friction coefficients." in page_of(report).plain
     report["friction"]["knee"]["standard_error"]["coulomb"] = None
-    assert "do not determine the friction knee Coulomb." in page_of(report).plain
+    assert "do not determine these friction coefficients: knee Coulomb." in page_of(report).plain
 
 
 def test_both_estimates_stand_side_by_side(report: dict[str, Any]) -> None:
@@ -245,7 +245,7 @@ def test_both_estimates_stand_side_by_side(report: dict[str, Any]) -> None:
     ]
     assert "1 of 3 base parameters differ between the two" in page.plain
     assert "simulated under the logged command" in page.plain
-    assert "The fit itself is by instruments; instruments were made 2 times." in page.plain
+    assert "The fit itself uses instruments; the instruments were computed 2 times." in page.plain
 
 
 def test_what_was_not_asked_has_no_section(report: dict[str, Any]) -> None:
@@ -279,5 +279,5 @@ def test_sections_of_large_robots_stay_small() -> None:
     report["repeatability"] = logs_of([[0.123456789] * 30] * 600, [[0.0123456789] * 30] * 600)
     empty = len(render("t", (), ["trust.js"], {}).encode())
     page = page_of(report)
-    assert "160 more bodies are in report.json." in page.plain
+    assert "160 more bodies are listed in report.json." in page.plain
     assert len(page.html.encode()) - empty < 150_000

@@ -114,6 +114,6 @@ def test_a_mistake_in_the_configuration_names_its_file(folder: Path) -> None:
         done = idtool("fit", *options, "bag", "--out", "none", folder=folder)
         assert (done.code, done.out) == (2, "")
         assert done.err.startswith(
-            "error: wrong.yml: joints: hipp: is no actuated joint of the URDF; did you mean hip?"
+            "error: wrong.yml: joints: hipp: is not an actuated joint of the URDF; did you mean hip?"
         )
     assert not (folder / "none").exists()

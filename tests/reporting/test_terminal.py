@@ -191,14 +191,14 @@ def simulated(position: float | None, at: dict[float, float | None], kind: str =
 
 
 def test_a_model_worse_than_none_is_said_to_be_and_from_when_on() -> None:
-    worse = "Over 1 s at a time, the model is farther from the data than "
-    stays = "a robot that stays where it is"
+    worse = "Simulated for 1 s at a time, the model is farther from the data than "
+    stays = "a robot that keeps its position"
     assert "farther" not in simulated(0.9, {0.01: 0.1, 0.1: 1.1})
     short = simulated(1.5, {0.01: 0.1, 0.05: 0.2, 0.1: 1.1, 0.5: 0.9})
-    assert f"{worse}{stays}; it is nearer up to 50 ms after a restart: trust" in short
-    assert f"{worse}{stays}: its rollouts are not to be trusted." in simulated(1.5, {0.01: 1.1, 0.05: 0.2})
-    assert f"{worse}q = qcmd: its rollouts" in simulated(1.5, {}, "closed_loop")
-    assert f"{worse}{stays}; it is nearer up to 10 ms" in simulated(None, {0.01: 0.1, 0.05: None})
+    assert f"{worse}{stays}; it is closer up to 50 ms after a restart: do not trust" in short
+    assert f"{worse}{stays}: do not trust its rollouts." in simulated(1.5, {0.01: 1.1, 0.05: 0.2})
+    assert f"{worse}a robot that follows its command exactly: do not" in simulated(1.5, {}, "closed_loop")
+    assert f"{worse}{stays}; it is closer up to 10 ms" in simulated(None, {0.01: 0.1, 0.05: None})
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +206,7 @@ def undone(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     """A diagnosis of a log with a fault that is undone, and one that is not."""
     diagnosis = diagnosis_of(*fits(tmp_path_factory.mktemp("leg")), step_of())
     faults = (
-        Notice("velocity_lag", "note", "hip", "v lags", "idtool undoes it"),
+        Notice("velocity_lag", "note", "hip", "v lags", "idtool corrects it"),
         Notice("stale", "problem", "knee", "values repeat", "check the bus"),
         Notice("time_jitter", "note", None, "stamps jitter"),
     )
@@ -217,13 +217,13 @@ def test_a_fault_that_is_undone_is_a_note(undone: Diagnosis) -> None:
     report = diagnosis_report(undone, "refit")
     lines = said(lambda terminal: show_diagnosis(terminal, report, Path("out"), (), explain=False)).splitlines()
     assert lines[:3] == [
-        "fault of the data: knee: stale: values repeat: check the bus",
-        "note on the data: hip: velocity lag: v lags: idtool undoes it",
+        "data fault: knee: stale: values repeat: check the bus",
+        "note on the data: hip: velocity lag: v lags: idtool corrects it",
         "note on the data: time jitter: stamps jitter",
     ]
     page = Page(diagnosis_page(undone, report, "idtool diagnose"))
     assert page.levels[:2] == ["bad", "note"]
-    assert "Fault of the data, knee. stale" in page.plain
+    assert "Data fault, knee. stale" in page.plain
     assert "Note on the data, hip. velocity lag" in page.plain
 
 

@@ -205,9 +205,9 @@ def test_a_union_of_an_ellipsoid_and_a_box_is_split(tmp_path: Path) -> None:
 REFUSALS: dict[str, tuple[Any, str]] = {
     "an unknown link": (
         {"shank": [KINDS["box"]]},
-        "bounding_shapes: shank: is no link of the URDF; did you mean shank_link?",
+        "bounding_shapes: shank: is not a link of the URDF; did you mean shank_link?",
     ),
-    "a rotor": ({"hip_rotor": [KINDS["box"]]}, "bounding_shapes: hip_rotor: is no link of the URDF"),
+    "a rotor": ({"hip_rotor": [KINDS["box"]]}, "bounding_shapes: hip_rotor: is not a link of the URDF"),
     "an unknown kind": (
         {"shank_link": [{"kind": "cone", "radius": 1}]},
         "bounding_shapes.shank_link.0: needs a kind that is one of box, cylinder, capsule, hull, not cone",

@@ -157,7 +157,7 @@ def test_what_is_not_checked(build: Build) -> None:
     plain, lid = checked(build(text, ["j1", "j2"])), {("base", "lid"), ("elbow", "lid"), ("tip", "lid")}
     moving = {("base", "elbow"), ("base", "tip")}
     assert set(plain.pairs) == {*moving, *lid, ("base", "motor"), ("elbow", "motor"), ("tip", "motor")}
-    message = "links that touch by construction are not checked for collision: upper and tip"
+    message = "links that touch in all poses are not checked for collision: upper and tip"
     assert sentences(plain.notices) == (message,)
     rotor = {"motor": {"joint": "j2", "gear_ratio": 5.0}}
     assert set(checked(build(text, ["j1", "j2"], rotors=rotor)).pairs) == moving | lid

@@ -75,7 +75,7 @@ def test_a_mesh_that_is_missing_is_said(build: Build) -> None:
     model = build(arm(solid(SPHERE.format(0.1)), missing, solid(SPHERE.format(0.1)) + missing), ["j1", "j2"])
     found = checked(model)
     (warning,) = sentences(found.notices)
-    assert warning.startswith("the check for self-collision leaves out geometry of upper, tip: line 1: mesh")
+    assert warning.startswith("the self-collision check ignores geometry of upper, tip: line 1: mesh")
     assert "package://robot/lost.stl is not found" in warning
     assert found.clearance(np.zeros((2, 1))) == pytest.approx([0.6], abs=1e-5)
     model = build(arm(missing, missing, missing), ["j1", "j2"])

@@ -224,8 +224,8 @@ def test_a_slip_in_any_key_names_the_key_that_was_meant(refusal: Refusal, path: 
         ("rotors: {r: {joint: hip}}", "rotors.r: needs joint and gear_ratio, or coupling"),
         ("rotors: {r: {gear_ratio: 3}}", "rotors.r: needs joint and gear_ratio, or coupling"),
         ("rotors: {r: {coupling: {a: 1}, joint: b}}", "rotors.r: give either joint and gear_ratio, or coupling"),
-        ("rotors: {r: {joint: hip, gear_ratio: 0}}", "rotors.r: a gear ratio of 0 does not move the rotor"),
-        ("rotors: {r: {coupling: {a: 1, b: 0}}}", "rotors.r: a gear ratio of 0 does not move the rotor"),
+        ("rotors: {r: {joint: hip, gear_ratio: 0}}", "rotors.r: a gear ratio of 0 is not possible"),
+        ("rotors: {r: {coupling: {a: 1, b: 0}}}", "rotors.r: a gear ratio of 0 is not possible"),
         ("rotors: {r: {joint: hip, gear_ratio: 3, axis: [0, 0, 0]}}", "rotors.r: axis must not be zero"),
         (
             "rotors: {r: {joint: hip, gear_ratio: 3, inertial: {mass: -1, inertia: [1, 0, 1, 0, 0, 1]}}}",

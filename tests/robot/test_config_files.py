@@ -20,7 +20,7 @@ Refusal = Callable[[str | bytes], str]
     [("seed: 1\nvelocity: auto\nseed: 2", 3), ("log:\n  topic: /a\n  topic: /b", 3), ("log: {topic: a, topic: b}", 1)],
 )
 def test_a_repeated_key_is_refused(refusal: Refusal, text: str, line: int) -> None:
-    assert f"stands twice, again in line {line}" in refusal(text)
+    assert "duplicate key" in refusal(text)
 
 
 @pytest.mark.parametrize("link", ["[{}]", "{{<<: [{}]}}"], ids=["lists", "merged mappings"])

@@ -39,10 +39,10 @@ Refusal = Callable[[str | bytes], str]
         ("known_com: {thigh: [0, 0]}", "known_com.thigh.2: field required"),
         # Copies.
         ("mirror: {body: a, of: b}", "mirror: input should be a list"),
-        ("mirror: [{body: a, of: a}]", "mirror.0: a is a copy of itself; name another"),
-        ("mirror: [{joint: a, of: a}]", "mirror.0: a is a copy of itself; name another"),
+        ("mirror: [{body: a, of: a}]", "mirror.0: a cannot be a copy of itself; name another"),
+        ("mirror: [{joint: a, of: a}]", "mirror.0: a cannot be a copy of itself; name another"),
         ("mirror: [{body: a, of: b, plane: zx}]", "mirror.0.plane: input should be 'xy', 'xz' or 'yz'"),
-        ("mirror: [{joint: a, of: b, plane: xz}]", "mirror.0: plane is for bodies; friction has none"),
+        ("mirror: [{joint: a, of: b, plane: xz}]", "mirror.0: plane is only for bodies, not for joints"),
         ("mirror: [{of: b}]", "mirror.0: give either body or joint, and of"),
         ("mirror: [{body: a, joint: a, of: b}]", "mirror.0: give either body or joint, and of"),
         ("mirror: [{body: a}]", "mirror.0.of: field required"),

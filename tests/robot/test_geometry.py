@@ -255,11 +255,11 @@ def nested(depth: int, times: int) -> str:
 @pytest.mark.parametrize(
     ("name", "data", "note"),
     [
-        ("m.stl", b"", "holds no faces"),
-        ("m.stl", b"\x00" * 80 + b"\xff\xff\xff\xff" + b"\x00" * 50, "holds no faces"),
-        ("m.stl", b"solid x\nfacet normal 0 0\n", "holds no faces"),
-        ("m.stl", b"solid x\n" + b"\xff\xfe" * 50, "holds no faces"),
-        ("m.obj", b"f 1 2 3\n", "holds no faces"),
+        ("m.stl", b"", "contains no faces"),
+        ("m.stl", b"\x00" * 80 + b"\xff\xff\xff\xff" + b"\x00" * 50, "contains no faces"),
+        ("m.stl", b"solid x\nfacet normal 0 0\n", "contains no faces"),
+        ("m.stl", b"solid x\n" + b"\xff\xfe" * 50, "contains no faces"),
+        ("m.obj", b"f 1 2 3\n", "contains no faces"),
         ("m.obj", b"mtllib ../../../etc/passwd\nv 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "a vertex that is not within"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1e300 0\nf 1 2 3\n", "a vertex that is not within 1e+06 m"),
         ("m.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n",

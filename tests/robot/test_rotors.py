@@ -135,9 +135,9 @@ def test_a_rotor_on_a_belt_and_one_on_a_mimic_joint(build: Build) -> None:
 @pytest.mark.parametrize(
     ("rotor", "expected"),
     [
-        ({"motor": ROTOR | {"joint": "hipp"}}, "rotors.motor: hipp is no moving joint; did you mean hip?"),
-        ({"motor": ROTOR | {"joint": "ankle"}}, "rotors.motor: ankle is no moving joint"),
-        ({"motor": ROTOR | {"parent": "abad"}}, "rotors.motor.parent: abad is no link; did you mean abad_link?"),
+        ({"motor": ROTOR | {"joint": "hipp"}}, "rotors.motor: hipp is not a moving joint; did you mean hip?"),
+        ({"motor": ROTOR | {"joint": "ankle"}}, "rotors.motor: ankle is not a moving joint"),
+        ({"motor": ROTOR | {"parent": "abad"}}, "rotors.motor.parent: abad is not a link; did you mean abad_link?"),
         ({"motor": ROTOR | {"parent": "shank"}}, "rotors.motor.origin: is missing"),
         ({"motor": {"joint": "hip", "gear_ratio": 8}}, "rotors.motor.inertial: is missing"),
         ({"thigh": ROTOR}, "rotors.thigh: has the name of a moving link"),

@@ -109,10 +109,10 @@ PAIR = '<robot name="r"><link name="l0"/><link name="l1">{}</link>{}</robot>'
         (chain(link(1)).replace('name="j1"', ""), "has no name"),
         (chain(link(1)).replace('<link name="l1"/>', "<link/>"), "has no name"),
         (chain(link(1, axis="0 0 0")), "joint j1: its axis is zero"),
-        (chain(link(1, axis="0 0 nan")), "not made of three finite numbers"),
-        (chain(link(1, axis="0 1")), "not made of three finite numbers"),
-        (chain(link(1, '<origin xyz="0 0 inf"/>')), "not made of three finite numbers"),
-        (chain(link(1, '<origin rpy="nan 0 0"/>')), "not made of three finite numbers"),
+        (chain(link(1, axis="0 0 nan")), "not consist of three finite numbers"),
+        (chain(link(1, axis="0 1")), "not consist of three finite numbers"),
+        (chain(link(1, '<origin xyz="0 0 inf"/>')), "not consist of three finite numbers"),
+        (chain(link(1, '<origin rpy="nan 0 0"/>')), "not consist of three finite numbers"),
         (chain(link(1, '<origin xyz="0 0"/>')), "is not a well-formed URDF"),
         (chain(link(1, '<origin xyz="0 0 up"/>')), "is not a well-formed URDF"),
         (
@@ -147,5 +147,5 @@ def test_a_urdf_that_is_not_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["log.csv", "log.urdf"])
 def test_a_log_in_its_place(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"t,q_a" if name == "log.csv" else b"\x89MCAP0\r\n")
-    with pytest.raises(ModelError, match="is a log; the URDF comes first"):
+    with pytest.raises(ModelError, match="is a log; give the URDF first"):
         read_robot(tmp_path / name)

@@ -298,12 +298,12 @@ def test_what_is_not_an_ellipsoid_is_told_in_its_own_terms() -> None:
     (beyond,) = violations(point, [density_within(slab, "slab")], 2.0, 1.0)
     assert "at least 50 % farther from the centre" in beyond.text
     (above,) = violations(point, [density_within(below, "below z = 0")], 2.0, 1.0)
-    assert above.text == "below z = 0: short by 0.65 in units of the body's mass and length"
+    assert above.text == "below z = 0: violated by 0.65 in units of the body's mass and length"
     for A, b in (([1.0, 1.0, -1.0], 0.0), ([1.0, 1.0, 0.0], 0.5)):  # a hyperboloid and a paraboloid have no inside
         Q = np.diag([*(-np.array(A)), 1.0])
         Q[2, 3] = Q[3, 2] = b
         (open_,) = violations(point, [density_within(Q, "open")], 2.0, 1.0)
-        assert open_.text.startswith("open: short by")
+        assert open_.text.startswith("open: violated by")
     unit = Ellipsoid((3, 0, 0), (1, 1, 1)).Q
     (both,) = violations(point, [density_within(np.stack([unit, below]), "half a ball")], 2.0, 1.0)
     assert both.amount == pytest.approx(0.65)

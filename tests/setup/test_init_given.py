@@ -72,7 +72,7 @@ def test_joint_held_still_may_be_given_without_joints(tmp_path: Path) -> None:
     config = config_with(tmp_path / "given.yaml", locked_joints={"lift": 0.0, "roll": 0.0})
     report = init(robot(tmp_path), run(tmp_path), "--config", config)
     assert report["config"]["joints"] == ["turn"]
-    assert report["found"][0] == "1 joint that moves: turn"
+    assert report["found"][0] == "1 moving joint: turn"
 
 
 def test_null_is_nothing_given(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_units_of_a_joint_that_slides(tmp_path: Path) -> None:
     report = init(robot(tmp_path, text), commanded(tmp_path))
     said = blocks(report)
     assert "kp N·m/rad or N/m, kd N·m·s/rad or N·s/m at the joint" in said["controller"]
-    assert "scale: N·m or N per logged unit where that is not N·m or N," in said["log"]
+    assert "scale: N·m or N per logged unit, if the log is not in N·m or N," in said["log"]
     report = init(robot(tmp_path), commanded(tmp_path), "--force")
     assert "kp N·m/rad, kd N·m·s/rad at the joint" in blocks(report)["controller"]
 
@@ -135,7 +135,7 @@ def test_next_command_names_a_file_that_lies_elsewhere(tmp_path: Path) -> None:
     assert report["next"] == f"idtool init {urdf} {log} --config {other} --out {other} --force"
     assert report["needed"] == ["controller"]
     done = idtool("init", urdf, log)
-    assert done.out.splitlines()[-1].startswith("next, once controller is filled in: idtool init ")
+    assert done.out.splitlines()[-1].startswith("next, after filling in controller: idtool init ")
 
 
 def test_place_that_cannot_be_written_to_is_refused_before_anything_is_read(tmp_path: Path) -> None:
@@ -162,4 +162,4 @@ def test_no_line_of_the_file_is_too_long_to_read(tmp_path: Path) -> None:
     assert max(map(len, written.splitlines())) <= 120
     assert yaml.safe_load(written) == report["config"]
     assert filled(written).rotors
-    assert "The URDF has turret 2, upper 1.4, fore 0.9." in written
+    assert "Masses in the URDF: turret 2, upper 1.4, fore 0.9" in written

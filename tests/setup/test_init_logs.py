@@ -102,9 +102,9 @@ def test_of_a_log_with_torque_and_one_with_commands_joints_are_commanded(tmp_pat
 def test_joints_given_as_held_still_are(tmp_path: Path) -> None:
     seen = told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), locked_joints={"lift": 0.2})
     assert seen.joints == ("turn", "roll")
-    assert seen.locked["lift"].reason == "given as locked"
+    assert seen.locked["lift"].reason == "locked in the configuration"
     assert any(warning.startswith("locked joints move") for warning in sentences(seen.notices))
-    with pytest.raises(ConfigError, match="is no actuated joint of the URDF"):
+    with pytest.raises(ConfigError, match="is not an actuated joint of the URDF"):
         told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), joints=["left"])
 
 
@@ -121,7 +121,7 @@ def test_position_far_beyond_the_limits_is_said(tmp_path: Path) -> None:
     degrees = {**log, "q": np.rad2deg(log["q"]), "v": np.rad2deg(log["v"])}
     seen = told(tmp_path, csv(tmp_path, degrees, "q", "v", "tau"))
     (said,) = [warning for warning in texts(seen.notices) if "limits" in warning]
-    assert said.startswith("run.csv: q is far beyond the URDF's limits: turn, lift, roll (")
+    assert said.startswith("run.csv: q is far outside the URDF's limits: turn, lift, roll (")
     assert "set log.scale of q and v to 0.0174533" in said
     scale = dict.fromkeys(JOINTS, np.pi / 180)
     assert not told(tmp_path, csv(tmp_path, degrees, "q", "v", "tau"), log={"scale": {"q": scale, "v": scale}}).notices
@@ -134,7 +134,7 @@ def test_position_far_beyond_the_limits_is_said(tmp_path: Path) -> None:
 def test_problems_are_said_and_notes_are_not(tmp_path: Path) -> None:
     stuck = told(tmp_path, csv(tmp_path, without(moved(), "v", 1), "q", "v", "tau"))
     (said,) = texts(stuck.notices)
-    assert said.startswith("run.csv: lift: v is 0 throughout while q moves; the channel was not filled")
+    assert said.startswith("run.csv: lift: v is 0 throughout while q moves; the channel was not recorded")
     assert told(tmp_path, csv(tmp_path, moved(), "q", "tau")).notices == ()  # that v is missing is a note
 
 
@@ -145,7 +145,7 @@ def test_without_any_torque_the_error_names_the_columns_that_were_left_over(tmp_
         told(tmp_path, file)
     said = str(caught.value)
     assert "has neither torque nor position command in run.csv: turn, lift, roll" in said
-    assert "map the torque's column to tau_turn in log.columns, and set its N·m per unit in log.scale" in said
+    assert "map the column of the torque to tau_turn in log.columns, and set its N·m per unit in log.scale" in said
     assert "ignored: current_turn, current_lift, current_roll" in said
     refuse(tmp_path, "init", tmp_path / "arm.urdf", file, naming="current_turn", file="run.csv")
 

@@ -73,7 +73,7 @@ def test_bodies_with_geometry_are_bounded_and_of_others_it_is_said_what_is_missi
     where = f"searched in {tmp_path} and the folders above, ROS_PACKAGE_PATH (not set)"
     assert where in written.replace("\n# ", " ")
     (left,) = (left["what"] for left in report["left"] if left["key"] == "bounding_ellipsoids")
-    assert left.startswith("of upper, tool; meshes of upper could not be read (upper: line ")
+    assert left.startswith("ellipsoids of upper, tool; meshes of upper could not be read (upper: line ")
     assert where in left
     assert "# tool: the URDF gives it no collision or visual" in written
     assert set(filled(written).bounding_ellipsoids) == {"turret", "upper", "fore", "tool"}
@@ -106,7 +106,7 @@ def test_file_that_is_there_is_left_alone_unless_forced(tmp_path: Path) -> None:
     urdf, run = robot(tmp_path), as_csv(tmp_path / "run.csv", arm(4.0))
     file = urdf.with_suffix(".yaml")
     file.write_text("seed: 1\n")
-    refuse(tmp_path, "init", urdf, run, naming="is there already; give --force", file="arm.yaml")
+    refuse(tmp_path, "init", urdf, run, naming="already exists; use --force", file="arm.yaml")
     assert file.read_text() == "seed: 1\n"
     init(urdf, run, "--out", tmp_path / "deeper" / "other.yaml")
     assert file.read_text() == "seed: 1\n"
@@ -119,7 +119,7 @@ def test_file_that_is_there_is_left_alone_unless_forced(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["arm.urdf", "run.csv"])
 def test_what_is_read_is_never_written_over(tmp_path: Path, name: str) -> None:
     urdf, run = robot(tmp_path), as_csv(tmp_path / "run.csv", arm(1.0))
-    refuse(tmp_path, "init", urdf, run, "--out", tmp_path / name, "--force", naming="is a file that is read", file=name)
+    refuse(tmp_path, "init", urdf, run, "--out", tmp_path / name, "--force", naming="is an input file", file=name)
 
 
 def test_logs_of_another_robot_are_refused(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_terms_that_make_the_whole_worse_go() -> None:
 def test_that_other_joints_lose_is_said() -> None:
     found, _ = tried(lambda terms: (1.1, 1.0) if (ROTOR, "knee") in terms.on_joints else (1.0, 9.0))
     assert joints(found, ROTOR) == ("knee",)
-    assert "increase the held-out error of hip; one set of bodies" in texts(found.notices)[0]
+    assert "increase the held-out error of hip; the same bodies" in texts(found.notices)[0]
 
 
 def test_what_is_too_small_to_be_missed_is_not_fitted_for() -> None:
@@ -117,7 +117,7 @@ def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
     found, _ = tried(errors, offsets=True)
     assert joints(found, OFFSET) == ("hip",)
     assert any(
-        "share of the held-out torque (rms): knee 95%; check its sign and unit" in warning
+        "fraction of the held-out torque (rms): knee 95%; check its sign and unit" in warning
         for warning in texts(found.notices)
     )
 
@@ -153,11 +153,11 @@ def test_a_delay_that_leaves_most_of_the_torque_unexplained_is_none() -> None:
     assert delay(found) == 0.0
 
 
-@pytest.mark.parametrize(("at", "word"), [(0.3, "late"), (-0.3, "early")])
+@pytest.mark.parametrize(("at", "word"), [(0.3, "delays"), (-0.3, "advances")])
 def test_a_delay_as_long_as_is_looked_for_is_none_and_said(at: float, word: str) -> None:
     found, _ = tried(lambda terms: (100 * abs(delay(terms) - at), 1.0), delays=True)
     assert (abs(found.trials[0].value), delay(found)) == (pytest.approx(0.1), 0.0)
-    assert f"the torque fits best when 100 ms {word} or more" in sentences(found.notices)[0]
+    assert f"the best fit {word} the torque by 100 ms or more" in sentences(found.notices)[0]
 
 
 def test_a_delay_stays_though_nothing_else_does() -> None:

@@ -21,16 +21,16 @@ BAND_FACTOR = 5.0  # times the velocity's band: about what a fit's filter lets t
 def missing_channels(name: str, joint: InspectedJoint) -> Iterator[Notice]:
     """Channels that the joint lacks."""
     if "q" not in joint.signals:
-        meaning = "the joint can't be used; name its column in `log.columns`, or leave it out of `joints`"
+        meaning = "the joint cannot be used; name its column in `log.columns`, or leave it out of `joints`"
         yield Notice("missing_position", "problem", name, "q is missing", meaning)
     if "v" not in joint.signals:
         yield Notice("missing_velocity", "note", name, "v is missing", "it is differentiated from q")
     if "tau" not in joint.signals:
         if "qcmd" in joint.signals:
             meaning = "it is computed from the command: give the joint's gains under `controller`"
-            yield Notice("torque_from_command", "note", name, "tau is missing, qcmd is there", meaning)
+            yield Notice("torque_from_command", "note", name, "tau is missing, but qcmd is available", meaning)
         else:
-            meaning = "nothing can be fitted to the joint; name its column in `log.columns`, or log qcmd"
+            meaning = "the joint cannot be identified; name the torque's column in `log.columns`, or log qcmd"
             yield Notice("missing_torque", "problem", name, "tau is missing", meaning)
 
 
@@ -50,8 +50,8 @@ def channel_findings(
     """
     for signal, figures in joint.signals.items():
         if figures.not_finite:
-            number = f"{count_text(figures.not_finite, 'sample')} of {signal} not finite"
-            meaning = "the rows are left out, and each run of them splits the log"
+            number = f"{count_text(figures.not_finite, 'sample')} of {signal} are not finite"
+            meaning = "these rows are left out, and the log is split there"
             yield Notice("not_finite", "warning", name, number, meaning)
         if joint.moves:
             if signal in ("v", "tau"):
@@ -67,7 +67,7 @@ def _constant(name: str, signal: str, figures: Signal) -> Iterator[Notice]:
     if figures.constant:
         instead = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
         value = f"{signal} is {figures.minimum + 0.0:.4g} throughout while q moves"  # 0, not -0
-        yield Notice("stale", "problem", name, value, f"the channel was not filled; {instead}")
+        yield Notice("stale", "problem", name, value, f"the channel was not recorded; {instead}")
 
 
 def _stale_or_clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
@@ -75,8 +75,8 @@ def _stale_or_clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator
     figures = joint.signals[signal]
     repeats = figures.stale or 0.0
     stuck = figures.stuck > MAX_STUCK_SHARE
-    share = f"{repeats:.1%} of {signal}'s samples repeat the one before while it changes"
-    meaning = "the channel is read too seldom, and is late by half its period; check the bus"
+    share = f"{repeats:.1%} of the samples of {signal} repeat the previous one while it changes"
+    meaning = "the channel is read too rarely, which delays it by half its update period; check the bus"
     if repeats > (MAX_STALE_SHARE_IF_STUCK if stuck else MAX_STALE_SHARE):
         yield Notice("stale", "warning", name, share, meaning)
     elif stuck:
@@ -90,22 +90,22 @@ def _clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
     figures = joint.signals[signal]
     extremes = f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {figures.stuck:.1%} of the samples"
     if signal == "tau":
-        meaning = "what lies beyond was cut off and pulls the fit; excite less, or raise the limit"
-        yield Notice("torque_at_extremes", "warning", name, f"tau sits at {extremes}", meaning)
+        meaning = "larger values were cut off, which biases the fit; reduce the excitation, or raise the limit"
+        yield Notice("torque_at_extremes", "warning", name, f"tau stays at {extremes}", meaning)
     elif signal == "v":
-        meaning = "what lies beyond was cut off; set `velocity: differentiated`, or raise the limit"
-        yield Notice("clipped", "warning", name, f"v sits at {extremes}, while q moves on", meaning)
+        meaning = "larger values were cut off; set `velocity: differentiated`, or raise the limit"
+        yield Notice("clipped", "warning", name, f"v stays at {extremes}, while q continues to move", meaning)
     elif "v" in joint.signals and not joint.signals["v"].constant:
-        meaning = "what lies beyond was cut off; stay within the encoder's range"
-        yield Notice("clipped", "warning", name, f"q sits at {extremes}, while v goes on", meaning)
+        meaning = "positions beyond them were cut off; stay within the encoder's range"
+        yield Notice("clipped", "warning", name, f"q stays at {extremes}, while v shows motion", meaning)
 
 
 def _frozen(name: str, signal: str, frozen: FrozenStretches) -> Notice:
     extent = (
-        f"{signal} keeps one value for {frozen.seconds:.3g} s in all while the joint moves, first "
+        f"{signal} keeps one value for {frozen.seconds:.3g} s in total while the joint moves, first "
         f"{frozen.start:.3f} s into the log"
     )
-    return Notice("stale", "warning", name, extent, "the channel froze: leave those stretches out of the log")
+    return Notice("stale", "warning", name, extent, "the channel was frozen: remove these parts from the log")
 
 
 def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterator[Notice]:
@@ -114,11 +114,17 @@ def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterato
         disturbed = "velocity" if signal == "q" else signal
         step = joint.signals[signal].step
         instead = {
-            "q": "a fit takes the logged v where it is less noisy, else",
-            "v": "a fit differentiates q where that is less noisy, else",
+            "q": "a fit uses the logged v where it is less noisy; otherwise",
+            "v": "a fit differentiates q where that is less noisy; otherwise",
         }.get(signal, "excite more, or")
         rounding = f"{signal} comes in steps of {step:.3g}, which make {noise:.0%} of noise in the {disturbed}"
-        yield Notice("coarse_channel", "warning", name, rounding, f"too coarse: {instead} lower `filter.cutoff_hz`")
+        yield Notice(
+            "coarse_channel",
+            "warning",
+            name,
+            rounding,
+            f"the resolution is too coarse: {instead} lower `filter.cutoff_hz`",
+        )
 
 
 def _rounding_noise(signal: str, joint: InspectedJoint, dt: float) -> float:

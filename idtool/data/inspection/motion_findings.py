@@ -30,22 +30,24 @@ def motion_findings(name: str, joint: InspectedJoint, frozen: FrozenStretches | 
     if "q" not in joint.signals:
         return
     if not joint.moves:
-        meaning = "its friction and inertia can't be seen; leave it out of `joints`, and lock it in `locked_joints`"
+        meaning = (
+            "its friction and inertia cannot be identified; leave it out of `joints`, and lock it in `locked_joints`"
+        )
         yield Notice("joint_at_rest", "warning", name, "the joint does not move", meaning)
         return
     if joint.standstill > MAX_STANDSTILL:
-        share = f"the joint stands still {joint.standstill:.0%} of the time"
-        meaning = "samples at rest tell gravity within static friction, and little else"
+        share = f"the joint is at rest {joint.standstill:.0%} of the time"
+        meaning = "samples at rest determine gravity only to within static friction, and little else"
         yield Notice("often_at_rest", "note", name, share, meaning)
     yield from _jumps(name, joint, frozen)
     if joint.band_hz is not None and joint.band_hz > MAX_RELATIVE_BAND / dt:
         band = f"99 % of the velocity's power reaches up to {joint.band_hz:.3g} Hz, at {1 / dt:.4g} samples a second"
-        meaning = "accelerations are not to be trusted up there: log faster, or lower `filter.cutoff_hz`"
+        meaning = "accelerations at these frequencies are unreliable: log faster, or lower `filter.cutoff_hz`"
         yield Notice("motion_too_fast", "warning", name, band, meaning)
     q = joint.signals["q"]
     if q.maximum - q.minimum > MAX_TRAVEL:
         travel = f"q spans {q.maximum - q.minimum:.4g}"
-        meaning = "a wheel, or degrees: then set `log.scale` of q to 0.0174533"
+        meaning = "it is a wheel, or q is in degrees; for degrees, set `log.scale` of q to 0.0174533"
         yield Notice("many_turns", "note", name, travel, meaning)
 
 
@@ -64,5 +66,5 @@ def _jumps(name: str, joint: InspectedJoint, frozen: FrozenStretches | None) -> 
 def commanded_torque(name: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A torque that looks commanded."""
     if joint.torque and joint.torque.kind == "commanded":
-        meaning = "what the drive made of the command is not in it: expect a `time_delay` and a `torque_gain`"
+        meaning = "it does not include what the drive does with the command: expect a `time_delay` and a `torque_gain`"
         yield Notice("torque_commanded", "note", name, f"tau looks commanded: {joint.torque.reason}", meaning)

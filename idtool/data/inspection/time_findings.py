@@ -21,7 +21,7 @@ MAX_LOST_SHARE = 0.01  # share of the time: less is the ordinary end of a part, 
 MIN_SHORT_SHARE = 0.05  # share of samples in segments too short for a filter to settle in
 MAX_SHORT_SHARE = 0.5  # the same, from which on hardly anything remains
 
-_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit takes the logged v where it is less so"
+_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit uses the logged v where that is less noisy"
 
 
 def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
@@ -31,14 +31,15 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """
     unevenness = _unevenness(dt, stamps)
     if stamps.step_jitter > MAX_JITTER:
-        deviation = f"the time from stamp to stamp strays by {stamps.step_jitter:.2g} samples rms"
+        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} samples rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
     elif unevenness > MAX_JITTER:
         deviation = (
-            f"by the joints' motion the samples were taken {unevenness:.2g} samples rms off the stamps' even clock"
+            "according to the motion, the actual sampling times deviate from the evenly spaced stamps by "
+            f"{unevenness:.2g} samples rms"
         )
-        advice = f"the stamps were rounded or made up; {_DIFFERENTIATED}; log the sensor's own time"
+        advice = f"the stamps were rounded or generated; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
 
 
@@ -51,7 +52,9 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
         return
     lost_share = stamps.sampling.skipped - stamps.repeated
     if lost_share > MIN_SHARE:
-        share = f"by the joints' motion {stamps.sampling.skipped:.1%} of the steps took the time of two samples or more"
+        share = (
+            f"according to the motion, {stamps.sampling.skipped:.1%} of the steps are two or more sample periods long"
+        )
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
         if lost_share > MAX_SKIPPED_SHARE and stamps.step_jitter <= MAX_JITTER:
             yield Notice("dropped_samples", "warning", None, share, meaning)
@@ -69,7 +72,7 @@ def _unevenness(dt: float, stamps: Stamps) -> float:
 def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
     if stamps.repeated > MIN_SHARE:
-        share = f"{stamps.repeated:.1%} of the samples repeat the one before in every joint"
+        share = f"{stamps.repeated:.1%} of the samples repeat the previous one in every joint"
         meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
         if stamps.repeated > MAX_REPEATED_SHARE:
             yield Notice("stale", "warning", None, share, meaning)
@@ -82,10 +85,10 @@ def gaps(duration: float, stamps: Stamps) -> Iterator[Notice]:
     if stamps.gaps:
         longest = stamps.longest_gaps[0]
         extent = (
-            f"{count_text(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in all; the longest, {longest.lost:.3g} s, "
-            f"{longest.start:.3f} s into the log"
+            f"{count_text(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in total; the longest is {longest.lost:.3g} s, "
+            f"{longest.start:.3f} s after the start"
         )
-        meaning = "no filter crosses a gap: the samples next to one are lost, short stretches altogether"
+        meaning = "filters do not cross gaps: samples next to a gap are not used, and short segments not at all"
         if stamps.lost > MAX_LOST_SHARE * duration:
             yield Notice("dropped_samples", "warning", None, extent, meaning)
         else:
@@ -96,11 +99,15 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     """Segments too short to be of use; ``segments`` is the number of all."""
     if segments < 2 or stamps.short < MIN_SHORT_SHARE:
         return
-    extent = f"gaps and missing values cut the log in {segments}: {stamps.short:.0%} of it is in stretches below 0.5 s"
+    extent = (
+        f"gaps and missing values divide the log into {segments} segments: {stamps.short:.0%} of it is in segments "
+        "shorter than 0.5 s"
+    )
     too_short = stamps.short > MAX_SHORT_SHARE
     severity: Severity = "problem" if too_short else "warning"
-    rest = "hardly anything is left to fit" if too_short else "they may be lost to a fit"
-    meaning = f"shorter than a filter takes to settle, {rest}: fill in single missing values, or log without gaps"
+    rest = "hardly any usable data remain for the fit" if too_short else "a fit may have to leave them out"
+    advice = "fill in single missing values, or log without gaps"
+    meaning = f"these are shorter than the settling time of a filter, so {rest}: {advice}"
     if stamps.gaps:
         yield Notice("dropped_samples", severity, None, extent, meaning)
     else:
@@ -111,10 +118,12 @@ def disordered_stamps(samples: int, stamps: Stamps) -> Iterator[Notice]:
     """Stamps that do not advance; ``samples`` is the number of all."""
     if stamps.duplicates:
         severity: Severity = "warning" if stamps.duplicates > MAX_DUPLICATE_SHARE * samples else "note"
-        number = f"{count_text(stamps.duplicates, 'stamp')} equal to the one before"
-        meaning = "a coarse clock, or rows written twice; name the sensor's own time in `log.columns` if it is logged"
+        number = f"{count_text(stamps.duplicates, 'stamp')} equal to the previous one"
+        cause = "the clock is coarse, or rows were written twice"
+        meaning = f"{cause}; if the sensor's own time is logged, name its column in `log.columns`"
         yield Notice("duplicate_stamps", severity, None, number, meaning)
     if stamps.backward:
-        number = f"{count_text(stamps.backward, 'stamp')} earlier than the one before"
-        meaning = "two recordings or a clock that was set: the log is split there; check that the parts belong together"
+        number = f"{count_text(stamps.backward, 'stamp')} earlier than the previous one"
+        cause = "the file contains two recordings, or the clock was set"
+        meaning = f"{cause}; the log is split there: check that the parts belong together"
         yield Notice("backward_stamps", "warning", None, number, meaning)

@@ -42,27 +42,29 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         The summary of the torque.
     """
     if max(len(x) for x in runs["tau"]) < _MIN_SAMPLES:
-        return TorqueSource("unknown", "no stretch without a gap is long enough to tell")
+        return TorqueSource("unknown", "no segment without gaps is long enough to decide")
     law = _control_law(runs, tau)
     if law is not None:
         return TorqueSource("commanded", law)
     if (tau.stale or 0.0) > _MAX_STALE_SHARE:
-        return TorqueSource("unknown", f"{tau.stale:.0%} of its values repeat: a slow sensor or a slow controller")
+        return TorqueSource(
+            "unknown", f"{tau.stale:.0%} of its values repeat the previous one: the sensor or the controller is slow"
+        )
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
-        return TorqueSource("commanded", "it carries no noise, as only a computed torque can")
+        return TorqueSource("commanded", "it has no noise, so it must be computed")
     if tau.step is not None and tau.noise < _ROUNDING_NOISE * tau.step:
-        return TorqueSource("unknown", f"it carries no noise beyond its resolution of {tau.step:.3g}")
+        return TorqueSource("unknown", f"it has no noise beyond its resolution of {tau.step:.3g}")
     changes = np.concatenate([np.diff(x, 2) for x in runs["tau"]])
     fast_change = 1.4826 * float(np.median(np.abs(changes))) / np.sqrt(6)
     if fast_change > _MAX_FAST_CHANGE * tau.noise:
-        return TorqueSource("unknown", "it changes too fast from sample to sample to show its noise")
+        return TorqueSource("unknown", "it changes too fast between samples for its noise to be estimated")
     share = _shared_noise(runs)
     if share > _MIN_SHARED_NOISE:
-        return TorqueSource("commanded", f"{share:.0%} of its noise is that of q and v, as under feedback")
+        return TorqueSource("commanded", f"{share:.0%} of its noise comes from q and v, as under feedback control")
     if share < _MAX_SHARED_NOISE:
-        return TorqueSource("measured", f"it carries noise of its own, {tau.noise:.2g} rms")
-    return TorqueSource("unknown", f"{share:.0%} of its noise is that of q and v")
+        return TorqueSource("measured", f"it has its own noise, {tau.noise:.2g} rms")
+    return TorqueSource("unknown", f"{share:.0%} of its noise comes from q and v")
 
 
 def _control_law(runs: Runs, tau: Signal) -> str | None:

@@ -49,7 +49,7 @@ def exchanged_velocities(log: Log, joints: Mapping[str, InspectedJoint]) -> dict
 def exchanged_velocity(name: str, other: str) -> Notice:
     """The finding that the velocity of a joint stands under the name of another."""
     evidence = f"v of {other} is the derivative of q of {name}, and its own v is not"
-    return Notice("wrong_joint_order", "problem", name, evidence, "put the columns right in `log.columns`")
+    return Notice("wrong_joint_order", "problem", name, evidence, "correct the columns in `log.columns`")
 
 
 def velocity_against_position(name: str, v: Velocity, band: float, dt: float) -> Iterator[Notice]:
@@ -70,20 +70,20 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     """
     if v.agreement < 1 - MAX_DISAGREEMENT or v.gain is None or v.lag_ms is None or v.lag_error_ms is None:
         share = f"only {v.agreement:.0%} of v's power in the motion's band is that of the derivative of q"
-        meaning = "another joint's v, or a broken one: set `velocity: differentiated`"
+        meaning = "v belongs to another joint or is wrong: set `velocity: differentiated`"
         severity: Severity = "problem" if v.agreement < MIN_AGREEMENT else "warning"
         yield Notice("velocity_unrelated", severity, name, share, meaning)
         return
     if abs(v.gain - 1) > MAX_GAIN_ERROR:
         gain = f"v is {v.gain:.4g} times the derivative of q"
-        meaning = "a unit, gear ratio or sign: put it right in `log.scale`, or set `velocity: differentiated`"
+        meaning = "its unit, gear ratio or sign is wrong: correct it in `log.scale`, or set `velocity: differentiated`"
         severity = "problem" if v.gain < 0 or is_another_unit(v.gain) else "warning"
         yield Notice("velocity_gain", severity, name, gain, meaning)
     phase = 2e-3 * np.pi * band * abs(v.lag_ms)
     if abs(v.lag_ms) > max(1e3 * MIN_LAG * dt, MIN_LAG_ERRORS * v.lag_error_ms) and phase > MIN_LAG_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
         lag = f"v {relation} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
-        yield Notice("velocity_lag", "note", name, lag, "idtool undoes it")
+        yield Notice("velocity_lag", "note", name, lag, "idtool corrects it")
 
 
 def is_another_unit(gain: float) -> bool:

@@ -57,7 +57,7 @@ def bag_files(folder: Path) -> list[Path]:
     if not metadata.is_file():
         raise LogError(
             folder,
-            f"is a folder without {METADATA}, so it is no rosbag2 folder. Run 'ros2 bag reindex "
+            f"is a folder without {METADATA}, so it is not a rosbag2 folder. Run 'ros2 bag reindex "
             f"{shlex.quote(str(folder))} -s mcap' to write it, or name a file in the folder",
         )
     information = _bag_information(metadata)

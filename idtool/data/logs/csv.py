@@ -65,7 +65,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
             signals = {signal: with_nan[:, i] for signal, i in positions.items()}
             samples.append([Samples(np.arange(len(filled)), filled[:, 0], column_map.joints, signals)])
     if not len(samples):
-        raise LogError(path, "has no samples after its first line")
+        raise LogError(path, "has no samples after the header line")
     t, joints, arrays = samples.arrays()
     notices: list[Notice] = []
     if column_map.unused:

@@ -66,7 +66,7 @@ class Definitions:
     def check_channel(self, channel: int) -> None:
         """Raise LogError if the file does not define a channel."""
         if channel not in self._channels:
-            raise LogError(self._path, f"is damaged: it has messages of channel {channel}, which is not defined")
+            raise LogError(self._path, f"is damaged: it contains messages of channel {channel}, which is not defined")
 
     def _add_size(self, size: int) -> None:
         self._size += size

@@ -84,7 +84,7 @@ class _TopicTypes:
     def missing_message(self) -> str:
         if self.candidates:
             return f"topic {printable(self.candidates[0])} has no messages"
-        return f"no topic {_TOPIC} carries a URDF ({_MESSAGE_TYPE}); there are: {list_topics(self.types)}"
+        return f"no topic {_TOPIC} carries a URDF ({_MESSAGE_TYPE}); available: {list_topics(self.types)}"
 
 
 def _descriptions(path: Path, topics: _TopicTypes) -> Iterator[RobotDescription]:

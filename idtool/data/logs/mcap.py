@@ -73,8 +73,8 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
         try:
             signals |= _command_signals(commands, t, joints)
         except ValueError as error:
-            advice = "nothing to do if the log holds the measured torque"
-            message = f"the commands were left out: {error}"
+            advice = "no action is needed if the log contains the measured torque"
+            message = f"the commands were ignored: {error}"
             notices.append(Notice("commands_left_out", "warning", None, message, advice))
     if columns:
         message = f"log.columns is only for CSV and was ignored: {join_names(columns)}"

@@ -149,7 +149,7 @@ class TopicReader:
                     "'rosbags-convert --src <the original .bag> --dst <a new folder> --dst-storage mcap' (pip install "
                     "rosbags) and use that folder"
                 )
-        return f"no topic carries joint states (sensor_msgs/msg/JointState); there are: {list_topics(types)}"
+        return f"no topic carries joint states (sensor_msgs/msg/JointState); available: {list_topics(types)}"
 
     def _unusable_topic_message(self, name: str) -> str:
         if name not in self._topics:

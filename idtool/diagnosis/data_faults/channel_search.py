@@ -219,8 +219,10 @@ class ChannelSearch:
             spoils_torque = j in out_of_range and joint.name in self.computed and u[j] > _MAX_FINAL_MEAN
             is_far = 0 < limit_range < np.inf and high - low > max(_FAR_BEYOND * limit_range, np.pi)
             if j not in known and (is_far or spoils_torque):
-                travel = f"q goes from {low:.4g} to {high:.4g}, by the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
-                message = f"{travel}, as if in degrees, mm or counts"
+                in_urdf = f"in the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
+                message = (
+                    f"q ranges from {low:.4g} to {high:.4g}, but {in_urdf}, as if it were in degrees, mm or counts"
+                )
                 yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
     def _velocity_faults(self) -> Iterator[Notice]:

@@ -49,7 +49,7 @@ class Backlash(FixedJointEffect):
 
     id = "backlash"
     description = "play decouples the load after each reversal of the torque"
-    excitation_hint = "quick reversals of the carried torque, and slow ones"
+    excitation_hint = "fast and slow reversals of the transmitted torque"
     nonlinear_parameters = (
         NonlinearParameter("width", ("rad", "m"), positive=True),
         NonlinearParameter("motor_friction", optional_maximum=1.0),

@@ -45,7 +45,7 @@ def read_number(entry: EffectEntry, name: str) -> float:
     try:
         return UncertainValue.model_validate(entry.parameters[name]).value
     except ValueError:
-        message = f"{name} is not a number; give one, or value and standard_error"
+        message = f"{name} is not a number; give a number, or value and standard_error"
         raise ConfigError(entry_location(entry), message) from None
 
 
@@ -60,7 +60,7 @@ def read_vector(entry: EffectEntry, name: str, length: int) -> Array:
     try:
         return _numbers(entry.parameters[name], length)
     except ValueError:
-        message = f"{name} is not a list of {length} numbers; give one"
+        message = f"{name} is not a list of {length} numbers"
         raise ConfigError(entry_location(entry), message) from None
 
 
@@ -78,7 +78,7 @@ def read_rows(entry: EffectEntry, name: str, length: int) -> Array:
             raise ValueError
         return np.array([_numbers(row, length) for row in given])
     except ValueError:
-        message = f"{name} is not a list of lists of {length} numbers; give one"
+        message = f"{name} is not a list of lists of {length} numbers"
         raise ConfigError(entry_location(entry), message) from None
 
 
@@ -98,5 +98,7 @@ def read_joint_index(entry: EffectEntry, name: Any, model: Model, parameter: str
     """
     if name not in model.names:
         subject = f"{parameter} {printable(str(name))}".strip()
-        raise ConfigError(entry_location(entry), f"{subject} is no moving joint; {suggestion(str(name), model.names)}")
+        raise ConfigError(
+            entry_location(entry), f"{subject} is not a moving joint; {suggestion(str(name), model.names)}"
+        )
     return model.names.index(name)

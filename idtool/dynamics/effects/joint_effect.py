@@ -92,7 +92,7 @@ class JointEffect(NamedEffect):
     @override
     def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
         if entry.joint is None or entry.link is not None:
-            raise ConfigError(entry_location(entry), "acts on a joint; give joint, and no link")
+            raise ConfigError(entry_location(entry), "acts on a joint; give `joint` and not `link`")
         joint = read_joint_index(entry, entry.joint, model)
         names = list(cls.linear_parameters())
         for parameter in cls.nonlinear_parameters:
@@ -107,7 +107,9 @@ class JointEffect(NamedEffect):
         effect = cls.with_values(model, joint, values, nonlinear_values)
         for c in effect.coefficients:
             if c.prior < c.lower:
-                raise ConfigError(entry_location(entry), f"{c.name} of {c.prior:g} cannot be; give {c.lower:g} or more")
+                raise ConfigError(
+                    entry_location(entry), f"{c.name} of {c.prior:g} is out of range; give {c.lower:g} or more"
+                )
         return effect
 
     @classmethod
@@ -183,7 +185,7 @@ def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Mo
         index = read_joint_index(entry, entry.parameters[name], model, name)
         if index == joint:
             own = printable(model.names[joint])
-            raise ConfigError(entry_location(entry), f"{name} {own} is the joint itself; name another")
+            raise ConfigError(entry_location(entry), f"{name} {own} is the joint itself; name another joint")
         return float(index)
 
     maximum = parameter.optional_maximum
@@ -191,7 +193,8 @@ def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Mo
         return 0.0
     value = read_number(entry, name)
     if maximum is not None and not 0 <= value <= maximum:
-        raise ConfigError(entry_location(entry), f"{name} of {value:g} cannot be; give one from 0 to {maximum:g}")
+        what = f"{name} of {value:g} is out of range; give a value from 0 to {maximum:g}"
+        raise ConfigError(entry_location(entry), what)
     if parameter.positive and value < _MIN_POSITIVE:
-        raise ConfigError(entry_location(entry), f"{name} of {value:g} cannot be; give {_MIN_POSITIVE:g} or more")
+        raise ConfigError(entry_location(entry), f"{name} of {value:g} is out of range; give {_MIN_POSITIVE:g} or more")
     return value

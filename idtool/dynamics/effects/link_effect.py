@@ -54,10 +54,10 @@ class LinkEffect(FixedEffect):
     @override
     def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
         if entry.link is None or entry.joint is not None:
-            raise ConfigError(entry_location(entry), "acts on a link; give link, and no joint")
+            raise ConfigError(entry_location(entry), "acts on a link; give `link` and not `joint`")
         links = model.robot.links
         if entry.link not in links:
-            message = f"{printable(entry.link)} is no link of the URDF; {suggestion(entry.link, links)}"
+            message = f"{printable(entry.link)} is not a link of the URDF; {suggestion(entry.link, links)}"
             raise ConfigError(entry_location(entry), message)
         check_parameter_names(entry, cls.parameter_names)
         return cls.from_checked_entry(entry, model, _link_frame(entry, entry.link, model))
@@ -82,10 +82,11 @@ def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
     ancestor = link
     while ancestor not in frames:
         if ancestor not in parent_joints:
-            raise ConfigError(entry_location(entry), f"link {printable(link)} is moved by no joint; name one that is")
+            what = f"link {printable(link)} is not moved by any joint; name a link that is"
+            raise ConfigError(entry_location(entry), what)
         joint = parent_joints[ancestor]
         if joint.kind != "fixed":
-            reason = f"hangs on joint {printable(joint.name)}, which is held still"
+            reason = f"is carried by joint {printable(joint.name)}, which is locked"
             raise ConfigError(entry_location(entry), f"link {printable(link)} {reason}; name the link before it")
         R, p = joint.R @ R, joint.p + joint.R @ p
         ancestor = joint.parent

@@ -75,7 +75,7 @@ class Payload(LinkEffect):
         com = read_vector(entry, "com", 3)
         inertia = symmetric_matrix(read_vector(entry, "inertia", 6))
         if not mass > 0:
-            raise ConfigError(entry_location(entry), f"mass of {mass:g} cannot be; give one above 0")
+            raise ConfigError(entry_location(entry), f"mass of {mass:g} is not possible; give a value above 0")
         about_com = pseudo_inertia(from_mass_com_inertia(mass, np.zeros(3), inertia))[:3, :3]
         if np.linalg.eigvalsh(about_com)[0] < -_ROUNDING * np.abs(inertia).max():
             problem = "inertia is not realizable: its principal moments violate a triangle inequality or are negative"

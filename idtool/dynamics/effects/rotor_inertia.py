@@ -24,7 +24,7 @@ class RotorInertia(JointTerm):
     init_trial = InitTrial(
         name="rotor inertia",
         heading="rotor inertia",
-        comment="reflected rotor inertia {value}, gear ratio² × the rotor's",
+        comment="reflected rotor inertia {value} (inertia of the rotor × gear ratio²)",
     )
     units = ("kg·m²", "kg")
 

@@ -26,7 +26,7 @@ class StribeckFriction(DryFriction):
     id = "stribeck_friction"
     label = "Stribeck friction"
     description = "friction rises at low speed"
-    excitation_hint = "slow sweeps at several speeds below that at which it rises"
+    excitation_hint = "slow sweeps at several speeds, also below the speed at which friction rises"
     generalizes = ("coulomb_friction",)
     requires = ("coulomb_friction", "presliding_hysteresis")
     coefficient_name = "stribeck"

@@ -52,15 +52,15 @@ class TimeDelay(FixedEffect):
     excitation_hint = "quick motion with sharp changes of torque"
     init_trial = InitSearch(
         name="a delay",
-        heading="delay of the torque",
-        comment="torque is logged {value} late (below zero: early) against position",
+        heading="torque delay",
+        comment="the torque is logged {value} later than the position (negative: earlier)",
         needs_measured_torque=True,  # a controller's torque is its own, in time with its command
         parameter="delay",
         step=0.05,  # the error is a parabola within
         maximum=_MAX_PROBED_DELAY,
         at_maximum=(
-            "the torque fits best when {maximum} late or more, which is no delay of a recording",
-            "the torque fits best when {maximum} early or more, which is no delay of a recording",
+            "the best fit delays the torque by {maximum} or more, which is too long for a recording delay",
+            "the best fit advances the torque by {maximum} or more, which is too long for a recording delay",
         ),
         display_unit="ms",
         display_factor=1e3,
@@ -81,7 +81,7 @@ class TimeDelay(FixedEffect):
         joint = None if entry.joint is None else read_joint_index(entry, entry.joint, model)
         delay = read_number(entry, "delay")
         if not abs(delay) <= _MAX_DELAY:
-            message = f"delay of {delay:g} s cannot be identified; give one within {_MAX_DELAY:g} s"
+            message = f"a delay of {delay:g} s is too long; give at most {_MAX_DELAY:g} s"
             raise ConfigError(entry_location(entry), message)
         return cls(model, delay, joint)
 

@@ -22,7 +22,7 @@ class TorqueOffset(JointTerm):
     coefficient_name = "offset"
     is_commonplace = True
     friction_key = "offset"
-    init_trial = InitTrial(name="an offset", heading="offset of the torque")
+    init_trial = InitTrial(name="an offset", heading="torque offset")
     units = ("N·m", "N")
     lower = -np.inf
     even = False

@@ -55,7 +55,7 @@ class TorqueRipple(JointTerms):
     """
 
     id = "torque_ripple"
-    description = "torque ripples with the angle"
+    description = "the torque varies periodically with the angle"
     excitation_hint = "slow motion over the whole travel at several speeds"
     generalizes = ("parallel_spring", "end_stop", "torque_offset")
     nonlinear_parameters = (

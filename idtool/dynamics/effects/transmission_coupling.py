@@ -26,7 +26,7 @@ class TransmissionCoupling(LoadDependentTerm):
     """
 
     id = "transmission_coupling"
-    description = "torque of another joint leaks into this one"
+    description = "part of another joint's torque acts on this one"
     excitation_hint = "motion of each joint alone"
     coefficient_name = "coefficient"
     lower = -np.inf

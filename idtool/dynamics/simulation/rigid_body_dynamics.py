@@ -117,5 +117,7 @@ def _inertia(body: Body, pi: Array) -> pin.Inertia:
     if not pi.any():
         return pin.Inertia.Zero()
     if not pi[0]:
-        raise ModelError(body.name, "has inertia but no mass, and cannot be simulated; fit it within `full` or tighter")
+        raise ModelError(
+            body.name, "has inertia but no mass, and cannot be simulated; fit it with constraints: full or tighter"
+        )
     return pin.Inertia.FromDynamicParameters(pi)

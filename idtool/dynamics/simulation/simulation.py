@@ -275,6 +275,6 @@ def _immovable_as_error(mechanism: Mechanism) -> Iterator[None]:
     except np.linalg.LinAlgError:
         raise ModelError(
             mechanism.model.robot.path,
-            "cannot be simulated: a joint has zero or negative inertia; fit within `full` or tighter, or give the "
-            "rotors of its light joints",
+            "cannot be simulated: a joint has zero or negative inertia; fit with constraints: full or tighter, "
+            "or add the rotors of its light joints",
         ) from None

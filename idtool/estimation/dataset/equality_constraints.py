@@ -168,7 +168,9 @@ def _copies(mirrors: Sequence[Mirror], names: list[str], kind: str) -> dict[int,
             continue
         for given in (name, entry.of):
             if given not in names:
-                raise ConfigError(f"mirror: {given}", f"is no moving {kind} of the model; {suggestion(given, names)}")
+                raise ConfigError(
+                    f"mirror: {given}", f"is not a moving {kind} of the model; {suggestion(given, names)}"
+                )
         if name in entries:
             raise ConfigError(f"mirror: {name}", "is a copy of two others; keep one entry")
         entries[name] = entry
@@ -207,7 +209,7 @@ def _mass_constraints(config: Config, names: list[str], p: int) -> list[Constrai
     constraints = []
     for name, measured in config.known.mass.items():
         if name not in names:
-            hint = f"is no body of the model (a body includes the links fixed to it); {suggestion(name, names)}"
+            hint = f"is not a body of the model (a body includes the links fixed to it); {suggestion(name, names)}"
             raise ConfigError(f"known.mass: {name}", hint)
         row = np.zeros(p)
         row[PI_SIZE * names.index(name)] = 1.0

@@ -93,12 +93,12 @@ class Experiment:
         fitted = {run.signals.log.path.resolve() for run in self.runs if run.train}
         validated = {run.signals.log.path.resolve() for run in self.runs if not run.train}
         for path in sorted(fitted & validated):
-            message = "used for both fitting and validation, so its error says little"
+            message = "used for both fitting and validation, so its error says little about prediction"
             notices.append(Notice("validated_on_training_log", "warning", path.name, message))
         controller = self.config.controller
         by_command = any(run.signals.controller.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            message = "auto, but nothing is fitted here: 0 is used; idtool fit determines it"
+            message = "auto, but this command does not fit it, so 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
@@ -118,7 +118,7 @@ class Experiment:
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
                 unit = "m" if joint.kind == "prismatic" else "rad"
                 place = self.config.locked_joints.get(joint.name, 0.0)
-                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, taken at {place:g})")
+                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, assumed to be at {place:g})")
         if moved:
             message = (
                 f"assumed to stand still, but they move in the log: {', '.join(moved)}; the effect of their motion "
@@ -206,7 +206,7 @@ class Experiment:
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
-            what = f"no part without a gap is long enough for the filter; the longest has {longest:.3g} s"
+            what = f"no part without gaps is long enough for the filter; the longest has {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
         if still:
             what = "hardly moves in the part to fit"
@@ -275,9 +275,9 @@ def prepare(
         If a log, the configuration or the model cannot be used.
     """
     if not 0 <= holdout < 1:
-        raise ConfigError("--holdout", f"{holdout:g} is no share; give a number from 0 to below 1")
+        raise ConfigError("--holdout", f"{holdout:g} is not a fraction; give a number from 0 to below 1")
     if not logs and not validate:
-        raise LogError("logs", "none given; name at least one MCAP or CSV file")
+        raise LogError("logs", "no log given; name at least one MCAP or CSV file")
     fitted = [transform(_read(log, config)) for log in logs]
     validated = [transform(_read(log, config)) for log in validate]
     every = (*fitted, *validated)

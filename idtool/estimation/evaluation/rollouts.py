@@ -259,7 +259,7 @@ def simulation_notices(rollouts: RolloutEvaluation | None, model: str) -> list[N
         which = "the prior" if name == "prior" else "the model"
         if name in rollouts.failed:
             message = f"no simulation of {which}: {rollouts.failed[name]}"
-            advice = "fit within full or a tighter constraint set; give a prior's links and rotors their inertias"
+            advice = "fit with constraints: full or tighter; add missing inertias to the links and rotors of the prior"
             notices.append(Notice("simulation_failed", "warning", None, message, advice))
         elif diverged := rollouts.diverged.get(name):
             message = f"{diverged} of {rollouts.windows} simulations of {which} diverged and were stopped"

@@ -64,7 +64,7 @@ def as_logged(log: Log) -> Log:
         If nothing in it moves a joint.
     """
     if not {"tau", "qcmd"} & log.signals.keys():
-        raise LogError(log.path, "has neither torque nor command; with --track the controller follows its q")
+        raise LogError(log.path, "has neither torque nor command; with --track, the controller follows its q")
     return log
 
 

@@ -115,7 +115,9 @@ def adapt(
         If nothing fulfils the sets and exact constraints.
     """
     if not forgetting > 0:
-        raise ConfigError("--forgetting", f"{forgetting:g} s is no time constant; give a positive one, or inf for none")
+        raise ConfigError(
+            "--forgetting", f"{forgetting:g} s is not a time constant; give a positive one, or inf for none"
+        )
     started = time.perf_counter()
     kind = experiment.config.regularization.kind
     fit = RecursiveFit(experiment.equation, experiment.model, sets, kind, experiment.equalities)

@@ -66,7 +66,7 @@ def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
     if "infeasible" in programme.status:
         raise infeasible(problem)
     if step.value is None:
-        raise SolverError("solver.backend", f"{backend} found no solution ({programme.status}); use another")
+        raise SolverError("solver.backend", f"{backend} found no solution ({programme.status}); use another solver")
     duals = [np.asarray(inequality.dual_value, dtype=np.float64) for inequality in inequalities]
     multipliers = np.asarray(bounds[0].dual_value, dtype=np.float64) if bounds else np.zeros(0)
     iterations = programme.solver_stats.num_iters or 0
@@ -79,9 +79,9 @@ def _run(cp: ModuleType, programme: Any, backend: str) -> None:
             programme.solve(solver=backend, **_SETTINGS.get(backend, {}))
         except cp.error.SolverError as error:
             if backend in MATRIX_SOLVERS:
-                raise SolverError("solver.backend", f"{backend} gave up ({error}); use another") from None
+                raise SolverError("solver.backend", f"{backend} failed ({error}); use another solver") from None
             able = [name for name in cp.installed_solvers() if name in MATRIX_SOLVERS]
-            what = f"{backend} does not take matrix inequalities; use one of {', '.join(able)}"
+            what = f"{backend} does not support matrix inequalities; use one of {', '.join(able)}"
             raise SolverError("solver.backend", what) from None
 
 

@@ -188,7 +188,8 @@ class Barrier:
             x, _ = _minimise(relaxed, P_relaxed, np.append(q, -pull), x, E_relaxed, self._e)
             if x[-1] < 0:
                 return x[:m]
-        raise SolverError("constraints", "no parameters fulfil them and what is known exactly; loosen one of them")
+        what = "no parameters satisfy both the constraints and the exactly known values; relax one of them"
+        raise SolverError("constraints", what)
 
     def _is_inside(self, x: Array) -> bool:
         """True if all inequalities hold strictly at x, and the log-dets are finite."""

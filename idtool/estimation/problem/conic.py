@@ -109,9 +109,9 @@ def solve_conic(problem: Problem, start: Array, settings: Mapping[str, Any]) -> 
 
 def infeasible(problem: Problem) -> InfeasibleError:
     """The error that no parameters fulfil a problem's constraints."""
-    what = f" and what is known exactly ({join_names(problem.equality_labels)})" if problem.equality_labels else ""
+    what = f" and the exactly known values ({join_names(problem.equality_labels)})" if problem.equality_labels else ""
     return InfeasibleError(
-        "solver", f"found no parameters that fulfil the constraints{what}; loosen one of them, or check its unit"
+        "solver", f"found no parameters that satisfy the constraints{what}; relax one of them, or check its unit"
     )
 
 
@@ -150,7 +150,7 @@ def extreme_conic(
     if "DualInfeasible" in str(answer.status):
         return None
     if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-        raise SolverError("solver", f"found no bound of what the data allow ({answer.status})")
+        raise SolverError("solver", f"could not compute the range that the data allow ({answer.status})")
     return np.asarray(start + np.asarray(answer.x)[: problem.variables])
 
 

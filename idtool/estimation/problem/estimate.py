@@ -261,13 +261,13 @@ def stuck_note(certificate: Certificate) -> str:
         return ""
     if certificate.holds:
         return (
-            f"keeping every body inside its set, by {INTERIOR:g} of its mass and size, raises the cost by up to "
-            f"{certificate.margin:.1e} of it: the data ask for bodies far outside of their sets"
+            f"keeping the bodies inside their sets by a margin of {INTERIOR:g} of their mass and size increases the "
+            f"cost by up to a fraction of {certificate.margin:.1e}: the data favour bodies far outside their sets"
         )
     at = f", with {certificate.where} at its limit" if -certificate.violation < _AT_LIMIT else ""
     return (
         f"{certificate.name} stopped after {certificate.iterations} iterations at a cost up to "
-        f"{certificate.duality_gap:.1e} above the global optimum, relative to it{at}"
+        f"a fraction of {certificate.duality_gap:.1e} above the global optimum{at}"
     )
 
 
@@ -276,9 +276,9 @@ def unfinished_note(certificate: Certificate) -> str:
     error = certificate.parameter_error
     if certificate.name in LOCAL or (error is not None and error <= PARAMETER_TOLERANCE):
         return ""
-    far = "an unknown share" if error is None else f"{error:.1g}"
+    far = "an unknown fraction" if error is None else f"{error:.1g}"
     return (
-        "the cost is the least, but not all parameters are at the optimum: those that the prior alone holds may be off "
+        "the cost is optimal, but some parameters are not: those determined only by the prior may be off "
         f"by {far} of their body's mass and size"
     )
 

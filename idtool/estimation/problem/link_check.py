@@ -29,7 +29,7 @@ class LinkCheck:
     body
         The link by itself, with the bounds that the configuration gives it.
     violations
-        Reasons why no body can have its inertial, a plain sentence each; none if one can.
+        Reasons why its inertial is not realizable, one sentence each; none if it is.
     """
 
     body: Body
@@ -54,7 +54,7 @@ def check_links(robot: Robot, config: Config) -> list[LinkCheck]:
     for key in ("bounding_ellipsoids", "bounding_shapes"):
         for name in getattr(config, key):
             if name not in robot.links:
-                raise ConfigError(f"{key}: {name}", f"is no link of the URDF; {suggestion(name, robot.links)}")
+                raise ConfigError(f"{key}: {name}", f"is not a link of the URDF; {suggestion(name, robot.links)}")
     checks = []
     for link, pi in robot.links.items():
         if pi is None or not pi.any():

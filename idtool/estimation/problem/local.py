@@ -280,10 +280,12 @@ def check_problem(problem: Problem, name: str) -> None:
         inequalities = variables.piece.inequalities
         if len(inequalities) != 1 or inequalities[0] is not REALIZABLE:
             body = problem.body_names[variables.body]
-            what = f"{name} knows only constraints: full, and {body} has others; use clarabel"
+            what = f"{name} supports only constraints: full, but {body} has others; use clarabel"
             raise SolverError("solver.name", what)
     if len(problem.e):
-        what = f"{name} cannot hold known masses or centres exactly; give them a standard_error, or use clarabel"
+        what = (
+            f"{name} cannot keep known masses or centres of mass exactly; give them a standard_error, or use clarabel"
+        )
         raise SolverError("solver.name", what)
 
 

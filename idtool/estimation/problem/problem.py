@@ -260,5 +260,5 @@ def _exact_equations(equalities: EqualityConstraints, scale: Array) -> tuple[Arr
     deviation = np.abs(E @ rows.T @ values - e)
     if deviation.max() > _AGREEMENT * max(np.abs(e).max(), 1.0):
         worst = equalities.hard[int(np.argmax(deviation))].label
-        raise ConfigError(worst, "contradicts what else is known exactly; give one of them a standard_error")
+        raise ConfigError(worst, "contradicts another exactly known value; give one of them a standard_error")
     return rows, values

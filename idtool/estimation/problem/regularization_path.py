@@ -46,10 +46,10 @@ _ROUNDING = 1e-12  # of the torque's square: what is less of the residual's says
 _ASSUMED_ERROR = 0.3  # relative standard error of the prior's inertias where logs are too short to ask
 
 _REASONS = {
-    "validation": "with more, blocks of time that were left out would be predicted worse by over one standard error",
-    "significance": f"with more, the fit would be moved by over {_MOST_MOVED:g} standard errors from what the data say",
-    "range": "it is the largest that is tried",
-    "untested": "the logs are too short to leave out a part, so the URDF's inertias are trusted to "
+    "validation": "a larger weight would increase the error on held-out blocks of time by more than one standard error",
+    "significance": f"a larger weight would move the fit more than {_MOST_MOVED:g} standard errors from the best fit",
+    "range": "it is the largest weight that is tried",
+    "untested": "the logs are too short for cross-validation, so the URDF's inertias are assumed to be accurate to "
     f"{100 * _ASSUMED_ERROR:g} %",
 }
 

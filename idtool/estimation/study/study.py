@@ -141,7 +141,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
     validation = held_out(experiment, progress)
     if not validation[0].rows:
-        raise ConfigError("--holdout", "a study compares errors on data that were not fitted; hold some out")
+        raise ConfigError("--holdout", "a study compares errors on held-out data; use a larger --holdout or --validate")
     rng = np.random.default_rng(experiment.config.seed)
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)

@@ -152,7 +152,7 @@ def uncertainty_analysis(
 
     parameters = logs = bias = None
     if thorough:
-        tell = partial(progress, "asking what each number rests on")
+        tell = partial(progress, "finding the source of each parameter")
         parameters = identifiability(
             experiment.model, equation, equalities, identification.reduction, estimate, uncertainty, tell
         )
@@ -207,8 +207,8 @@ def _at_least_spectral(uncertainty: Uncertainty, independent: Mapping[str, float
 def _cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[Notice]:
     if robust.bootstrap is None:
         seconds = sum(len(log) * log.seconds for log in data)
-        few = f"{seconds:.2g} s of data make fewer than the {FEWEST_CLUSTERS} blocks that standard errors need"
-        message = f"{few}: they follow from the residual's spectrum alone"
+        few = f"{seconds:.2g} s of data are fewer than the {FEWEST_CLUSTERS} blocks that standard errors need"
+        message = f"{few}: they are computed from the residual's spectrum alone"
         return [Notice("few_blocks", "warning", None, message, "log for longer")]
     notices = []
     if robust.correlated_beyond_clusters:
@@ -237,7 +237,10 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     differ = f"{count} of {len(logs.agrees)} base parameters differ between logs by more than their intervals"
     if logs.outlier is not None:
         outlier = logs.logs[logs.outlier]
-        return [*notices, Notice("logs_disagree", "warning", None, f"{differ}; the odd one out is {outlier}")]
+        return [
+            *notices,
+            Notice("logs_disagree", "warning", None, f"{differ}; the log that differs from the others is {outlier}"),
+        ]
     message = f"{differ}: their intervals from all logs together are too short"
     return [*notices, Notice("logs_disagree", "warning", None, message)]
 
@@ -251,7 +254,7 @@ def _mass_notices(parameters: Identifiability | None, experiment: Experiment) ->
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
         message = f"the torque does not determine the mass of {join_names(unknown)}"
-        yield Notice("mass_undetermined", "warning", None, message, "weigh the moving part and give known.total_mass")
+        yield Notice("mass_undetermined", "warning", None, message, "weigh the moving parts and set known.total_mass")
 
 
 def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]:

@@ -148,7 +148,7 @@ class Shell(Pattern):
         """The tip of the named link, or tips of limbs that have no joint in common, longest first."""
         robot = self.model.robot
         if tip is not None and tip not in robot.links:
-            raise ConfigError("--tip", f"{tip} is no link; {suggestion(tip, robot.links)}")
+            raise ConfigError("--tip", f"{tip} is not a link; {suggestion(tip, robot.links)}")
         if tip is not None:
             tips = [tip]
         else:
@@ -175,7 +175,10 @@ class Shell(Pattern):
                 limbs.append(_Limb(body, p, joints, np.maximum(spread, _MIN_SPREAD * spread.max())))
                 is_free[joints] = False
         if not limbs:
-            raise ModelError(robot.path, "has no tip that its joints move; give another --tip, or another --pattern")
+            raise ModelError(
+                robot.path,
+                "has no moving link that could follow the shell; give another --tip or another --pattern",
+            )
         return tuple(limbs)
 
 

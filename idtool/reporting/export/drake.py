@@ -37,7 +37,7 @@ def to_drake(identified: IdentifiedModel) -> Export:
     Raises
     ------
     ModelError
-        If a body has an inertia that no body can have: Drake would put another in its place.
+        If a body has an inertia that is not realizable: Drake would replace it.
     """
     rotors = averaged_rotors(identified)
     moving = {body.name for body in identified.model.bodies if body.kind == "link"}
@@ -166,7 +166,8 @@ def _list_parts(
     robot, model = identified.robot, identified.model
     links = {body.name: pi for body, pi in zip(model.bodies, identified.pi, strict=True) if body.kind == "link"}
     carried = [
-        Part("inertial", link, "mass with all that is fixed to it", float(pi[0]), "kg") for link, pi in links.items()
+        Part("inertial", link, "mass including everything fixed to it", float(pi[0]), "kg")
+        for link, pi in links.items()
     ]
     carried += identified.inertias
     not_carried = [*identified.others, *(replace(part, detail=NO_EQUIVALENT) for part in identified.offsets)]
@@ -187,13 +188,15 @@ def _list_parts(
     for joint in robot.joints.values():
         if joint.name in model.names and not joint.effort > 0:
             not_carried.append(
-                Part("actuator", joint.name, "has an effort limit of 0; Drake leaves it out, rotors and all")
+                Part("actuator", joint.name, "has an effort limit of 0, so Drake ignores it and its rotors")
             )
         if joint.mimic is not None and joint.child in links:
-            not_carried.append(Part("mimic", joint.name, "Drake holds it in a discrete plant only"))
+            not_carried.append(Part("mimic", joint.name, "Drake supports it only in a discrete plant"))
     if tuple(identified.gravity) != _DRAKE_GRAVITY:
         values = ", ".join(f"{x:.6g}" for x in identified.gravity)
-        not_carried.append(Part("gravity", robot.root, f"is the plant's; set its gravity vector to [{values}]"))
+        not_carried.append(
+            Part("gravity", robot.root, f"is a property of Drake's plant; set its gravity vector to [{values}]")
+        )
     if robot.root != "world":
         not_carried.append(Part("fixed_base", robot.root, "is free in Drake; weld it to the world"))
     return carried, not_carried
@@ -204,7 +207,7 @@ def _omitted_rotor_parts(identified: IdentifiedModel, rotor: Rotor) -> list[Part
     parts = []
     entries = [abs(a * b) for a, b in combinations(rotor.ratios, 2)]
     if any(entries):
-        parts.append(rotor.part("its coupling of joints in the mass matrix", rotor.inertia * float(max(entries))))
+        parts.append(rotor.part("the coupling between joints in the mass matrix", rotor.inertia * float(max(entries))))
     if rotor.carrier is None or rotor.carrier.any():
         parts.append(rotor.coupling())
     return [*parts, *rotor.imbalance(identified.gravity)]

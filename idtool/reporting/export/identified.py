@@ -23,7 +23,7 @@ from idtool.robot.model import Model, build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint, read_robot
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
-NO_EQUIVALENT = "the simulator has nothing like it"
+NO_EQUIVALENT = "the simulator does not support it"
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def read_identified(folder: Path) -> IdentifiedModel:
     """
     for name in (URDF, CONFIG):
         if not (folder / name).is_file():
-            raise ModelError(folder / name, "is missing; give the folder that idtool fit wrote to")
+            raise ModelError(folder / name, "is missing; give the output folder of idtool fit or diagnose")
     return identified_model(read_robot(folder / URDF), read_config(folder / CONFIG))
 
 
@@ -177,7 +177,7 @@ class _EffectsByForm:
             self.offsets.append(Part(effect.id, owner, "ref of the joint", *amount))
         has_hysteresis = any(value for _, value in mechanism.hysteresis_terms)
         if mechanism.torque_sensors or mechanism.torque_delay.any():
-            self.others.append(Part(effect.id, owner, "it is the sensors', not the robot's", *amount))
+            self.others.append(Part(effect.id, owner, "it belongs to the sensors, not to the robot", *amount))
         elif mechanism.transmissions or mechanism.extra_torques or has_hysteresis:
             self.others.append(Part(effect.id, owner, NO_EQUIVALENT, *amount))
 

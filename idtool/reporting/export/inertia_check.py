@@ -33,4 +33,5 @@ def is_acceptable(pi: Array) -> bool:
 def unrealizable_error(robot: Robot, name: str) -> ModelError:
     """The error for a body that cannot exist."""
     where = f"{robot.path}: {name}"
-    return ModelError(where, "has an inertia that no body can have, which the simulator refuses; fit it within full")
+    what = "has an inertia that is not physically realizable, so the simulator rejects it"
+    return ModelError(where, f"{what}; fit it with constraints: full or tighter")

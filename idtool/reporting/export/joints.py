@@ -93,23 +93,23 @@ class ForcesByJoint(dict[str, JointForces]):
                 return "damping"
             case QuadraticDamping(coefficient=coefficient):
                 forces.drag += coefficient
-                return "the quadratic part of damping"
+                return "quadratic coefficient of damping"
             case FrictionLoss(level=level):
                 forces.frictionloss += level
                 return "frictionloss"
             case ConstantTorque(torque=torque):
                 forces.bias -= torque
-                return "bias of an actuator, the other way round"
+                return "bias of an actuator, with the opposite sign"
             case Spring(stiffness=stiffness, rest_position=rest_position):
                 return forces.add_spring(stiffness, rest_position + forces.ref)
             case OneSidedSpring(stiffness=stiffness, position=position, side=side):
                 forces.stops.append((side, position + forces.ref, stiffness))
-                return f"a tendon's spring beyond {position + forces.ref:.4g}"
+                return f"a spring on a tendon, which acts beyond {position + forces.ref:.4g}"
             case TorqueTransfer(source=source, share=share):
                 shares = self[names[source]].torque_shares
                 joint = names[element.joint]
                 shares[joint] = shares.get(joint, 0.0) + share
-                return f"the motor of {names[source]} drives a tendon"
+                return f"a tendon that the motor of {names[source]} drives"
         raise TypeError(type(element).__name__)
 
 

@@ -56,9 +56,7 @@ def _add_body(scene: Scene, joint: UrdfJoint) -> None:
     if name == _WORLD:
         while name in scene.identified.robot.links:
             name += "_"
-        scene.not_carried.append(
-            Part("name", joint.child, f"is MuJoCo's word for what stands still; the body is {name}")
-        )
+        scene.not_carried.append(Part("name", joint.child, f"is a reserved name in MuJoCo; the body is called {name}"))
     scene.bodies[joint.child] = etree.SubElement(
         scene.bodies[joint.parent], "body", name=name, pos=text(p), quat=quaternion(R)
     )
@@ -88,7 +86,7 @@ def _add_follower(scene: Scene, joint: UrdfJoint) -> None:
     head = int(np.flatnonzero(body.ratios)[0])
     law = text([body.offset, body.ratios[head], 0.0, 0.0, 0.0])
     etree.SubElement(scene.equalities, "joint", joint1=joint.name, joint2=model.names[head], polycoef=law)
-    how = f"a stiff constraint holds it to {model.names[head]}; it has a coordinate of its own"
+    how = f"coupled to {model.names[head]} by a stiff constraint; it has its own coordinate"
     scene.carried.append(Part("mimic", joint.name, how))
 
 
@@ -102,9 +100,11 @@ def _collect_geoms(scene: Scene) -> dict[str, list[dict[str, str]]]:
         else:
             geoms.setdefault(link, []).append(geom)
     if geoms:
-        scene.carried.append(Part("geometry", ", ".join(geoms), "primitives, which touch nothing"))
+        scene.carried.append(Part("geometry", ", ".join(geoms), "primitives, without contact"))
     if links_without:
-        scene.not_carried.append(Part("geometry", ", ".join(links_without), "meshes and what else is no primitive"))
+        scene.not_carried.append(
+            Part("geometry", ", ".join(links_without), "meshes and other shapes that are not primitives")
+        )
     return geoms
 
 

@@ -34,7 +34,7 @@ def to_mujoco(identified: IdentifiedModel, rotor_bodies: bool = False) -> Export
     Raises
     ------
     ModelError
-        If a moving body has an inertia that no body can have: MuJoCo refuses those.
+        If a moving body has an inertia that is not realizable, which MuJoCo rejects.
     """
     scene = Scene(identified)
     _add_effects(scene)
@@ -100,7 +100,9 @@ def _header_lines(scene: Scene, has_rotor_bodies: bool) -> list[str]:
         "rad, m, s, kg, N·m. ctrl is the torque or force at the joint.",
     ]
     if has_rotor_bodies:
-        lines.append("Before a simulation, set the rotors' positions and velocities to what their joints' make them.")
+        lines.append(
+            "Before a simulation, set the positions and velocities of the rotors consistently with their joints."
+        )
     if scene.not_carried:
         lines += ["Not carried:", *(f"  {part}" for part in scene.not_carried)]
     return lines
@@ -114,7 +116,7 @@ def _controller_lines(scene: Scene) -> list[str]:
     lines = ["The controller that drove the robot: ctrl = kp (qcmd - q) + kd (vcmd - v),"]
     delay = controller.known_delay
     unknown = "with a delay that was not identified (controller.delay: auto)."
-    lines.append(f"on a command {delay.value!r} s late." if delay else unknown)
+    lines.append(f"with a command that is delayed by {delay.value!r} s." if delay else unknown)
     for name in controller.kp:
         if name in scene.forces:
             lines.append(f"  {name}: kp {controller.kp[name]!r}, kd {controller.kd.get(name, 0.0)!r}")

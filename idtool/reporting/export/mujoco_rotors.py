@@ -53,7 +53,7 @@ def omitted_parts(scene: Scene, rotor: Rotor) -> list[Part]:
         parts.append(rotor.coupling())
     coupling = _omitted_coupling(scene, rotor)
     if coupling:
-        parts.append(rotor.part("its coupling of joints on different branches in the mass matrix", coupling))
+        parts.append(rotor.part("the coupling between joints on different branches in the mass matrix", coupling))
     return [*parts, *rotor.imbalance(scene.identified.gravity)]
 
 
@@ -74,7 +74,7 @@ def add_rotor_body(scene: Scene, rotor: Rotor) -> None:
     Raises
     ------
     ModelError
-        If it has an inertia that no body can have.
+        If its inertia is not realizable.
     """
     body, mount = rotor.body, rotor.body.mount
     R = mount.R @ Rotation.from_rotvec(body.axis * body.offset).as_matrix()  # its angle is 0 where the joints' are
@@ -95,7 +95,7 @@ def add_rotor_body(scene: Scene, rotor: Rotor) -> None:
         tendon = scene.add_tendon(body.name, {**{names[j]: rotor.ratios[j] for j in joints}, hinge: -1.0})
         etree.SubElement(scene.equalities, "tendon", tendon1=tendon)
     joint_names = ", ".join(names[j] for j in joints)
-    scene.carried.append(rotor.part(f"a body that a stiff constraint holds to {joint_names}", rotor.inertia))
+    scene.carried.append(rotor.part(f"a body that is coupled to {joint_names} by a stiff constraint", rotor.inertia))
 
 
 def _unused_name(name: str, used_names: Collection[str]) -> str:

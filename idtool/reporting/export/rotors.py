@@ -80,7 +80,7 @@ class Rotor:
     def coupling(self) -> Part:
         """The part for a coupling with the carrier's rotation that is left out."""
         size = self.inertia * self.largest_ratio * self.largest_carrier_ratio
-        return self.part("its coupling with its carrier's rotation in the mass matrix", size)
+        return self.part("the coupling with the rotation of its carrier in the mass matrix", size)
 
     def imbalance(self, gravity: Array) -> list[Part]:
         """Parts for what averaging leaves out, if it is more than rounding."""
@@ -90,7 +90,7 @@ class Rotor:
         torque = moment * self.largest_ratio * float(np.linalg.norm(gravity))
         parts = []
         if moment > _ROUNDING * np.sqrt(mass * size):
-            parts.append(self.part("its unbalance, as torque under gravity", torque, "N·m"))
+            parts.append(self.part("its unbalance, as gravity torque at the joint", torque, "N·m"))
         if change > _ROUNDING * size:
             parts.append(self.part("the part of its inertia that changes with its angle", change))
         return parts

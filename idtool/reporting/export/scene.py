@@ -101,10 +101,16 @@ class Scene:
         mass, com, inertia = mass_com_inertia(pi)
         if not mass:
             self.not_carried.append(
-                Part("inertial", name, "MuJoCo refuses a body without mass; it has", MUJOCO_MINIMUM, "kg")
+                Part(
+                    "inertial",
+                    name,
+                    "MuJoCo does not accept a body without mass, so it has a mass of",
+                    MUJOCO_MINIMUM,
+                    "kg",
+                )
             )
         if moves:
-            self.carried.append(Part("inertial", name, "mass with all that is fixed to it", mass, "kg"))
+            self.carried.append(Part("inertial", name, "mass including everything fixed to it", mass, "kg"))
         inertia = inertia + max(0.0, MUJOCO_MINIMUM - slack(inertia)) * np.eye(3)
         xx, xy, yy, xz, yz, zz = symmetric_entries(inertia)
         full = text([xx, yy, zz, xy, xz, yz])

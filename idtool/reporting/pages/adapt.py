@@ -27,12 +27,12 @@ def adapt_page(report: AdaptationReport, command: str) -> str:
         The command line that made it.
     """
     sections: Sections = [
-        ("What was found", "adapt_findings.html"),
+        ("Findings", "adapt_findings.html"),
         FinalBodiesSection(),
         ("Centres of mass", [center_figure(report)]),
         FinalFrictionSection(),
         PredictionErrorsSection(),
-        ("How this was made", "origin.html"),
+        ("Origin of this report", "origin.html"),
     ]
     return render(
         f"{Path(report.urdf).stem}: online identification",

@@ -30,19 +30,19 @@ from idtool.reporting.simulation_report import simulation_report
 _STEPS = ("The steps", "diagnosis_steps.html")
 _SIMULATION = SimulationErrorsSection("diagnosis_simulation.html")
 _SECTIONS = (
-    ("What was found", "diagnosis_findings.html"),
+    ("Findings", "diagnosis_findings.html"),
     ErrorsBeforeAfterSection(),
     _STEPS,
-    ("Where the torque error lives", "residuals.html"),
+    ("Residual by state, time and frequency", "residuals.html"),
     ("Measured and predicted torque", "diagnosis_torques.html"),
     _SIMULATION,
     FrictionSection(),
     BodiesSection(),
     ROBOT,
-    ("How this was made", "origin.html"),
+    ("Origin of this report", "origin.html"),
 )
 _MODEL_NAMES = ("before", "after")
-_MODELS_TEXT = "the model given and of that with the effects"
+_MODELS_TEXT = "the original model and of the model with the effects"
 _MAX_VALUES = 50_000  # that all curves of torque hold together: some 400 kB of text
 _MAX_ROWS = 30  # candidates of a step that are listed
 _VERDICTS = {
@@ -90,8 +90,8 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         cards=[_step_view(i, step) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         worst=_worst_joint(report),
-        near=CandidatesSection("Came near"),
-        others=CandidatesSection("What else was tried"),
+        near=CandidatesSection("Candidates that explain nearly as much"),
+        others=CandidatesSection("Other candidates"),
         **{
             "position_groups": rows_by_unit(position_units(units)),
             **simulation_view(rollouts, simulation, "identified"),
@@ -115,7 +115,7 @@ def _step_view(index: int, step: StepReport) -> dict[str, Any]:
         **{name: getattr(step, name) for name in StepReport.model_fields},
         "index": index,
         "known": known,
-        "title": f"{_title(step.effect)} on {owner_name(step)}" if known else f"Unknown, on {owner_name(step)}",
+        "title": f"{_title(step.effect)} on {owner_name(step)}" if known else f"Unknown effect on {owner_name(step)}",
         "sentence": _with_full_stop(step.evidence.sentence),
         "separate": _with_full_stop(step.evidence.separate),
         "texts": parameter_texts(step),

@@ -10,12 +10,12 @@ from idtool.reporting.results.excitation import ExcitationReport
 from idtool.reporting.sections.excite import CriteriaSection, ExpectedErrorsSection, LimitsSection
 
 _SECTIONS = (
-    ("What to expect", "excite_findings.html"),
+    ("Findings", "excite_findings.html"),
     ("Trajectory", "excite_trajectory.html"),
     LimitsSection(),
     ExpectedErrorsSection(),
     CriteriaSection(),
-    ("How this was made", "origin.html"),
+    ("Origin of this report", "origin.html"),
 )
 
 

@@ -37,11 +37,11 @@ Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]
 
 _PRIOR = PriorWeightsSection()
 _EFFECTS = EffectsSection()
-_RESIDUALS = ("Where the torque error lives", "residuals.html")
+_RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
 _MODEL_NAMES = ("prior", "identified")
-_MODELS_TEXT = "the URDF given and of the identified model"
+_MODELS_TEXT = "the original URDF and of the identified model"
 _SECTIONS = (
-    ("What was found", "fit_findings.html"),
+    ("Findings", "fit_findings.html"),
     TorqueErrorsSection(),
     ("Measured and predicted torque", "torques.html"),
     _RESIDUALS,
@@ -57,7 +57,7 @@ _SECTIONS = (
     ROBOT,
     ("Bodies in 3D", "bodies_3d.html"),
     ("Solver", "solver.html"),
-    ("How this was made", "origin.html"),
+    ("Origin of this report", "origin.html"),
 )
 
 

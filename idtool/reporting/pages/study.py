@@ -24,14 +24,14 @@ from idtool.reporting.sections.study import (
 )
 
 _SECTIONS = (
-    ("What was found", "study_findings.html"),
+    ("Findings", "study_findings.html"),
     ConstraintSetsSection(),
     LearningCurvesSection(),
     ("Realizability against the number of samples", "study_violation.html"),
     ("Measured and predicted torque", "torques.html"),
     EstimatorsSection(),
     OnlineSection(),
-    ("How this was made", "origin.html"),
+    ("Origin of this report", "origin.html"),
 )
 _MAX_DIFFERENCE = 0.05  # what the sets' errors differ by where the curves have come together
 _SHORT_LOG_SAMPLES = 30  # samples: what a short log is called in the findings
@@ -99,7 +99,7 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
     """
     units = report.units
     return render(
-        f"{Path(report.urdf).stem}: what each constraint set is worth",
+        f"{Path(report.urdf).stem}: comparison of constraint sets",
         _SECTIONS,
         [],
         {},

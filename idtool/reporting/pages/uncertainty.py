@@ -32,7 +32,7 @@ from idtool.reporting.sections.uncertainty import (
 )
 from idtool.robot.inertia import PARAMETER_NAMES
 
-SOURCES = ("What each number rests on", "trust.html")
+SOURCES = ("Source of each parameter", "trust.html")
 BASE_PARAMETERS = BaseParametersSection()
 REPEATABILITY = RepeatabilitySection()
 BIAS = BiasSection()

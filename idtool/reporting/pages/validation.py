@@ -19,12 +19,12 @@ from idtool.reporting.sections.validation import ModelErrorsSection
 from idtool.robot.model import Model
 
 _SECTIONS = (
-    ("What was found", "validation_findings.html"),
+    ("Findings", "validation_findings.html"),
     ModelErrorsSection(),
     ("Measured and predicted torque", "torques.html"),
     SIMULATION,
     ROBOT,
-    ("How this was made", "origin.html"),
+    ("Origin of this report", "origin.html"),
 )
 
 

@@ -16,7 +16,7 @@ from idtool.reporting.results.study import StudyReport
 _ORDER = ("none", "semi", "known_com", "com_ellipsoid", "points", "full", "ellipsoid", "shape")
 _MAX_TIMES = 1000
 _BAND_ERRORS = 2.0  # standard errors to either side
-_SAMPLES = "samples to fit"
+_SAMPLES = "training samples"
 
 
 def learning_figure(report: StudyReport) -> Figure:
@@ -42,8 +42,8 @@ def advantage_figure(report: StudyReport) -> Figure:
         lower = -100 * np.expm1(-advantage + deviation)
         upper = -100 * np.expm1(-advantage - deviation)
         curves += banded_curve(name, learning.counts, y, lower, upper, _color(name, learning.curves))
-    panel = Panel("error less by [%]", curves, level=0)
-    return figure(f"Held-out error below that with {first}", _SAMPLES, [panel], x_log=True)
+    panel = Panel("error reduction [%]", curves, level=0)
+    return figure(f"Reduction of the held-out error relative to {first}", _SAMPLES, [panel], x_log=True)
 
 
 def violation_figure(report: StudyReport) -> Figure:
@@ -60,7 +60,7 @@ def online_figure(report: StudyReport) -> Figure:
     t, title = time_axis(online.t[indices])
     curves = _curves(t, {name: values[indices] for name, values in online.error.items()})
     panel = Panel("relative error", curves, log=True, level=0.1)
-    return figure("Remark 5: error of the parameters, online", title, [panel])
+    return figure("Remark 5: parameter error of the online estimate", title, [panel])
 
 
 def _curves(x: Sequence[float | None], values: Mapping[str, Sequence[float | None] | Array]) -> list[Trace]:

@@ -19,7 +19,7 @@ def gap_figures(report: DiagnosisReport) -> list[Figure]:
         The content of diagnosis.json.
     """
     steps = [(i, step) for i, step in enumerate(report.steps, 1) if step.effect != UNKNOWN]
-    models = ["the model given"]
+    models = ["original model"]
     torques = [report.before.torque]
     rollouts = [report.before.simulation]
     for i, step in steps:
@@ -27,7 +27,7 @@ def gap_figures(report: DiagnosisReport) -> list[Figure]:
         torques.append(step.validation_rms_after)
         rollouts.append(step.evidence.simulation_after)
     if len(models) > 1 and torques[-1] != report.after.torque:  # a superfluous effect was removed again
-        models.append("in the end")
+        models.append("final model")
         torques.append(report.after.torque)
         rollouts.append(report.after.simulation)
     torque_units = {"overall": common_unit(report.units), **report.units}
@@ -84,8 +84,8 @@ def gap_figure(
     domain = (0.0, 1.0) if rollout is None else (0.55, 1.0)
     panels = [Panel(f"torque [{_unit_text(torque[1])}]", torques, domain=domain, axis=zero)]
     if rollout is not None:
-        errors = [curve("rollout", at, rollout[0], "c2", **marked)]
-        panels.append(Panel(f"rollout [{_unit_text(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
+        errors = [curve("simulation", at, rollout[0], "c2", **marked)]
+        panels.append(Panel(f"position [{_unit_text(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
     steps = [_step_label(i, model) for i, model in enumerate(models)]
     x_axis = {"range": ends, "tickvals": at, "ticktext": steps, "zeroline": False}
     description = f"Errors of {name} by step, against the noise floor"
@@ -95,9 +95,9 @@ def gap_figure(
 def _step_label(i: int, model: str) -> str:
     """A model's name below the axis."""
     if i == 0:
-        return "given"
+        return "original"
     number, colon, _ = model.partition(":")
-    return number if colon else "end"
+    return number if colon else "final"
 
 
 def _unit_text(unit: str) -> str:

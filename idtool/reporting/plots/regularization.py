@@ -16,10 +16,10 @@ def regularization_figure(automatic: AutomaticWeight) -> Figure:
     """
     path = automatic.path
     weight = [point.weight for point in path]
-    errors = [styled_curve("data that were fitted", weight, [point.train_error for point in path], 0)]
+    errors = [styled_curve("fitted data", weight, [point.train_error for point in path], 0)]
     if automatic.standard_error is not None:
         left_out = [point.validation_error for point in path]
-        errors.append(styled_curve("blocks of time left out", weight, left_out, 1))
+        errors.append(styled_curve("held-out blocks", weight, left_out, 1))
     mass = styled_curve("total mass", weight, [point.total_mass for point in path], 2)
     distance = styled_curve("distance", weight, [point.distance for point in path], 3)
     panels = [
@@ -27,4 +27,4 @@ def regularization_figure(automatic: AutomaticWeight) -> Figure:
         Panel("total mass [kg]", [mass], log=True),
         Panel("distance", [distance], log=True),
     ]
-    return figure("Fits with other weights", "weight of the prior", panels, x_log=True)
+    return figure("Fits with other weights of the prior", "weight of the prior", panels, x_log=True)

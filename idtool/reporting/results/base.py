@@ -112,16 +112,16 @@ class Record(BaseModel):
 
 
 class NoticeReport(Record):
-    """Something that a user should know."""
+    """A notice about a log, a model or a result."""
 
     code: str = field("What it is; [Notices](notices.md) lists all codes.")
     severity: Severity = field(
-        "`note`: nothing has to be done; `warning`: the result may be worse for it; `problem`: what it is about can't "
-        "be used as it is."
+        "`note`: no action is needed; `warning`: the result may be worse because of it; `problem`: the log, model or "
+        "result cannot be used as it is."
     )
     subject: str | None = field("The joint, link, file or setting that it is about; null: several, or all.")
-    message: str = field("What is to be known of the subject, with figures.")
-    advice: str = field("What it means and what to do; empty where the message is enough.")
+    message: str = field("What was found about the subject, with numbers.")
+    advice: str = field("What it means and what to do; empty if the message is enough.")
 
     @property
     def sentence(self) -> str:
@@ -134,7 +134,7 @@ class Result(Record):
 
     idtool: str = Field(VERSION, description="Version of idtool.")
     schema_version: int = Field(SCHEMA_VERSION, alias="schema", description="Version of this schema.")
-    notices: tuple[NoticeReport, ...] = Field((), description="What a user should know.")
+    notices: tuple[NoticeReport, ...] = Field((), description="Notices about the input and the result.")
     warnings: Sentences = Field((), description="The same notices, each as one text: subject, message and advice.")
 
     __eq__ = object.__eq__  # by identity: arrays in it have no truth value

@@ -50,7 +50,7 @@ class Location(Record):
 
     joints: tuple[str, ...] = field("The joints.")
     windows: tuple[tuple[float, float], ...] = field("Time windows [s].")
-    region: str = field("The region of the state space, as a sentence.")
+    region: str = field("Description of the region where the residual was concentrated.")
 
 
 class CandidateReport(Record):
@@ -75,8 +75,10 @@ class Evidence(Record):
     separate: str = field("Experiment that would distinguish the two; empty without a pair.")
     simulation_before: ByJointOrNone | None = field("Position error of the rollouts before the step [rad or m].")
     simulation_after: ByJointOrNone | None = field("Position error of the rollouts after the step.")
-    rollout_worse: tuple[str, ...] = field("Joints whose rollouts got worse while the torque got better.")
-    sentence: str = field("The step as a sentence.")
+    rollout_worse: tuple[str, ...] = field(
+        "Joints whose simulation is worse although their torque is predicted better."
+    )
+    sentence: str = field("Description of the step.")
     doubt: str = field("Reason for doubt, such as a payload heavier than the robot; empty: none.")
 
 
@@ -93,7 +95,7 @@ class StepReport(EffectReport):
 
     @property
     def sentence(self) -> str:
-        """The step as a sentence."""
+        """Description of the step."""
         return self.evidence.sentence
 
 
@@ -138,7 +140,9 @@ class DiagnosisReport(ReproducibleResult):
     after: ErrorLevel = field("Errors of the model with the effects.")
     noise_floor: ByJointOrNone = field("Noise floor: torque error that no model can go below [N·m or N].")
     gap_closed: ByJointOrNone = field("(before − after) / (before − noise floor); null if there was almost no gap.")
-    rollout_worse: tuple[str, ...] = field("Joints whose rollouts got worse while the torque got better.")
+    rollout_worse: tuple[str, ...] = field(
+        "Joints whose simulation is worse although their torque is predicted better."
+    )
     steps: tuple[StepReport, ...] = field("Effects that were added, in order.")
     removed: Sentences = field("Effects that were added and removed again, one sentence each.")
     data_faults: tuple[DataFault, ...] = field("Faults of the logs.")

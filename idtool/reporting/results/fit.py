@@ -125,7 +125,7 @@ class BodyReport(Record):
     def __repr__(self) -> str:
         com = ", ".join(f"{x:.4g}" for x in self.com)
         moments = ", ".join(f"{x:.4g}" for x in self.inertia_com[[0, 2, 5]])
-        existence = "realizable" if self.realizable else "no body can have this"
+        existence = "realizable" if self.realizable else "not realizable"
         error = f" ± {self.standard_error[0]:.2g}" if self.standard_error[0] >= 0 else ""
         mass = f"{self.mass:.4g}{error} kg"
         return f"{self.kind.capitalize()}: {mass} at ({com}) m, Ixx, Iyy, Izz {moments} kg·m², {existence}"
@@ -361,7 +361,7 @@ class FitReport(ReproducibleResult):
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
-    effects: tuple[EffectReport, ...] = field("Effects beside rigid bodies and friction.")
+    effects: tuple[EffectReport, ...] = field("Effects besides rigid bodies and friction.")
     rotors: Annotated[ReadOnly[Annotated[ReadOnly[ReflectedInertia], Keys("joint")]], Keys("rotor")] = field(
         "Reflected inertia at each joint that drives the rotor."
     )

@@ -42,7 +42,7 @@ class PredictionErrorsSection(Section[AdaptationReport]):
 
     @override
     def text(self, report: AdaptationReport) -> str:
-        return "Root mean square of measured less predicted torque, each sample predicted before it was used."
+        return "Root mean square of measured minus predicted torque. Each sample is predicted before it is used."
 
 
 class FinalBodiesSection(Section[AdaptationReport]):
@@ -57,7 +57,7 @@ class FinalBodiesSection(Section[AdaptationReport]):
         columns = [
             name_column("body"),
             Column("mass", "kg"),
-            Column("within 5 % of it after", "s", page_only=True),
+            Column("settled to 5 % after", "s", page_only=True),
             Column("centre of mass", "m", page_only=True),
             Column("realizable"),
             Column("constraint set", kind="name", page_only=True),
@@ -87,7 +87,7 @@ class FinalFrictionSection(Section[AdaptationReport]):
             terms = (friction.viscous, friction.coulomb, friction.offset)
             rows.append([Cell(joint), *unit_cells(report.units, joint), *map(number_cell, terms)])
         viscous = " or ".join(dict.fromkeys(f"{unit}·s/{positions[joint]}" for joint, unit in report.units.items()))
-        title = f"Friction at the end, viscous {viscous}, else {units_text(report.units)}"
+        title = f"Friction at the end, viscous {viscous}, others {units_text(report.units)}"
         return Table(title, columns, rows, keys=1 + len(units))
 
     @override

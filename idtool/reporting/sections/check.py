@@ -19,7 +19,10 @@ class LinksSection(Section[CheckReport]):
         is_repaired = any(link.nearest for link in report.links.values())
         columns = [name_column("link"), Column("mass", "kg"), Column("realizable")]
         if is_repaired:
-            columns += [Column("repaired", "kg"), Column("moved", attached=True)]
+            columns += [
+                Column("repaired", "kg"),
+                Column("change", help="Largest change of the inertia, relative to its largest entry", attached=True),
+            ]
         rows = []
         for name, link in report.links.items():
             row = [Cell(name), number_cell(link.mass), realizable_cell(not link.violations)]

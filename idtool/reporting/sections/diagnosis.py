@@ -25,6 +25,7 @@ from idtool.reporting.sections.base import (
 )
 
 _MAX_INCREASE = 1.02  # times the torque error before
+_EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
 
 
 class StepsSection(Section[DiagnosisReport]):
@@ -43,11 +44,11 @@ class StepsSection(Section[DiagnosisReport]):
             Column("effect", kind="words"),
             Column("on", kind="words", attached=True),
             Column("parameters", kind="words"),
-            Column(f"{data} RMS, {common_unit(report.units)}"),
-            Column(f"rollout, {common_unit(position_units(report.units))}"),
-            Column("explains", help="Share of the disagreement's power on data not used for fitting"),
-            Column("in se", help="Gain in standard errors", attached=True),
-            Column("or", kind="words", help="What the data cannot tell it from"),
+            Column(f"{data} error, {common_unit(report.units)}"),
+            Column(f"simulation error, {common_unit(position_units(report.units))}"),
+            Column("residual explained", help=_EXPLAINED),
+            Column("gain / se", help="Gain divided by its standard error", attached=True),
+            Column("or", kind="words", help="Effect that the data cannot distinguish from it"),
         ]
         rows = []
         for i, step in steps:
@@ -72,7 +73,7 @@ class StepsSection(Section[DiagnosisReport]):
 class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
     """Errors by joint, before, after and at the noise floor."""
 
-    title = "The gap, step by step"
+    title = "Errors, step by step"
     template = "diagnosis_gap.html"
     parts = (StepsSection(),)
 
@@ -97,7 +98,7 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
             Column("after, training data", page_only=True),
         ]
         if rollouts:
-            columns += [Column("rollout before"), Column("rollout after", attached=True)]
+            columns += [Column("simulation before"), Column("simulation after", attached=True)]
         rows = []
         for name in (*report.joints, "overall"):
             row = [Cell(name)]
@@ -114,16 +115,17 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
             rows.append(row)
         title = f"RMS torque error{' on held-out data' if is_held_out else ''}, {common_unit(report.units)}"
         if rollouts:
-            title += f"; rollouts' position error, {common_unit(lengths)}"
+            title += f"; position error of the simulation, {common_unit(lengths)}"
         return Table(title, columns, rows, keys=1 + is_mixed)
 
     @override
     def text(self, report: DiagnosisReport) -> str:
         fixed = " with the URDF's inertia" if report.inertia == "fixed" else ""
         return (
-            f"Root mean square, the torque's in the band up to {report.band_hz:g} Hz. Before: the model given, "
-            f"fitted{fixed}, without the effects found. Noise floor: what no model could come below on these data. Gap "
-            "closed: the share of what was above the floor that is gone; –: there was next to nothing."
+            f"Root mean square; torque errors are in the band up to {report.band_hz:g} Hz. Before: the original model, "
+            f"fitted{fixed}, without the effects found. Noise floor: the error that no model can go below on these "
+            "data. Gap closed: reduction of the error, relative to its initial distance from the noise floor; –: this "
+            "distance was almost zero."
         )
 
 
@@ -153,9 +155,9 @@ class CandidatesSection(Section[Sequence[CandidateReport]]):
         columns = [
             Column("effect", kind="words"),
             Column("on", kind="words"),
-            Column("explains"),
-            Column("parameters"),
-            Column("why not", kind="words"),
+            Column("residual explained", help=_EXPLAINED),
+            Column("parameters", help="Number of parameters"),
+            Column("reason", kind="words", help="Reason why it was not chosen"),
         ]
         rows = []
         for candidate in report:

@@ -29,11 +29,11 @@ class ExpectedErrorsSection(Section[ExcitationReport]):
             Column("base parameter", kind="words"),
             Column("prior"),
             error_column(),
-            Column("of it", help="Standard error over the prior", attached=True),
+            Column("relative", help="Standard error divided by the prior", attached=True),
             Column("unit", kind="name", attached=True),
         ]
         if is_logged:
-            columns.append(Column("so far ±", help="Standard error with only what is logged already"))
+            columns.append(Column("± se so far", help="Standard error with the existing logs only"))
         rows = []
         for p in report.base_parameters:
             row = [Cell(p.name + (" *" if p.favoured else "")), number_cell(p.prior), number_cell(p.standard_error)]
@@ -41,15 +41,15 @@ class ExpectedErrorsSection(Section[ExcitationReport]):
             if is_logged:
                 row.append(number_cell(p.logged_standard_error))
             rows.append(row)
-        return Table("Standard errors to expect", columns, rows)
+        return Table("Expected standard errors", columns, rows)
 
     @override
     def text(self, report: ExcitationReport) -> str:
         noise = [f"{number_cell(x, 3).text} {report.units[joint]} ({joint})" for joint, x in report.noise.items()]
-        favoured = " *: favoured." if any(p.favoured for p in report.base_parameters) else ""
+        favoured = " *: parameters of --favour." if any(p.favoured for p in report.base_parameters) else ""
         return (
-            "The combinations of parameters that the torque depends on, and what a fit to this trajectory's log will "
-            f"be off by, if the torque's noise in the band is {', '.join(noise)}.{favoured}"
+            "The combinations of parameters that the torque depends on, and the standard errors of a fit to a log of "
+            f"this trajectory. Assumed torque noise in the band: {', '.join(noise)}.{favoured}"
         )
 
 
@@ -78,8 +78,8 @@ class LimitsSection(Section[ExcitationReport]):
     @override
     def text(self, report: ExcitationReport) -> str:
         return (
-            "Limits are the URDF's, tightened by the configuration. Of the position, the share is that of half the "
-            "range, from its middle."
+            "The limits are those of the URDF, tightened by the configuration. For the position, 100 % is half the "
+            "range, measured from its middle."
         )
 
 

@@ -43,10 +43,10 @@ class TorqueErrorsSection(Section[FitReport]):
         columns = [
             name_column("joint"),
             *units,
-            Column("prior", help="The URDF given, on the held-out data"),
+            Column("prior", help="The original URDF, on the held-out data"),
             Column("train", help="The identified model, on the data that it was fitted to"),
             Column("held out", help="The identified model, on the held-out data"),
-            Column("of torque", help="Error over the measured torque's standard deviation", page_only=True),
+            Column("of torque", help="Error divided by the measured torque's standard deviation", page_only=True),
             Column("prior, as logged", page_only=True),
             Column("train, as logged", page_only=True),
             Column("held out, as logged", page_only=True),
@@ -65,9 +65,10 @@ class TorqueErrorsSection(Section[FitReport]):
     @override
     def text(self, report: FitReport) -> str:
         return (
-            "Root mean square of predicted less measured torque, both through the same zero-phase filter; as logged, "
-            "the measured torque's noise above the band counts as error too. Prior: the URDF given, on the held-out "
-            "data. Of torque: the error as a share of the measured torque's standard deviation."
+            "Root mean square of predicted minus measured torque, both filtered by the same zero-phase low-pass. As "
+            "logged: relative to the unfiltered torque, so noise above the band counts as error too. Prior: the "
+            "original URDF, on the held-out data. Of torque: the error divided by the standard deviation of the "
+            "measured torque."
         )
 
 
@@ -151,13 +152,13 @@ class BodiesSection(Section[FitReport | DiagnosisReport]):
 
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
-        counts = "Data, combination, constraints, prior: how many of the ten parameters rest on what. "
+        counts = "Data, combination, constraints, prior: how many of the ten parameters come from each source. "
         analyzed = any(body.rests_on for body in report.bodies.values())
         return (
-            "± se: one standard error, from the data without the prior; –: the data do not determine the mass, so that "
-            f"prior and constraints chose it. {counts if analyzed else ''}Centre of mass: in the link's frame. Margin: "
-            "Tr(J Q), 0 where the mass distribution only just fits its bounding ellipsoid; –: no ellipsoid. With: "
-            "links fixed to this one, whose mass is counted here."
+            "± se: one standard error, from the data without the prior; –: the data do not determine the mass, so it "
+            f"comes from prior and constraints. {counts if analyzed else ''}Centre of mass: in the link's frame. "
+            "Margin: Tr(J Q), which is 0 if the mass distribution just fits into its bounding ellipsoid; –: no "
+            "ellipsoid. With: links that are fixed to this one and whose mass is included."
         )
 
 
@@ -197,9 +198,9 @@ class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
-            "The rotor's inertia about its axis times the square of the gear ratio. –: not determined, only in a sum "
-            "with the inertia of what turns with it. The interval reaches from what the data say to the value where "
-            "prior or constraints hold it elsewhere."
+            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine it only in a "
+            "sum with the inertia of bodies that turn with it. Where prior or constraints move the value, the interval "
+            "contains both the value and the estimate from the data alone."
         )
 
 
@@ -235,7 +236,7 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
             "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error; –: the data do not determine "
-            "it. – for the value: not part of the model."
+            "the value. A value of –: not part of the model."
         )
 
 
@@ -295,7 +296,7 @@ def _parameter_cells(value: Any, error: Any) -> tuple[Cell, Cell]:
 class PriorWeightsSection(Section[FitReport]):
     """Fits with other weights of the prior."""
 
-    title = "How firmly the prior holds"
+    title = "Weight of the prior"
     template = "prior.html"
 
     @override
@@ -307,7 +308,7 @@ class PriorWeightsSection(Section[FitReport]):
             name_column("fit"),
             Column("weight"),
             Column("error, fitted data"),
-            Column("error, left out"),
+            Column("error, held-out blocks"),
             Column("total mass", "kg"),
             Column("distance from the prior"),
         ]

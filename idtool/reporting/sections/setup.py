@@ -20,4 +20,4 @@ class StartErrorsSection(Section[InitReport]):
         before, after = report.rms.friction, report.rms.found
         rows = [[Cell(name), number_cell(before[name]), number_cell(after.get(name))] for name in before]
         title = f"Held-out RMS torque error, N·m or N, below {report.band_hz:g} Hz"
-        return Table(title, [name_column("joint"), Column("friction alone"), Column("as found")], rows)
+        return Table(title, [name_column("joint"), Column("friction only"), Column("with all terms found")], rows)

@@ -63,10 +63,10 @@ class ConstraintSetsSection(Section[StudyReport]):
     def table(self, report: StudyReport) -> Table:
         columns = [
             name_column("set"),
-            Column("inequalities", help="For one body"),
+            Column("inequalities", help="Inequalities for one body"),
             Column("train"),
             Column("held out"),
-            Column("not realizable", help="Bodies that no density can have"),
+            Column("not realizable", help="Bodies whose parameters no mass density can have"),
             Column("worst margin", page_only=True),
             Column("solved in", "ms"),
             Column("iterations", page_only=True),

@@ -55,7 +55,7 @@ class TorqueStandardErrorsSection(Section[FitReport]):
             Column("independent samples"),
             Column("rms"),
             Column("largest"),
-            Column("not known"),
+            Column("unknown"),
         ]
         rows = []
         for joint in report.joints:
@@ -73,9 +73,9 @@ class TorqueStandardErrorsSection(Section[FitReport]):
         is_held_out = report.rms.validation is not None
         data = "On the held-out data" if is_held_out else "On the data that the model was fitted to"
         return (
-            "Independent samples: as many as would say as much as the residual's correlated ones. "
-            f"{data}, from the parameters' errors alone, so without what the model lacks. Not known: share of the "
-            "samples that depend on what the fitted data do not determine."
+            "Independent samples: the number of independent samples that would contain the same information as the "
+            f"correlated ones. {data}. The standard errors contain only the errors of the parameters, not effects that "
+            "the model lacks. Unknown: percentage of the samples whose torque the fitted data do not determine."
         )
 
 
@@ -93,9 +93,9 @@ class BaseParametersSection(Section[FitReport]):
             return None
         pulled = [p for p in base.parameters if p.pull is not None and p.pull > MAX_PULL]
         groups: dict[str, list[BaseParameter]] = {
-            "held away": sorted(pulled, key=lambda p: -(p.pull or 0.0)),
+            "away from the data": sorted(pulled, key=lambda p: -(p.pull or 0.0)),
             "not determined": [p for p in base.parameters if p.pull is None],
-            "as the data say": [p for p in base.parameters if p.pull is not None and p.pull <= MAX_PULL],
+            "from the data": [p for p in base.parameters if p.pull is not None and p.pull <= MAX_PULL],
         }
         columns = [
             Column("base parameter", kind="words"),
@@ -108,7 +108,7 @@ class BaseParametersSection(Section[FitReport]):
         ]
         rows = []
         for group, parameters in groups.items():
-            emphasis: Emphasis | None = "note" if group == "held away" else None
+            emphasis: Emphasis | None = "note" if group == "away from the data" else None
             for p in parameters:
                 pull = Cell(NO_VALUE) if p.pull is None else Cell(f"{p.pull:.1f}", p.pull, emphasis)
                 values = error_cells(p.value, p.standard_error)
@@ -120,16 +120,16 @@ class BaseParametersSection(Section[FitReport]):
     @override
     def text(self, report: FitReport) -> str:
         return (
-            "± se: one standard error; –: these logs do not determine it. Pull: how far prior and constraints hold the "
-            f"value away from what the data alone say, in standard errors; held away: more than {MAX_PULL:g}. The "
-            "interval is around both. …: terms that weigh less; report.json has all."
+            "± se: one standard error; –: these logs do not determine the value. Pull: distance between the value and "
+            "the estimate from the data alone, in standard errors, due to prior and constraints; away from the data: "
+            f"more than {MAX_PULL:g}. The interval contains both. …: smaller terms; report.json lists all of them."
         )
 
 
 class CrossValidationSection(Section[FitReport]):
     """Errors of the model of one log on another."""
 
-    title = "Fitted to one log, tried on another"
+    title = "Fitted to one log, validated on another"
 
     @override
     def table(self, report: FitReport) -> Table | None:
@@ -150,7 +150,7 @@ class CrossValidationSection(Section[FitReport]):
 
     @override
     def text(self, report: FitReport) -> str:
-        return "Red and bold: more than 1.5 times that of the model fitted to the log itself."
+        return "Red and bold: more than 1.5 times the error of the model that was fitted to this log."
 
 
 class RepeatabilitySection(Section[FitReport]):
@@ -171,8 +171,8 @@ class RepeatabilitySection(Section[FitReport]):
         for k in shown:
             columns += [Column(repeatability.logs[k], page_only=is_long), error_column(page_only=True)]
         if is_long:
-            columns += [Column("least"), Column("in", kind="name", attached=True)]
-            columns += [Column("greatest"), Column("in", kind="name", attached=True)]
+            columns += [Column("smallest"), Column("in", kind="name", attached=True)]
+            columns += [Column("largest"), Column("in", kind="name", attached=True)]
         columns += [Column("times expected"), Column("beyond chance", attached=True)]
         rows = []
         for p in compared_parameters(repeatability)[:MAX_COMPARED]:
@@ -202,7 +202,7 @@ class BiasSection(Section[FitReport]):
             Column("unit", kind="name"),
             Column("least squares"),
             Column("instruments"),
-            Column("difference", help="Instruments less least squares"),
+            Column("difference", help="Estimate by instruments minus estimate by least squares"),
             error_column(),
             Column("differs"),
         ]

@@ -32,8 +32,8 @@ class ModelErrorsSection(Section[ValidationReport]):
         columns = [name_column("joint"), *units, Column("model")]
         if has_prior:
             columns.append(Column("prior"))
-        columns.append(Column("of torque", help="Error over the measured torque's standard deviation"))
-        columns.append(Column("as logged", help="Of the model, against the torque as logged"))
+        columns.append(Column("of torque", help="Error divided by the measured torque's standard deviation"))
+        columns.append(Column("as logged", help="Error of the model relative to the unfiltered torque"))
         if has_prior:
             columns.append(Column("prior, as logged", page_only=True))
         if report.bound:
@@ -56,9 +56,9 @@ class ModelErrorsSection(Section[ValidationReport]):
     @override
     def text(self, report: ValidationReport) -> str:
         return (
-            "Root mean square of predicted less measured torque, both through the same zero-phase filter; as logged, "
-            "the measured torque's noise above the band counts as error too. Of torque: the model's error as a share "
-            "of the measured torque's standard deviation."
+            "Root mean square of predicted minus measured torque, both filtered by the same zero-phase low-pass. As "
+            "logged: relative to the unfiltered torque, so noise above the band counts as error too. Of torque: the "
+            "model's error divided by the standard deviation of the measured torque."
         )
 
 

@@ -16,6 +16,6 @@ def show_check(terminal: Terminal, report: CheckReport, repair: Path | None) -> 
         for violation in link.violations:
             terminal.say(f"{name}: {violation}", STYLE["problem"])
     wrong = sum(bool(link.violations) for link in report.links.values())
-    terminal.say(f"{wrong} of {len(report.links)} links have an inertia that no body can have")
+    terminal.say(f"{wrong} of {len(report.links)} links have an inertia that is not physically realizable")
     if repair:
         terminal.say(f"written: {repair}")

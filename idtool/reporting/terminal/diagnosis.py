@@ -37,9 +37,9 @@ def show_diagnosis(
     """
     for fault in sorted(report.data_faults, key=lambda fault: bool(fault.undone)):
         on_joint = f"{fault.joint}: " if fault.joint else ""
-        kind, style = ("note on", "note") if fault.undone else ("fault of", "problem")
+        kind, style = ("note on the data", "note") if fault.undone else ("data fault", "problem")
         what = fault.fault.replace("_", " ")
-        terminal.say(f"{kind} the data: {on_joint}{what}: {fault.detail}", STYLE[style])
+        terminal.say(f"{kind}: {on_joint}{what}: {fault.detail}", STYLE[style])
     terminal.say(report.summary, _STYLES.get(report.verdict, f"bold {STYLE['warning']}"))
     terminal.say("")
     _show_steps(terminal, report)
@@ -58,7 +58,7 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
     for i, step in enumerate(report.steps, 1):
         _show_step(terminal, i, step, report.units)
     for text in report.removed:
-        terminal.say(f"taken out again: {text}")
+        terminal.say(text)
     if report.steps or report.removed:
         terminal.say("")
 
@@ -70,8 +70,8 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[
     if evidence.pair and step.alternatives:
         rival = step.alternatives[0]
         terminal.say(
-            f"   cannot be told from {rival.effect} on {owner_name(rival)} by these data: explains "
-            f"{score_text(evidence.score, evidence.standard_error)} against "
+            f"   these data cannot distinguish it from {rival.effect} on {owner_name(rival)}: it explains "
+            f"{score_text(evidence.score, evidence.standard_error)} of the residual, {rival.effect} "
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )
@@ -79,18 +79,22 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[
         lengths = {**position_units(units), "overall": common_unit(position_units(units))}
         before, after = evidence.simulation_before, evidence.simulation_after
         errors = [f"{name} {change_text(before, after, name)} {lengths[name]}" for name in worse]
-        terminal.say(f"   its rollouts got worse while the torque got better: {', '.join(errors)}", STYLE["problem"])
+        terminal.say(
+            f"   with it, the torque is predicted better, but the simulation is worse: {', '.join(errors)}",
+            STYLE["problem"],
+        )
 
 
 def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
     """Print the errors by joint, before, after and at the noise floor."""
     terminal.sections([ErrorsBeforeAfterSection()], report)
     if "overall" in report.rollout_worse:
-        terminal.say("The rollouts got worse while the torque got better: do not simulate with it.", STYLE["problem"])
+        warning = "The torque is predicted better, but the simulation is worse: do not simulate with this model."
+        terminal.say(warning, STYLE["problem"])
 
 
 def _show_rejected(terminal: Terminal, steps: Sequence[StepReport]) -> None:
     """Print the reason why each candidate was rejected."""
     for i, step in enumerate(steps, 1):
         candidates = [*step.alternatives, *step.rejected]
-        terminal.sections([CandidatesSection(f"Step {i}: what else was tried")], candidates)
+        terminal.sections([CandidatesSection(f"Step {i}: other candidates")], candidates)

@@ -16,7 +16,8 @@ def show_export(terminal: Terminal, report: ExportReport) -> None:
         groups.setdefault((part.what, part.detail), []).append(part)
     for (what, detail), parts in groups.items():
         sizes = [(abs(part.value), part.unit) for part in parts if part.value is not None]
-        size = ", up to {:.3g} {}".format(*max(sizes)) if sizes else ""
+        bound = "up to " if len(sizes) > 1 else ""
+        size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes else ""
         terminal.say(f"not carried: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
     terminal.say(f"written: {report.file}")
     terminal.notices(report.notices)

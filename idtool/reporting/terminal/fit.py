@@ -21,8 +21,9 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
         terminal.say(f"controller delay: {report.controller.text}")
     if base := report.base_parameters:
         terminal.say(
-            f"the log determines {base.determined} of the {base.structural} combinations of the {base.of} "
-            "parameters that any motion of this robot can tell; the columns above say what each body's ten rest on"
+            f"the logs determine {base.determined} of the {base.structural} base parameters (the combinations of the "
+            f"{base.of} parameters that the torque depends on); the columns above count the sources of each body's ten "
+            "parameters"
         )
     terminal.sections([RepeatabilitySection()], report)
     regularization = report.regularization
@@ -39,4 +40,6 @@ def _optimality_text(solver: SolverReport) -> str:
     gap = max(abs(solver.duality_gap), ROUNDING)
     if gap <= GAP:
         return f"optimum certified to a relative duality gap of {gap:.1e}"
-    return f"not the optimum: {solver.name} ended at a cost that may be {gap:.1e} above the least, relative to it"
+    return (
+        f"optimum not certified: {solver.name} stopped at a cost that may exceed the minimum by a fraction of {gap:.1e}"
+    )

@@ -16,5 +16,5 @@ def show_initial_config(terminal: Terminal, report: InitReport) -> None:
     for item in report.left:
         terminal.say(f"to fill in: {item.key}: {item.what}", "yellow" if item.needed else None)
     terminal.say(f"written: {report.file}")
-    then = f"next, once {' and '.join(report.needed)} is filled in" if report.needed else "next"
+    then = f"next, after filling in {' and '.join(report.needed)}" if report.needed else "next"
     terminal.say(f"{then}: {report.next}")

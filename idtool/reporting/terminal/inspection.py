@@ -11,7 +11,7 @@ def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
     """Print the contents of a log and the findings."""
     terminal.say(
         f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "
-        f"{inspection.segments} stretches without a gap"
+        f"{inspection.segments} segment{'s' if inspection.segments != 1 else ''} without gaps"
     )
     terminal.sections([JointsSection()], inspection)
     terminal.notices(inspection.notices)

@@ -24,13 +24,15 @@ def _warning(simulation: Simulation) -> str | None:
     """Warning that the model is no better than the baseline, with the time up to which it is; None if it is better."""
     if _is_better(simulation.position, simulation.baseline.position):
         return None
-    baseline = "q = qcmd" if simulation.kind == "closed_loop" else "a robot that stays where it is"
-    drift = f"Over {restarts_text(simulation)}, the model is farther from the data than {baseline}"
+    baseline = "a robot that keeps its position"
+    if simulation.kind == "closed_loop":
+        baseline = "a robot that follows its command exactly"
+    drift = f"Simulated for {restarts_text(simulation)}, the model is farther from the data than {baseline}"
     better = itertools.takewhile(lambda horizon: _is_better(horizon.position, horizon.baseline), simulation.horizon)
     if seconds := [horizon.seconds for horizon in better]:
         long = f"{1000 * seconds[-1]:g} ms"
-        return f"{drift}; it is nearer up to {long} after a restart: trust its rollouts for no longer than that."
-    return f"{drift}: its rollouts are not to be trusted."
+        return f"{drift}; it is closer up to {long} after a restart: do not trust its rollouts for longer than that."
+    return f"{drift}: do not trust its rollouts."
 
 
 def _is_better(model: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> bool:

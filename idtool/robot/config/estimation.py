@@ -117,9 +117,9 @@ class Mirror(ConfigRecord):
         if (self.body is None) == (self.joint is None):
             raise ValueError("give either body or joint, and of")
         if self.joint is not None and self.plane is not None:
-            raise ValueError("plane is for bodies; friction has none")
+            raise ValueError("plane is only for bodies, not for joints")
         if self.of in (self.body, self.joint):
-            raise ValueError(f"{self.of} is a copy of itself; name another")
+            raise ValueError(f"{self.of} cannot be a copy of itself; name another")
         return self
 
 
@@ -132,5 +132,5 @@ class Solver(ConfigRecord):
     @model_validator(mode="after")
     def _check_backend(self) -> Self:
         if self.backend is not None and self.name != "cvxpy":
-            raise ValueError(f"backend is for name: cvxpy; {self.name} has none")
+            raise ValueError(f"backend is only for name: cvxpy; remove it for {self.name}")
         return self

@@ -48,7 +48,7 @@ class RotorConfig(ConfigRecord):
         if not self.coupling and (self.joint is None or self.gear_ratio is None):
             raise ValueError("needs joint and gear_ratio, or coupling: {joint: ratio, ...}")
         if 0.0 in (self.gear_ratio, *self.coupling.values()):
-            raise ValueError("a gear ratio of 0 does not move the rotor")
+            raise ValueError("a gear ratio of 0 is not possible: the rotor would not move")
         if self.axis is not None and math.hypot(*self.axis) < MIN_LENGTH:
             raise ValueError("axis must not be zero")
         return self

@@ -53,7 +53,7 @@ def _delay(data: Any) -> str | float | UncertainValue:
         raise ValueError(f"{data} is not a delay; give auto, or a number in s")
     delay = data if isinstance(data, UncertainValue) else UncertainValue.model_validate(data)
     if delay.value < 0:
-        raise ValueError(f"a delay of {delay.value:g} s is none; give 0 or more, or auto")
+        raise ValueError(f"a delay of {delay.value:g} s is negative; give 0 or more, or auto")
     return delay if isinstance(data, UncertainValue | Mapping) else delay.value
 
 

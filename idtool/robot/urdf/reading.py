@@ -136,7 +136,7 @@ def read_robot(path: Path) -> Robot:
     except OSError as error:
         raise ModelError(path, f"cannot be read ({error.strerror})") from None
     if data.startswith(b"\x89MCAP") or not (path.suffix.lower() in _SUFFIXES or data.lstrip().startswith(b"<")):
-        raise ModelError(path, "is a log; the URDF comes first, the logs after it")
+        raise ModelError(path, "is a log; give the URDF first and the logs after it")
     return parse_robot(path, data)
 
 
@@ -225,7 +225,7 @@ def _expand(path: Path) -> str:
     """Message: how to expand xacro macros."""
     plain = path.name.removesuffix(".xacro").removesuffix(".urdf")
     urdf = shlex.quote(f"{plain}.urdf" if path.suffix == ".xacro" else f"{plain}_expanded.urdf")
-    return f"holds xacro macros; run xacro on it and give the result: xacro {shlex.quote(path.name)} > {urdf}"
+    return f"contains xacro macros; run xacro on it and use the result: xacro {shlex.quote(path.name)} > {urdf}"
 
 
 def _check_required(path: Path, element: etree._Element) -> None:
@@ -268,10 +268,10 @@ def _joint(path: Path, joint: yourdfpy.Joint) -> UrdfJoint:
     origin = joint.origin if joint.origin is not None else np.eye(4)
     axis = np.asarray(joint.axis, dtype=float)
     if axis.shape != (3,) or not (np.abs(origin) < _MAX_VALUE).all() or not (np.abs(axis) < _MAX_VALUE).all():
-        raise ModelError(where, "its origin or axis is not made of three finite numbers")
+        raise ModelError(where, "its origin or axis does not consist of three finite numbers")
     if joint.type != "fixed":
         if not np.linalg.norm(axis) > 0:
-            raise ModelError(where, "its axis is zero; give the direction it moves in")
+            raise ModelError(where, "its axis is zero; give its direction of motion")
         axis = axis / np.linalg.norm(axis)
 
     dynamics = joint.dynamics
