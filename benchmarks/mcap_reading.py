@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import JointLog, make_log, read_log, write_log
 
 RATE = 1000.0  # Hz
 JOINTS = ("abad", "hip", "knee")
 
 
-def leg_log(path: Path, seconds: float) -> Log:
+def leg_log(path: Path, seconds: float) -> JointLog:
     """A log of a moving leg, with noise so that it does not compress too well."""
     count = int(seconds * RATE)
     t = 1.7e9 + np.arange(count) / RATE

@@ -58,7 +58,7 @@ import leg_truth
 
 import idtool
 from idtool.common.exceptions import ConfigError, SolverError
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Rows, Run, prepare
 from idtool.estimation.dataset.reduction import Reduction
@@ -321,7 +321,7 @@ class LegPrior:
 
 
 @cache
-def leg_logs() -> list[Log]:
+def leg_logs() -> list[JointLog]:
     """The training log and the validation log."""
     return [read_log(path) for path in LEG_LOGS]
 

@@ -4,7 +4,7 @@ The quadruped has four mirrored legs of three joints with geared rotors. A rotor
 moves with its carrier, and its spin is the armature of a tendon. That is exact here, as rotors are balanced and each
 one's spin, with its carrier's, is a linear function of the joints' velocities. The arm's rotors are MuJoCo's armature,
 a reflected inertia at the joint. A PD controller with encoders follows random sines within the joints' limits. Nothing
-of idtool is used but its `Log`.
+of idtool is used but its `JointLog`.
 
 Letters: q [rad], v [rad/s], tau [N m] at the joint output, each (N, n), at `RATE`; t [s].
 """
@@ -31,7 +31,7 @@ from hidden_effects import plant as hidden_plant
 from hidden_effects.motion import Motion, draw_motion
 from hidden_effects.robots import ARM6, LEG3, Joint, Robot, rotor, urdf_text
 
-from idtool.data.logs import Log, make_log
+from idtool.data.logs import JointLog, make_log
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ class Run:
     v: Array
     tau: Array
 
-    def log(self, name: str, joints: tuple[str, ...]) -> Log:
+    def log(self, name: str, joints: tuple[str, ...]) -> JointLog:
         """The signals as a log."""
         return make_log(Path(name), self.t, joints, {"q": self.q, "v": self.v, "tau": self.tau})
 

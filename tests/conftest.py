@@ -12,7 +12,7 @@ from robots import leg_urdf
 
 from idtool.common.exceptions import ConfigError
 from idtool.robot.config import Config, parse_config, read_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot, read_robot
 
 settings.register_profile("idtool", deadline=None, derandomize=True, max_examples=30)
@@ -44,7 +44,7 @@ def robot_of(written: Callable[[str | bytes, str], Path]) -> Callable[[str | byt
 
 
 @pytest.fixture
-def build(robot_of: Callable[[str | bytes], Robot]) -> Callable[..., Model]:
+def build(robot_of: Callable[[str | bytes], Robot]) -> Callable[..., RobotModel]:
     """The model of a URDF, a configuration and the joints logged."""
     return lambda text, logged, **config: build_model(robot_of(text), parse_config(config, "robot.yaml"), logged)
 

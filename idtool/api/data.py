@@ -10,7 +10,7 @@ from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.data.logs import Log as Record
+from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, prepare
 
 LogSource = Log | Source
@@ -23,7 +23,7 @@ def load_experiment(
     validate: Logs = (),
     holdout: float = 0.3,
     progress: Progress = lambda stage, share: None,
-    transform: Callable[[Record], Record] = lambda log: log,
+    transform: Callable[[JointLog], JointLog] = lambda log: log,
 ) -> Experiment:
     """Load logs and put them together with a model.
 
@@ -63,7 +63,7 @@ def as_list(logs: Logs) -> list[LogSource]:
     return [logs]
 
 
-def _record(log: LogSource, model: Model) -> Path | Record:
+def _record(log: LogSource, model: Model) -> Path | JointLog:
     """The path of a log that is read with the configuration's options, or the record of one that was read."""
     if not isinstance(log, Log):
         return Path(log)

@@ -9,7 +9,7 @@ from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 EffectAssumption = tuple[str, str | None]
 
@@ -47,7 +47,7 @@ def _check_effect(option: str, effect: str) -> str:
     return effect
 
 
-def check_assumptions(assumptions: Sequence[EffectAssumption], model: Model) -> None:
+def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel) -> None:
     """Check that the robot has the joints and links on which effects are assumed.
 
     Raises

@@ -18,8 +18,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.data.logs import SIGNALS, make_log, write_log
-from idtool.data.logs import Log as Record
+from idtool.data.logs import SIGNALS, JointLog, make_log, write_log
 from idtool.data.logs import read_log as read_record
 
 
@@ -113,7 +112,7 @@ class Log:
         return cls.from_record(make_log(Path(name), times, names, signals))
 
     @classmethod
-    def from_record(cls, record: Record, as_logged: bool = False) -> Log:
+    def from_record(cls, record: JointLog, as_logged: bool = False) -> Log:
         """A log from its internal record.
 
         Parameters
@@ -127,13 +126,13 @@ class Log:
         log._set_record(record, as_logged)
         return log
 
-    def _set_record(self, record: Record, as_logged: bool) -> None:
+    def _set_record(self, record: JointLog, as_logged: bool) -> None:
         signals = {name: _read_only(values) for name, values in record.signals.items()}
         self._record = replace(record, t=_read_only(record.t), signals=signals)
         self._as_logged = as_logged
 
     @property
-    def record(self) -> Record:
+    def record(self) -> JointLog:
         """The internal record."""
         return self._record
 

@@ -19,8 +19,7 @@ from idtool.estimation.fit import Fit
 from idtool.reporting.fit_report import joint_dynamics, model_config
 from idtool.reporting.results.base import ReadOnly
 from idtool.robot.config import Config, parse_config, read_config
-from idtool.robot.model import Model as Tree
-from idtool.robot.model import build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot, parse_robot
 from idtool.robot.urdf.writing import identified_urdf, relocate_meshes
 
@@ -180,7 +179,7 @@ class Model:
         return ReadOnly({effect: tuple(names) for effect, names in owners.items()})
 
     @cached_property
-    def _tree(self) -> Tree:
+    def _tree(self) -> RobotModel:
         moving = []
         for joint in self._robot.joints.values():
             if joint.kind != "fixed" and not joint.mimic and joint.name not in self._config.locked_joints:

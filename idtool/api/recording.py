@@ -14,12 +14,14 @@ from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.validation import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.reporting.rerun_recording import log_recording, rerun_recording
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MEASURED_PATHS = {"measured": "torque/measured", "residual": "torque/residual", "q": "position/measured"}
 
 
-def save_recording(file: str | os.PathLike[str], model: Model, logs: Sequence[Sequence[Trace]], curve: str) -> Path:
+def save_recording(
+    file: str | os.PathLike[str], model: RobotModel, logs: Sequence[Sequence[Trace]], curve: str
+) -> Path:
     """Write measured, predicted and simulated curves, with the robot and its bounding ellipsoids.
 
     Parameters

@@ -13,7 +13,7 @@ from idtool.common.outputs import write_all
 if TYPE_CHECKING:
     from idtool.estimation.evaluation.envelope import Trace
     from idtool.reporting.results.base import NoticeReport
-    from idtool.robot.model import Model as RobotModel
+    from idtool.robot.model import RobotModel
 
     #: The robot, the traces of each log, and the name of the model's curve in them.
     RecordingData = tuple[RobotModel, Sequence[Sequence[Trace]], str]

@@ -31,7 +31,7 @@ from idtool.reporting.results.base import NoticeReport, notice_fields
 from idtool.reporting.results.simulation import MotionRmse, SimulationReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 from idtool.robot.config import Config
-from idtool.robot.model import Model as RobotModel
+from idtool.robot.model import RobotModel
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -22,7 +22,7 @@ from idtool.reporting.fit_report import validation_report
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.simulation_report import simulation_report
-from idtool.robot.model import Model as RobotModel
+from idtool.robot.model import RobotModel
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

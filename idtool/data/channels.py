@@ -14,7 +14,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.velocity import velocity_agreement
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 MAX_ANALYZED_SAMPLES = 1 << 16  # samples from which the clock and the velocities are checked
 _MAX_JITTER = 0.01  # rms of the stamps' jitter, in samples, above which the signals are put on an even clock
@@ -50,7 +50,7 @@ class Channels:
         Names of the nv joints, all in the log.
     """
 
-    def __init__(self, log: Log, joints: Sequence[str]) -> None:
+    def __init__(self, log: JointLog, joints: Sequence[str]) -> None:
         self.log = log
         self._columns = [log.joints.index(name) for name in joints]
         self.jitter = self._step_jitter()

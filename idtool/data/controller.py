@@ -16,7 +16,7 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delay_signal, differentiate
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 from idtool.robot.config import Controller
 
 MAX_DELAY = 0.05  # s: upper limit of the search
@@ -42,7 +42,7 @@ class JointController:
     delay: float
 
     @classmethod
-    def from_log(cls, log: Log, joints: Sequence[str], controller: Controller | None) -> JointController:
+    def from_log(cls, log: JointLog, joints: Sequence[str], controller: Controller | None) -> JointController:
         """The controller of the joints that have no torque."""
         lacks_torque = np.array([not log.has("tau", name) for name in joints])
         for name in np.array(joints)[lacks_torque]:
@@ -93,7 +93,7 @@ class JointController:
         return delay_signal(total, samples - whole)
 
 
-def without_constant_torque(log: Log, controller: Controller | None) -> Log:
+def without_constant_torque(log: JointLog, controller: Controller | None) -> JointLog:
     """The log without the torque of joints that have a command and gains and whose torque never changes.
 
     Drivers without a torque sensor publish zeros.
@@ -113,7 +113,7 @@ def without_constant_torque(log: Log, controller: Controller | None) -> Log:
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 
 
-def _is_constant(log: Log, joint: int) -> bool:
+def _is_constant(log: JointLog, joint: int) -> bool:
     """True if a joint has a torque that never changes."""
     if "tau" not in log.signals:
         return False

@@ -1,4 +1,4 @@
-"""`Log` → `Motion`: positions, velocities, accelerations and torques of the model's joints, batch after batch.
+"""`JointLog` → `Motion`: positions, velocities, accelerations and torques of the model's joints, batch after batch.
 
 The torque equation is linear in its unknowns, so a low-pass on every column and on the torque alike keeps it exact,
 where one on the signals alone does not. Here the signals get a wide zero-phase filter against differentiated noise; a
@@ -21,7 +21,7 @@ from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.controller import JointController
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above_band
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 from idtool.data.logs.times import suspected_unit
 from idtool.robot.config import Config
 
@@ -136,7 +136,7 @@ class Signals:
         If the cut-off lies above what the sampling rate allows.
     """
 
-    def __init__(self, log: Log, joints: Sequence[str], config: Config) -> None:
+    def __init__(self, log: JointLog, joints: Sequence[str], config: Config) -> None:
         self.log = log
         self.joints = tuple(joints)
         self.notices: list[Notice] = []
@@ -328,7 +328,7 @@ def default_cutoff(dt: float) -> float:
     return min(_DEFAULT_CUTOFF, 0.2 / dt)
 
 
-def _band(log: Log, config: Config) -> float:
+def _band(log: JointLog, config: Config) -> float:
     """The low-pass's cut-off [Hz]; one whose kernel would be far longer than the log is refused."""
     rate, duration = 1 / log.dt, len(log) * log.dt
     band = config.filter.cutoff_hz or default_cutoff(log.dt)

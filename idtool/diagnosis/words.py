@@ -8,7 +8,7 @@ from dataclasses import replace
 from idtool.diagnosis.records import Candidate, DiagnosisStep
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MAX_PARAMETERS = 4  # in a sentence
 
@@ -35,7 +35,7 @@ def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     return f"{chosen.target}: {description} ({chosen.effect}: {parameters}). {where}{_improvement(step, units)}"
 
 
-def with_doubts(steps: Sequence[DiagnosisStep], model: Model) -> list[DiagnosisStep]:
+def with_doubts(steps: Sequence[DiagnosisStep], model: RobotModel) -> list[DiagnosisStep]:
     """Steps with the doubts about their effects; effects of one kind are considered together."""
     entries: dict[str, list[EffectEntry]] = {}
     for step in steps:

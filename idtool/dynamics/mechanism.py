@@ -18,7 +18,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 TorqueFunction = Callable[[Motion], Array]
 
@@ -114,7 +114,7 @@ class Mechanism:
         True less measured position, shape (nv,) [rad or m].
     """
 
-    model: Model
+    model: RobotModel
     pi: Array = field(init=False)
     armature: Array = field(init=False)
     smooth_terms: list[tuple[TorqueTerm, float]] = field(default_factory=list)

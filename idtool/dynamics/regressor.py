@@ -19,7 +19,7 @@ from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.mechanism import Mechanism
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
@@ -232,7 +232,7 @@ class LinearModel:
             tau = effect.apply_sensor(tau, motion)
         return tau
 
-    def mechanism(self, model: Model, theta: Array) -> Mechanism:
+    def mechanism(self, model: RobotModel, theta: Array) -> Mechanism:
         """Forward model of the equation.
 
         Parameters

@@ -18,7 +18,7 @@ from scipy import signal
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
-from idtool.data.logs import Log
+from idtool.data.logs import JointLog
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
@@ -151,7 +151,7 @@ def smoothing(q: Array, dt: float, band_hz: float) -> float:
     return highest if highest < band_hz else np.inf
 
 
-def _smoothed_log(signals: Signals, cutoff: Array) -> Log:
+def _smoothed_log(signals: Signals, cutoff: Array) -> JointLog:
     """A log with motion and torque through low-passes, joint by joint, and without velocities."""
     channels, dt = signals.channels, signals.log.dt
     filters = [signal.butter(_ORDER, hz, fs=1 / dt, output="sos") if np.isfinite(hz) else None for hz in cutoff]
@@ -166,7 +166,7 @@ def _smoothed_log(signals: Signals, cutoff: Array) -> Log:
     return _even_log(signals, channels.stretches(), [name for name in signals.log.signals if name != "v"], read)
 
 
-def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Log:
+def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> JointLog:
     """The model under the logged command, from the measured state at the beginning of each stretch."""
     log, signals = run.signals.log, run.signals
     if not signals.controller.joints.all():
@@ -198,7 +198,7 @@ def _simulated_windows(run: Run) -> list[slice]:
     return windows
 
 
-def _even_log(signals: Signals, parts: list[slice], names: list[str], read: Callable[[str, slice], Array]) -> Log:
+def _even_log(signals: Signals, parts: list[slice], names: list[str], read: Callable[[str, slice], Array]) -> JointLog:
     """A log of the model's joints with the samples of another one, on its even clock; NaN beside the parts."""
     log = signals.log
     t = log.t.copy()
@@ -207,4 +207,4 @@ def _even_log(signals: Signals, parts: list[slice], names: list[str], read: Call
         t[part] = signals.channels.times(part)[0] + log.dt * np.arange(part.stop - part.start)
         for name, x in samples.items():
             x[part] = read(name, part).T
-    return Log(log.path, signals.joints, t, samples, tuple(parts), log.dt)
+    return JointLog(log.path, signals.joints, t, samples, tuple(parts), log.dt)

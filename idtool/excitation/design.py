@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
-from idtool.data.logs import Log, make_log
+from idtool.data.logs import JointLog, make_log
 from idtool.data.signals import Signals, default_cutoff
 from idtool.estimation.dataset.experiment import Progress
 from idtool.estimation.dataset.reduction import Reduction, empty, reduce_blocks
@@ -113,7 +113,7 @@ class Design:
     evaluations: int
     interrupted: bool
 
-    def log(self, path: Path) -> Log:
+    def log(self, path: Path) -> JointLog:
         """The trajectory as a log of commands; q and v are those of perfect tracking."""
         t, (q, v, _) = self.trajectory.sampled(self.task.rate)
         signals = {"q": q.T, "v": v.T, "qcmd": q.T, "vcmd": v.T}

@@ -16,7 +16,7 @@ from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.robot.config import Config
 from idtool.robot.config.limits import JointLimits
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import UrdfJoint
 
 DEFAULT_RANGE = math.pi  # rad to either side of zero, of a joint without position limits
@@ -101,7 +101,7 @@ class Limits:
         return np.array([share.max(axis=1) for share in shares])
 
 
-def joint_limits(model: Model, config: Config) -> Limits:
+def joint_limits(model: RobotModel, config: Config) -> Limits:
     """The limits of a model's joints.
 
     Parameters
@@ -168,7 +168,7 @@ def _limits_of_joint(
     return lower, upper, velocity, acceleration, effort
 
 
-def _tighten_by_mimics(model: Model, limits: Array) -> None:
+def _tighten_by_mimics(model: RobotModel, limits: Array) -> None:
     """Tighten limits, shape (5, nv), by those of mimic joints; the mimic of a locked joint moves no body."""
     lower, upper, velocity, *_ = limits  # views of the rows
     bodies = {body.name: body for body in model.bodies}

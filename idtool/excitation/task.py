@@ -23,7 +23,7 @@ from idtool.excitation.limits import Limits, joint_limits
 from idtool.excitation.patterns import Fourier, MotionSamples, PatternSpec
 from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 VELOCITY_DEADBAND = 3e-3  # rad/s or m/s: below it, a fit does not rely on the sign of the velocity
 _REST = 3.0  # times that: a slower joint is at rest, and its row is left out
@@ -56,7 +56,7 @@ class DesignTask:
         The criterion.
     """
 
-    model: Model
+    model: RobotModel
     equation: LinearModel
     equalities: EqualityConstraints
     theta: Array
@@ -106,7 +106,7 @@ def _motion(samples: MotionSamples, t: Array, velocity_deadband: Array) -> Motio
 
 
 def make_design_task(
-    model: Model,
+    model: RobotModel,
     equation: LinearModel,
     equalities: EqualityConstraints,
     config: Config,
@@ -180,7 +180,7 @@ def _independent_rate(config: Config, rate: float) -> float:
 
 
 def _scales(
-    model: Model, equation: LinearModel, limits: Limits, given: Mapping[str, float]
+    model: RobotModel, equation: LinearModel, limits: Limits, given: Mapping[str, float]
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Noise of each joint (nv,), typical magnitudes of the coefficients (p,), and the joints whose noise is assumed.
 

@@ -22,7 +22,7 @@ from idtool.reporting.results.diagnosis import (
     ResidualMaps,
     StepReport,
 )
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MIN_RELATIVE_GAP = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
 _MIN_RELATIVE_INCREASE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
@@ -145,7 +145,7 @@ def _candidate(candidate: Candidate) -> CandidateReport:
     )
 
 
-def _step(step: DiagnosisStep, model: Model) -> StepReport:
+def _step(step: DiagnosisStep, model: RobotModel) -> StepReport:
     """One entry of ``steps``."""
     chosen, location = step.chosen, step.location
     return StepReport(
@@ -175,7 +175,7 @@ def _step(step: DiagnosisStep, model: Model) -> StepReport:
     )
 
 
-def _units(step: DiagnosisStep, model: Model) -> dict[str, str | None]:
+def _units(step: DiagnosisStep, model: RobotModel) -> dict[str, str | None]:
     """The units of an effect's parameters; None of one that has none."""
     if step.entry is None:
         return dict.fromkeys(step.parameters)

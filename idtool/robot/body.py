@@ -1,4 +1,4 @@
-"""Bodies and frames, of which a `Model` consists.
+"""Bodies and frames, of which a `RobotModel` consists.
 
 Letters: q joint coordinates (nv,) [rad or m], pi inertia parameters (10,), R (3, 3) and p (3,) [m] a frame's pose in
 another, phi a body's own coordinate [rad or m].

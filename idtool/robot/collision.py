@@ -24,7 +24,7 @@ from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.collision_geometry import ConvexPart, DistanceQueries, read_convex_parts
 from idtool.robot.kinematics import body_placements
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 
 LinkPair = tuple[str, str]
@@ -55,7 +55,7 @@ class SelfCollision:
         What a user should know of the geometry.
     """
 
-    model: Model
+    model: RobotModel
     pairs: tuple[LinkPair, ...]
     notices: tuple[Notice, ...]
     _parts: tuple[ConvexPart, ...]
@@ -63,7 +63,7 @@ class SelfCollision:
     _link_pair: Indices  # index into `pairs` of each pair of parts
 
     @classmethod
-    def from_model(cls, model: Model, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
+    def from_model(cls, model: RobotModel, locked_joints: Mapping[str, float] | None = None) -> SelfCollision | None:
         """Pairs of a robot's links; None where there are no two such links with geometry that can be read.
 
         Parameters
@@ -221,7 +221,7 @@ class SelfCollision:
         )
 
 
-def _link_frames(model: Model, locked_joints: Mapping[str, float]) -> dict[str, Frame]:
+def _link_frames(model: RobotModel, locked_joints: Mapping[str, float]) -> dict[str, Frame]:
     """Frame of every link except rotors."""
     robot = model.robot
     moving = {body.name: i for i, body in enumerate(model.bodies) if body.kind == "link"}

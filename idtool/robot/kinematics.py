@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Indices
 from idtool.robot.body import Body
 from idtool.robot.inertia import skew
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]:
+def body_motions(model: RobotModel, q: Array, v: Array, a: Array) -> list[BodyMotion]:
     """The motion of every body, by the forward recursion of Newton and Euler (2), (3).
 
     Parameters
@@ -82,7 +82,7 @@ def body_motions(model: Model, q: Array, v: Array, a: Array) -> list[BodyMotion]
     return motions
 
 
-def body_placements(model: Model, q: Array) -> dict[int, tuple[Array, Array]]:
+def body_placements(model: RobotModel, q: Array) -> dict[int, tuple[Array, Array]]:
     """Placement of every body's frame in the root link, by index; −1 is the root link.
 
     Parameters

@@ -1,4 +1,4 @@
-"""`Model`: URDF and configuration → a tree of bodies that move with the joint coordinates.
+"""`RobotModel`: URDF and configuration → a tree of bodies that move with the joint coordinates.
 
 Every body, link or rotor, hangs on its parent by one axis, along or about which it moves by
 
@@ -30,7 +30,7 @@ from idtool.robot.urdf.reading import Robot, UrdfJoint
 
 
 @dataclass(frozen=True)
-class Model:
+class RobotModel:
     """A robot as identification sees it.
 
     Attributes
@@ -73,7 +73,7 @@ class Model:
         return support
 
 
-def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> Model:
+def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> RobotModel:
     """The model of a robot of which some joints were logged.
 
     Parameters
@@ -107,7 +107,7 @@ class _Builder:
     shapes: dict[int, list[Shape]] = field(default_factory=dict)
     notices: list[Notice] = field(default_factory=list)
 
-    def build(self) -> Model:
+    def build(self) -> RobotModel:
         self.joints = self._moving_joints()
         self.index = {joint.name: i for i, joint in enumerate(self.joints)}
         self._check_names()
@@ -125,7 +125,7 @@ class _Builder:
                 advice = "give it an inertial; otherwise parameters that the data do not determine are meaningless"
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         gravity = np.asarray(self.config.gravity)
-        return Model(self.robot, self.joints, bodies, gravity, tuple(self.notices))
+        return RobotModel(self.robot, self.joints, bodies, gravity, tuple(self.notices))
 
     def _moving_joints(self) -> tuple[UrdfJoint, ...]:
         actuated = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None}

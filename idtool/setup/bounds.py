@@ -12,7 +12,7 @@ from idtool.robot.body import Body
 from idtool.robot.bounding import bounding_ellipsoids, ellipsoids_config
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import mass_com_inertia
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import Robot
 
 _DIGITS = 4  # of a length in m
@@ -42,7 +42,7 @@ class Bounds:
         return tuple(link for link, why in self.missing.items() if "mesh" in why)
 
 
-def find_bounds(robot: Robot, model: Model) -> Bounds:
+def find_bounds(robot: Robot, model: RobotModel) -> Bounds:
     """The bounding ellipsoids of the links that move."""
     ellipsoids, reasons = bounding_ellipsoids(robot)
     rounded = {link: _rounded(entries) for link, entries in ellipsoids_config(ellipsoids).items()}

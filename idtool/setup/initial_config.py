@@ -13,7 +13,7 @@ from idtool.common.notice import unique
 from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 from idtool.setup import model_sections, sections
 from idtool.setup.bounds import find_bounds, search_paths
@@ -106,7 +106,7 @@ def _make_draft(
     return _with_trials(draft, model, progress)
 
 
-def _with_trials(draft: Draft, model: Model, progress: Progress) -> Draft:
+def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     """The draft with the results of trials, or the reason why there are none."""
     if draft.without_gains:
         return replace(draft, no_trials_reason=f"the controller gains of {join_names(draft.without_gains)} are missing")

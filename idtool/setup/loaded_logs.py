@@ -15,7 +15,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import InspectedJoint
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.state_topics import state_topics
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
@@ -40,7 +40,7 @@ class LoadedLog:
         Joints whose torque never changes while they move: drivers without a sensor publish zeros.
     """
 
-    log: Log
+    log: JointLog
     inspection: Inspection
     median_positions: dict[str, float]
     constant_torque: tuple[str, ...]
@@ -82,12 +82,12 @@ def load_logs(
     return logs
 
 
-def _read(path: Path, given: Config, topic: str | None) -> Log:
+def _read(path: Path, given: Config, topic: str | None) -> JointLog:
     options = given.log
     return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale))
 
 
-def _inspect(log: Log, robot: Robot, passive: Collection[str]) -> LoadedLog:
+def _inspect(log: JointLog, robot: Robot, passive: Collection[str]) -> LoadedLog:
     q = log.signals["q"]
     median_positions = {}
     for i, name in enumerate(log.joints):
@@ -107,7 +107,7 @@ def _has_constant_torque(joint: InspectedJoint) -> bool:
     return joint.moves and "tau" in joint.signals and joint.signals["tau"].constant
 
 
-def first_samples(log: Log) -> Log:
+def first_samples(log: JointLog) -> JointLog:
     """The log, or a copy of the first samples of a long one."""
     kept: list[slice] = []
     remaining = MAX_SAMPLES
@@ -122,7 +122,7 @@ def first_samples(log: Log) -> Log:
     return replace(log, t=log.t[:last].copy(), signals=signals, segments=tuple(kept))
 
 
-def _without_torque(log: Log, joints: Sequence[str]) -> Log:
+def _without_torque(log: JointLog, joints: Sequence[str]) -> JointLog:
     """The log without the torque of some joints."""
     if not joints:
         return log

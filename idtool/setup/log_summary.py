@@ -12,7 +12,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.data.inspection.channel_findings import BAND_FACTOR
-from idtool.data.logs import Log
+from idtool.data.logs import JointLog
 from idtool.data.signals import default_cutoff
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
@@ -68,7 +68,7 @@ class LogSummary:
         Notices for the user.
     """
 
-    logs: tuple[Log, ...]
+    logs: tuple[JointLog, ...]
     identifiable: tuple[str, ...]
     joints: tuple[str, ...]
     moving: tuple[str, ...]

@@ -15,7 +15,7 @@ import numpy as np
 
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.data.logs import Log
+from idtool.data.logs import JointLog
 from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.dynamics.effects.init_trial import InitSearch, InitTrial
 from idtool.estimation.command_delay import with_delay
@@ -116,7 +116,7 @@ class TrialRunner:
         Callback for the stage and its progress, from 0 to 1.
     """
 
-    def __init__(self, robot: Robot, data: Data, logs: Sequence[Log], progress: Progress) -> None:
+    def __init__(self, robot: Robot, data: Data, logs: Sequence[JointLog], progress: Progress) -> None:
         self.robot, self.data, self.logs, self.progress = robot, data, logs, progress
         self.joints: list[str] = list(data["joints"])
 

@@ -11,7 +11,7 @@ import pytest
 from commands import LEG, config_with, csv_text, files, idtool, refuse, sample_table
 from numpy.typing import NDArray
 
-from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import JointLog, make_log, read_log, write_log
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def differences(measured: Path, written: Path) -> Array:
     return np.asarray(after - before[: len(after)])
 
 
-def controlled(log: Log) -> Array:
+def controlled(log: JointLog) -> Array:
     """What the controller makes of a log's command, late, and motion; from the first sample that has all."""
     late = (log.t - log.t[0]) - DELAY
     q, v, qcmd, vcmd = (log.signals[name] for name in ("q", "v", "qcmd", "vcmd"))

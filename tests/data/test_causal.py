@@ -16,12 +16,12 @@ from swings import JOINTS, clock, everything, signals_of, swing, swinging
 from idtool.data import causal as module
 from idtool.data.causal import CausalLowPass, causal_batches
 from idtool.data.filters import LowPass
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 from idtool.data.signals import Batch, Motion, Signals
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -30,19 +30,19 @@ BANDS = [(40.0, 4, 0.001), (5.0, 2, 0.001), (20.0, 1, 0.002), (12.0, 8, 0.01), (
 PD = {"kp": {"hip": 20.0, "knee": 30.0}, "kd": {"hip": 1.0, "knee": 0.5}, "delay": 0.0034}
 
 
-def plain(t: Array) -> Log:
+def plain(t: Array) -> JointLog:
     return swinging(t)
 
 
-def late(t: Array) -> Log:
+def late(t: Array) -> JointLog:
     return swinging(t, v=swing(t - 0.0025, 1))
 
 
-def commanded(t: Array) -> Log:
+def commanded(t: Array) -> JointLog:
     return swinging(t, tau=None, v=None, qcmd=swing(t + 0.01))
 
 
-LOGS: dict[str, tuple[Callable[[Array], Log], dict[str, Any]]] = {
+LOGS: dict[str, tuple[Callable[[Array], JointLog], dict[str, Any]]] = {
     "measured": (plain, {"velocity": "measured"}),
     "differentiated": (plain, {"velocity": "differentiated"}),
     "late velocity": (late, {"velocity": "measured"}),
@@ -169,7 +169,7 @@ def test_ranges_are_kept() -> None:
 
 
 @pytest.fixture
-def arm(rng: np.random.Generator, robot_of: Callable[[str], Robot]) -> tuple[Model, LinearModel, Array]:
+def arm(rng: np.random.Generator, robot_of: Callable[[str], Robot]) -> tuple[RobotModel, LinearModel, Array]:
     """Two links that swing, with friction, and coefficients of theirs."""
     links = "".join(f'<link name="l{i}">{inertial(rng)}</link>' for i in range(3))
     joints = [joint(name, "revolute", f"l{i}", f"l{i + 1}", '<axis xyz="0 1 0"/>') for i, name in enumerate(JOINTS)]
@@ -182,7 +182,9 @@ def arm(rng: np.random.Generator, robot_of: Callable[[str], Robot]) -> tuple[Mod
     return model, linear, theta
 
 
-def test_the_torque_equation_holds_almost_as_well_as_without_a_delay(arm: tuple[Model, LinearModel, Array]) -> None:
+def test_the_torque_equation_holds_almost_as_well_as_without_a_delay(
+    arm: tuple[RobotModel, LinearModel, Array],
+) -> None:
     _, linear, theta = arm
     t = clock(8)
     q, v, a = (swing(t, k).T for k in range(3))

@@ -10,7 +10,7 @@ import pytest
 from sentences import sentences
 
 from idtool.common.exceptions import LogError
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 
 Written = Callable[[str | bytes, str], Path]
 
@@ -18,7 +18,7 @@ ROWS = "0,1,2,3\n0.1,1.5,2.5,3.5\n0.2,-1,-2,-3e-5\n"
 T, Q, V, TAU = np.loadtxt(ROWS.split(), delimiter=",").T
 
 
-def check(log: Log, joints: tuple[str, ...] = ("hip",)) -> None:
+def check(log: JointLog, joints: tuple[str, ...] = ("hip",)) -> None:
     assert log.joints == joints
     np.testing.assert_array_equal(log.t, T)
     for signal, values in (("q", Q), ("v", V), ("tau", TAU)):

@@ -12,7 +12,7 @@ from recordings import COMPRESSIONS, Channel, State, ros2, states, write_mcap
 from sentences import sentences
 
 from idtool.common.exceptions import LogError
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 
 LAYOUTS: list[dict[str, Any]] = [
     {"use_chunking": False},
@@ -20,7 +20,7 @@ LAYOUTS: list[dict[str, Any]] = [
 ]
 
 
-def kept(path: Path, data: bytes, full: Log) -> int:
+def kept(path: Path, data: bytes, full: JointLog) -> int:
     """How many samples are read of the beginning of a file; they are the first of ``full``."""
     path.write_bytes(data)
     try:

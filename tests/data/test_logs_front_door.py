@@ -20,20 +20,22 @@ from recordings import ros2, states, write_mcap
 from sentences import sentences
 
 from idtool.common.exceptions import LogError
-from idtool.data.logs import SIGNALS, Log, make_log, read_log, write_log
+from idtool.data.logs import SIGNALS, JointLog, make_log, read_log, write_log
 
 Written = Callable[[str | bytes, str], Path]
 
 ENDINGS = (".csv", ".mcap")
 
 
-def a_log(count: int = 200, signals: tuple[str, ...] = SIGNALS, joints: tuple[str, ...] = ("hip", "a/b.c d")) -> Log:
+def a_log(
+    count: int = 200, signals: tuple[str, ...] = SIGNALS, joints: tuple[str, ...] = ("hip", "a/b.c d")
+) -> JointLog:
     rng = np.random.default_rng(count)
     t = 1.7e9 + np.arange(count) / 1000 + rng.uniform(0, 1e-4, count)
     return make_log(Path("log"), t, joints, {name: rng.normal(size=(count, len(joints))) for name in signals})
 
 
-def same(log: Log, other: Log, late: float = 1e-9) -> None:
+def same(log: JointLog, other: JointLog, late: float = 1e-9) -> None:
     assert log.joints == other.joints
     np.testing.assert_allclose(log.t, other.t, rtol=0, atol=late)
     assert log.signals.keys() == other.signals.keys()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from recordings import COMPRESSIONS, Proto, json_channel, proto_channel, ros2, states, write_mcap
 
 from idtool.common.exceptions import LogError
-from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import JointLog, make_log, read_log, write_log
 
 KINDS = ("loose", "chunk", "lz4", "zstd", "json", "protobuf", "unpacked", "csv", "quoted")
 
@@ -42,7 +42,7 @@ def survives(data: bytes) -> None:
         path = Path(folder, "log")
         path.write_bytes(data)
         try:
-            came: Log | LogError = read_log(path)
+            came: JointLog | LogError = read_log(path)
         except LogError as error:
             came = error
     if isinstance(came, LogError):

@@ -13,7 +13,7 @@ from recordings import IMU, bag, check_log, metadata, ros2, states, write_mcap
 from sentences import sentences
 
 from idtool.common.exceptions import LogError
-from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import JointLog, make_log, read_log, write_log
 
 ITEMS = states(300)
 PARTS = ITEMS[:100], ITEMS[100:220], ITEMS[220:]
@@ -92,7 +92,7 @@ def test_the_folder_one_is_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, w
 # --- what was cut off ---
 
 
-def kept(log: Log, rows: slice = slice(None)) -> str:
+def kept(log: JointLog, rows: slice = slice(None)) -> str:
     t = log.t[rows]
     return f"kept: {len(t)} samples, up to t = {t[-1]:.3f} s" if len(t) else "kept: no samples"
 

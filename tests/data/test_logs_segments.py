@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from sentences import sentences
 
 from idtool.common.exceptions import LogError
-from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import JointLog, make_log, read_log, write_log
 from idtool.data.logs import log as log_module
 
 Array = NDArray[np.float64]
 
 
-def of(t: Array, **signals: Array) -> Log:
+def of(t: Array, **signals: Array) -> JointLog:
     signals = signals or {"q": np.zeros(len(t))}
     return make_log(Path("log"), t, ("hip",), {name: values[:, None] for name, values in signals.items()})
 
 
-def bounds(log: Log) -> list[tuple[int, int]]:
+def bounds(log: JointLog) -> list[tuple[int, int]]:
     return [(part.start, part.stop) for part in log.segments]
 
 

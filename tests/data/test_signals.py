@@ -15,27 +15,27 @@ from swings import RATE, clock, everything, filtered, joined, signals_of, swing,
 
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.data import signals as module
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 Array = NDArray[np.float64]
 
 PD = {"kp": {"hip": 20.0, "knee": 30.0}, "kd": {"hip": 1.0, "knee": 0.5}, "delay": 0.0034}
 
 
-def late(t: Array) -> Log:
+def late(t: Array) -> JointLog:
     return swinging(t, v=swing(t - 0.0025, 1))
 
 
-def jittering(t: Array) -> Log:
+def jittering(t: Array) -> JointLog:
     stamps = t + np.random.default_rng(0).uniform(-2e-4, 2e-4, len(t))
     return swinging(stamps)
 
 
-def commanded(t: Array) -> Log:
+def commanded(t: Array) -> JointLog:
     return swinging(t, tau=None, v=None, qcmd=swing(t + 0.01))
 
 
-LOGS: dict[str, tuple[Callable[[Array], Log], dict[str, Any]]] = {
+LOGS: dict[str, tuple[Callable[[Array], JointLog], dict[str, Any]]] = {
     "measured": (swinging, {"velocity": "measured"}),
     "differentiated": (swinging, {"velocity": "differentiated"}),
     "late velocity": (late, {"velocity": "measured"}),

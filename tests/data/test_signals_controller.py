@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sentences import sentences
 from swings import RATE, clock, filtered, joined, signals_of, swing, swinging
 
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 from idtool.data.signals import Signals
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ def command(t: Array, derivative: int = 0) -> Array:
     return swing(t + 0.02, derivative)
 
 
-def controlled(log: Log, delay: float, n: int, kd: dict[str, float], v: Array) -> Array:
+def controlled(log: JointLog, delay: float, n: int, kd: dict[str, float], v: Array) -> Array:
     """The torque at sample n: what was commanded ``delay`` before against what is now."""
     before = np.array([n / RATE - delay])
     qcmd, vcmd = command(before)[0], command(before, 1)[0] * ("vcmd" in log.signals)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sentences import sentences
 from swings import RATE, clock, joined, signals_of, swing, swinging
 
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def test_a_velocity_in_time_is_left_alone() -> None:
     assert not signals.notices
 
 
-def jittering(rng: np.random.Generator, samples: float, true: bool) -> tuple[Log, Array]:
+def jittering(rng: np.random.Generator, samples: float, true: bool) -> tuple[JointLog, Array]:
     """A log whose stamps jitter uniformly by so many samples, and the instants its samples were taken at."""
     even = clock(20)
     stamps = even + samples * DT * rng.uniform(-1, 1, len(even))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from paths import CHECKOUT, REAL
 from spatial_arm import ARM, JOINTS, recorded, reference, spec_of
 
-from idtool.data.logs.log import Log, make_log
+from idtool.data.logs.log import JointLog, make_log
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
 from idtool.estimation.dataset.experiment import Experiment, prepare
@@ -72,7 +72,7 @@ def changed(signals: Signals, change: Change) -> Signals:
 def sample(robot: str, change: Change = lambda s: None, log: Path = TRAIN) -> Experiment:
     """A sample log with a fault."""
 
-    def seen(log: Log) -> Log:
+    def seen(log: JointLog) -> JointLog:
         signals = changed({"t": log.t, **log.signals}, change)
         return make_log(log.path, signals.pop("t"), log.joints, signals)
 
@@ -366,7 +366,7 @@ def test_details_say_what_to_do(arm: Signals, of_arm: Callable[..., Experiment])
 def test_a_fault_of_several_logs_is_told_once(of_arm: Callable[..., Experiment]) -> None:
     turned = times(-1, "v", "lift")
 
-    def seen(log: Log) -> Log:
+    def seen(log: JointLog) -> JointLog:
         signals = changed(dict(log.signals), turned)
         return make_log(log.path, log.t, log.joints, signals)
 

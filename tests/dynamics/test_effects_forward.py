@@ -17,10 +17,10 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.simulation.rollouts import Rollouts
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 Scalar = Callable[[float, float, float, float], float]  # t, q, v, tau
 
 _EXACT = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}

@@ -17,10 +17,10 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects.presliding_hysteresis import PreslidingHysteresis
 from idtool.estimation.fit import fit
 from idtool.reporting.fit_report import model_config
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 AMPLITUDE, DISPLACEMENT, DAMPING = 1.0, 0.01, 0.01  # N·m, rad, s
 

@@ -20,10 +20,10 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 
 def entry(effect: str, joint: str | None = "lift", **parameters: Any) -> dict[str, Any]:

@@ -32,10 +32,10 @@ from spatial_arm import (
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.mechanism import Transmission
 from idtool.dynamics.regressor import LinearModel
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 N = 20.0  # gear ratio
 K = 800.0  # N·m/rad

@@ -17,10 +17,10 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 ONE = chain(joint("hip", "revolute", "l0", "l1"))
 TWO = chain(joint("hip", "revolute", "l0", "l1"), joint("knee", "prismatic", "l1", "l2"))

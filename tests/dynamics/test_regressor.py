@@ -16,7 +16,7 @@ from idtool.dynamics.effects import Coefficient, Effect, RigidBodies, build_effe
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def random_motion(rng: np.random.Generator, nv: int, count: int = 4) -> Motion:
     return moving(q, v, a)
 
 
-def assert_equal(motion: Motion, model: Model, reference: Reference) -> None:
+def assert_equal(motion: Motion, model: RobotModel, reference: Reference) -> None:
     """Columns and torque at the prior against the reference, zeros where a column is left out included."""
     linear = LinearModel(model.names, (RigidBodies(model),))
     columns, torque = linear.columns(motion), linear.torque(motion, linear.prior)
@@ -92,7 +92,7 @@ def test_the_order_of_the_joints_is_the_configurations(robot_of: ReadRobot, rng:
     assert_equal(random_motion(rng, 4), model, Reference(text, order, config))
 
 
-def test_without_gravity_and_motion_there_is_no_torque(build: Callable[..., Model], leg: str) -> None:
+def test_without_gravity_and_motion_there_is_no_torque(build: Callable[..., RobotModel], leg: str) -> None:
     model = build(leg, ("abad", "hip", "knee"), gravity=[0, 0, 0])
     linear = LinearModel(model.names, (RigidBodies(model),))
     q = np.random.default_rng(0).normal(size=(3, 5))
@@ -100,7 +100,7 @@ def test_without_gravity_and_motion_there_is_no_torque(build: Callable[..., Mode
         np.testing.assert_array_equal(block, np.zeros_like(block))
 
 
-def test_at_rest_the_torque_is_the_slope_of_the_potential_energy(build: Callable[..., Model], leg: str) -> None:
+def test_at_rest_the_torque_is_the_slope_of_the_potential_energy(build: Callable[..., RobotModel], leg: str) -> None:
     """A joint's work over a small motion is the change of −Σ m g · c, the centres of mass from Pinocchio."""
     g = np.array([1.0, -2.0, 3.0])
     model = build(leg, ("abad", "hip", "knee"), gravity=g.tolist())
@@ -121,7 +121,7 @@ def test_at_rest_the_torque_is_the_slope_of_the_potential_energy(build: Callable
     np.testing.assert_allclose(torque[:, 0], slope, rtol=1e-6, atol=1e-7)
 
 
-def test_friction_and_offset_add_to_the_joints_that_have_them(build: Callable[..., Model], leg: str) -> None:
+def test_friction_and_offset_add_to_the_joints_that_have_them(build: Callable[..., RobotModel], leg: str) -> None:
     """Terms that a joint lacks leave no column in its equation; values are the prior."""
     friction = {
         "abad": {"viscous": 0.5, "coulomb": 0.7, "offset": 0.2},
@@ -169,7 +169,7 @@ class Nothing(Effect):
         return {0: mask}
 
 
-def test_an_effect_without_coefficients_changes_nothing(build: Callable[..., Model], leg: str) -> None:
+def test_an_effect_without_coefficients_changes_nothing(build: Callable[..., RobotModel], leg: str) -> None:
     model = build(leg, ("abad", "hip", "knee"))
     bodies, motion = RigidBodies(model), random_motion(np.random.default_rng(4), 3)
     plain = LinearModel(model.names, (bodies,))
@@ -180,7 +180,7 @@ def test_an_effect_without_coefficients_changes_nothing(build: Callable[..., Mod
             np.testing.assert_array_equal(ours, expected)
 
 
-def test_samples_of_a_resting_joint_are_left_out_of_its_block_only(build: Callable[..., Model], leg: str) -> None:
+def test_samples_of_a_resting_joint_are_left_out_of_its_block_only(build: Callable[..., RobotModel], leg: str) -> None:
     model = build(leg, ("abad", "hip", "knee"), friction={"hip": {"coulomb": False}})
     config = parse_config({"friction": {"hip": {"coulomb": False}}}, "")
     linear = LinearModel(model.names, build_effects(model, config))
@@ -201,7 +201,7 @@ def test_samples_of_a_resting_joint_are_left_out_of_its_block_only(build: Callab
 
 
 def test_effects_that_know_their_columns_at_different_times_leave_half_of_the_samples(
-    build: Callable[..., Model], leg: str
+    build: Callable[..., RobotModel], leg: str
 ) -> None:
     """Where one is defined, the other is not: a velocity turns round as the torque of a spring is largest."""
 
@@ -222,7 +222,7 @@ def test_effects_that_know_their_columns_at_different_times_leave_half_of_the_sa
     assert both.mean() >= 0.5
 
 
-def test_what_any_effect_cannot_know_is_left_out(build: Callable[..., Model], leg: str) -> None:
+def test_what_any_effect_cannot_know_is_left_out(build: Callable[..., RobotModel], leg: str) -> None:
     model = build(leg, ("abad", "hip", "knee"))
     unknown = slice(100, 200), slice(700, 800)
     linear = LinearModel(model.names, (RigidBodies(model), *(Nothing(3, part) for part in unknown)))

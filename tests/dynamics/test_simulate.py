@@ -19,7 +19,7 @@ from scipy.signal import lsim
 from stick_slip import StickSlip
 
 from idtool.common.exceptions import ModelError
-from idtool.data.logs.log import Log, make_log
+from idtool.data.logs.log import JointLog, make_log
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import SimulatedWindows, simulate
@@ -39,12 +39,12 @@ def clock(count: int, rate: float) -> Array:
     return np.arange(count) / rate
 
 
-def log_of(t: Array, names: Sequence[str] = ("x1",), **signals: Array) -> Log:
+def log_of(t: Array, names: Sequence[str] = ("x1",), **signals: Array) -> JointLog:
     """Signals (N,) of one joint, or (N, nv)."""
     return make_log(Path("log.csv"), t, tuple(names), {name: x.reshape(len(t), -1) for name, x in signals.items()})
 
 
-def signals_of(log: Log, **config: Any) -> Signals:
+def signals_of(log: JointLog, **config: Any) -> Signals:
     return Signals(log, log.joints, parse_config(config, ""))
 
 

@@ -19,7 +19,7 @@ from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, base_parameters, structural_base_parameters
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ ARMS = {
 }
 
 
-def equation_of(robot: Robot, **config: Any) -> tuple[Model, LinearModel]:
+def equation_of(robot: Robot, **config: Any) -> tuple[RobotModel, LinearModel]:
     """The rigid bodies' equation, and whatever effects a configuration adds."""
     read = parse_config(RIGID | config, "arm.yaml")
     model = build_model(robot, read, actuated(robot))
@@ -115,7 +115,7 @@ def check(robot: Robot, rng: np.random.Generator, **config: Any) -> BaseParamete
     return base
 
 
-def combinations(model: Model, base: BaseParameters) -> dict[str, dict[str, float]]:
+def combinations(model: RobotModel, base: BaseParameters) -> dict[str, dict[str, float]]:
     """Each base parameter's name and the coefficients in it."""
     names = [f"{body.name}.{name}" for body in model.bodies for name in PARAMETER_NAMES]
     rows = ({names[k]: row[k] for k in np.flatnonzero(row)} for row in base.B)

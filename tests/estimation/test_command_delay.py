@@ -20,7 +20,7 @@ from sentences import sentences
 import idtool
 from idtool.data.controller import MAX_DELAY
 from idtool.data.filters import delay_signal
-from idtool.data.logs import Log, make_log, read_log
+from idtool.data.logs import JointLog, make_log, read_log
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.fit import Fit, fit
@@ -38,13 +38,13 @@ def silent(stage: str, share: float) -> None:
     """No progress."""
 
 
-def experiment_of(*logs: Log, controller: dict[str, Any] | None = None, **options: Any) -> Experiment:
+def experiment_of(*logs: JointLog, controller: dict[str, Any] | None = None, **options: Any) -> Experiment:
     """The sample leg with logs of drives of `GAINS`."""
     config = parse_config({**CONFIG, "controller": {**GAINS, **(controller or {})}, **options}, "leg.yaml")
     return prepare(read_robot(URDF), config, logs)
 
 
-def found_in(log: Log, **options: Any) -> CommandDelay:
+def found_in(log: JointLog, **options: Any) -> CommandDelay:
     """The delay that a log tells."""
     found = command_delay(experiment_of(log, **options), silent)
     assert found is not None
@@ -58,7 +58,7 @@ def motion() -> Motion:
 
 
 @cache
-def run(delay: float, held: bool = False) -> Log:
+def run(delay: float, held: bool = False) -> JointLog:
     """The leg along it, without noise."""
     return position_controlled(motion(), delay, held=held)
 
@@ -77,7 +77,7 @@ def test_a_command_that_is_held_is_half_a_sample_later() -> None:
     assert found.value == pytest.approx(3 * MS + 0.5 / RATE, abs=0.03 * MS)
 
 
-def late_command(log: Log, delay: float) -> Log:
+def late_command(log: JointLog, delay: float) -> JointLog:
     """A log with the position command that its torque is the answer to, so much later, in the torque's place."""
     kp, t = KP[0], log.t
     answered = log.signals["q"] + log.signals["tau"] / kp

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sentences import sentences
 
 from idtool.common.exceptions import ModelError
-from idtool.data.logs import Log, make_log
+from idtool.data.logs import JointLog, make_log
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.identification import choose_sets
 from idtool.estimation.instruments import Instruments, instruments, smoothing
@@ -36,7 +36,7 @@ def silent(stage: str, share: float) -> None:
     """No progress."""
 
 
-def of(log: Log, controller: Controller | None, holdout: float = 0.0) -> Experiment:
+def of(log: JointLog, controller: Controller | None, holdout: float = 0.0) -> Experiment:
     """The leg with a log, its velocities differentiated, and no prior to speak of."""
     config: dict[str, Any] = yaml.safe_load((runs.SAMPLES / "leg.yaml").read_text())
     config |= {"velocity": "differentiated", "regularization": {"kind": "euclidean", "weight": 1e-6}}
@@ -47,7 +47,7 @@ def of(log: Log, controller: Controller | None, holdout: float = 0.0) -> Experim
     return prepare(read_robot(runs.URDF), parse_config(config, ""), [file], holdout=holdout, transform=lambda _: log)
 
 
-def run(motion: Motion, seed: int, **options: Any) -> Log:
+def run(motion: Motion, seed: int, **options: Any) -> JointLog:
     return runs.run_leg(motion.q, motion.v, seed, acmd=motion.a, **options)
 
 
@@ -58,7 +58,7 @@ def motion() -> Motion:
 
 
 @pytest.fixture(scope="module")
-def coarse(motion: Motion) -> Log:
+def coarse(motion: Motion) -> JointLog:
     return run(motion, 1, sensors=COARSE)
 
 
@@ -69,7 +69,7 @@ def least_squares(experiment: Experiment) -> Array:
     return estimate(experiment.equation, bodies, reduction, sets, regularization, experiment.equalities).theta
 
 
-def both(log: Log, controller: Controller | None) -> tuple[Array, TwoStage]:
+def both(log: JointLog, controller: Controller | None) -> tuple[Array, TwoStage]:
     """Least squares' coefficients, and what instruments make of them."""
     experiment = of(log, controller)
     theta = least_squares(experiment)
@@ -84,7 +84,7 @@ def in_units(experiment: Experiment, error: Array) -> Array:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_coarse_encoder_costs_little(coarse: Log, kind: str) -> None:
+def test_a_coarse_encoder_costs_little(coarse: JointLog, kind: str) -> None:
     theta, found = both(coarse, STIFF if kind == "closed_loop" else None)
     assert found.kind == kind
     truth = runs.true_theta(of(coarse, None))
@@ -118,13 +118,13 @@ def test_bias_of_ten_runs(kind: str) -> None:
     assert np.exp(np.log(least / instrumental).mean()) > 10
 
 
-def simulated(log: Log, controller: Controller, theta: Array | None = None) -> Instruments:
+def simulated(log: JointLog, controller: Controller, theta: Array | None = None) -> Instruments:
     experiment = of(log, controller)
     theta = runs.true_theta(experiment) if theta is None else theta
     return instruments(experiment, experiment.runs[0], theta, silent)
 
 
-def test_the_simulation_forgets_the_noise(motion: Motion, coarse: Log) -> None:
+def test_the_simulation_forgets_the_noise(motion: Motion, coarse: JointLog) -> None:
     other = run(motion, 2, sensors=COARSE)
     q = [simulated(log, STIFF).signals.log.signals["q"] for log in (coarse, other)]
     assert np.abs(coarse.signals["q"] - other.signals["q"])[1000:3900].max() > 1e-3
@@ -164,14 +164,14 @@ def test_rows_without_noise_are_their_own_instruments(motion: Motion) -> None:
             )
 
 
-def test_a_loop_that_runs_away_is_refused(coarse: Log) -> None:
+def test_a_loop_that_runs_away_is_refused(coarse: JointLog) -> None:
     coefficients = of(coarse, None).equation.coefficients
     theta = runs.true_theta(of(coarse, None)) - [100.0 * (c.name == "viscous") for c in coefficients]
     with pytest.raises(ModelError, match=r"diverges.*method ls"):
         simulated(coarse, STIFF, theta)
 
 
-def test_a_model_that_cannot_move_is_refused(coarse: Log) -> None:
+def test_a_model_that_cannot_move_is_refused(coarse: JointLog) -> None:
     theta = np.zeros(len(runs.true_theta(of(coarse, None))))
     with pytest.raises(ModelError, match=r"cannot be simulated.*method ls"):
         simulated(coarse, STIFF, theta)

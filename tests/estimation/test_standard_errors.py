@@ -20,12 +20,12 @@ from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.uncertainty.standard_errors import least_squares_uncertainty
 from idtool.robot.config import Regularization, parse_config
 from idtool.robot.inertia import PARAMETER_NAMES
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.sets import constraint_sets
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 RATE, SECONDS = 1000.0, 12
 NO_FRICTION = {"viscous": False, "coulomb": False}
@@ -35,7 +35,7 @@ ARM = chain(
 )
 
 
-def equation(build: Build, text: str, joints: list[str], **config: Any) -> tuple[Model, LinearModel]:
+def equation(build: Build, text: str, joints: list[str], **config: Any) -> tuple[RobotModel, LinearModel]:
     model = build(text, joints, **config)
     return model, LinearModel(model.names, build_effects(model, parse_config(config, "")))
 

@@ -17,7 +17,7 @@ from paths import SAMPLES
 from scipy import stats
 from sentences import texts
 
-from idtool.data.logs import Log, make_log, read_log, write_log
+from idtool.data.logs import JointLog, make_log, read_log, write_log
 from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.reduction import Factor
@@ -212,10 +212,10 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
 
 
 @pytest.fixture
-def spoilt(tmp_path: Path) -> Callable[[str, Callable[[Log], Array]], Path]:
+def spoilt(tmp_path: Path) -> Callable[[str, Callable[[JointLog], Array]], Path]:
     """Writes the sample log with another torque."""
 
-    def write(name: str, torque: Callable[[Log], Array]) -> Path:
+    def write(name: str, torque: Callable[[JointLog], Array]) -> Path:
         log, path = read_log(TRAIN), tmp_path / f"{name}.csv"
         signals = {**log.signals, "tau": torque(log)}
         write_log(path, make_log(path, log.t, log.joints, signals))
@@ -224,10 +224,10 @@ def spoilt(tmp_path: Path) -> Callable[[str, Callable[[Log], Array]], Path]:
     return write
 
 
-def test_a_log_of_a_stiffer_knee_is_named(spoilt: Callable[[str, Callable[[Log], Array]], Path]) -> None:
+def test_a_log_of_a_stiffer_knee_is_named(spoilt: Callable[[str, Callable[[JointLog], Array]], Path]) -> None:
     """Three logs, one of which has far more friction at the knee: named by its file, and by what differs."""
 
-    def stiff(log: Log) -> Array:
+    def stiff(log: JointLog) -> Array:
         tau, knee = log.signals["tau"].copy(), log.joints.index("knee")
         v = log.signals["v"][:, knee]
         tau[:, knee] += 0.5 * v

@@ -12,13 +12,13 @@ from commands import LEG, SAMPLES, TRAIN, idtool
 from exciting import arm, body, derivatives, excited, joint, robot, torque
 from pages import Page, complete
 
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 from idtool.excitation.objective import Objective
 
 FRICTION = {"a": (0.2, 0.5), "b": (0.2, 0.5)}
 
 
-def within(log: Log, report: dict[str, Any], share: float = 1.0) -> None:
+def within(log: JointLog, report: dict[str, Any], share: float = 1.0) -> None:
     """Position, velocity and acceleration are within the limits the report names, by the positions alone."""
     q, v, a = derivatives(log)
     for j, name in enumerate(log.joints):

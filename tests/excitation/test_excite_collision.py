@@ -11,7 +11,7 @@ from commands import LEG, idtool
 from exciting import Array, body, derivatives, excited, joint, robot
 from paths import CONFIGS, REAL
 
-from idtool.data.logs import Log
+from idtool.data.logs import JointLog
 from idtool.excitation.patterns.shell import tip_and_jacobian
 from idtool.robot.config import parse_config
 from idtool.robot.model import build_model
@@ -33,7 +33,7 @@ FOLDING = robot(
 ).replace('<link name="base"/>', f'<link name="base">{ball(BALL)}</link>')
 
 
-def tips(urdf: str, log: Log, frame: str, offset: float = 0.0) -> Array:
+def tips(urdf: str, log: JointLog, frame: str, offset: float = 0.0) -> Array:
     """Where a link's point on its x axis is along a log's command, by Pinocchio, shape (N, 3)."""
     model = pin.buildModelFromXML(urdf)
     data = model.createData()

@@ -18,7 +18,7 @@ from leg_runs import run_leg
 from leg_truth import true_theta
 from numpy.typing import NDArray
 
-from idtool.data.logs import Log, read_log, write_log
+from idtool.data.logs import JointLog, read_log, write_log
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
@@ -36,20 +36,20 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Log]:
+def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], JointLog]:
     """A design with the command's own settings."""
     folder = tmp_path_factory.mktemp("designed")
     return excited(folder, LEG, "--noise", f"{NOISE}", "--duration", f"{SECONDS}", "--iterations", "200")
 
 
-def experiment(folder: Path, log: Log) -> Experiment:
+def experiment(folder: Path, log: JointLog) -> Experiment:
     """The log as `fit` reads it."""
     path = folder / "run.mcap"
     write_log(path, log)
     return prepare(read_robot(LEG), read_config(LEG.with_suffix(".yaml")), [path], holdout=0.0)
 
 
-def realised(folder: Path, log: Log) -> tuple[Array, Array]:
+def realised(folder: Path, log: JointLog) -> tuple[Array, Array]:
     """Standard errors of the base parameters by what `fit` believes, and how far they are from the truth, (r,) each."""
     run = experiment(folder, log)
     reduction = run.reduce(lambda stage, share: None)
@@ -69,15 +69,17 @@ def mean(x: Array) -> float:
     return float(np.exp(np.log(x).mean()))
 
 
-def commanded(log: Log, seed: int) -> Log:
+def commanded(log: JointLog, seed: int) -> JointLog:
     return run_leg(log.signals["qcmd"], log.signals["vcmd"], seed)
 
 
-def run(motion: Motion, seed: int) -> Log:
+def run(motion: Motion, seed: int) -> JointLog:
     return run_leg(motion.q, motion.v, seed, acmd=motion.a)
 
 
-def test_realised_standard_errors_are_the_predicted_ones(tmp_path: Path, designed: tuple[dict[str, Any], Log]) -> None:
+def test_realised_standard_errors_are_the_predicted_ones(
+    tmp_path: Path, designed: tuple[dict[str, Any], JointLog]
+) -> None:
     report, log = designed
     predicted = np.array([p["standard_error"] for p in report["base_parameters"]])
     results = [realised(tmp_path, commanded(log, seed)) for seed in range(4)]
@@ -88,7 +90,7 @@ def test_realised_standard_errors_are_the_predicted_ones(tmp_path: Path, designe
     assert 0.8 < np.sqrt(np.square(off).mean()) < 1.4
 
 
-def test_limits_are_kept_by_the_leg(designed: tuple[dict[str, Any], Log]) -> None:
+def test_limits_are_kept_by_the_leg(designed: tuple[dict[str, Any], JointLog]) -> None:
     report, log = designed
     run = commanded(log, 1)
     for j, name in enumerate(run.joints):
@@ -99,7 +101,7 @@ def test_limits_are_kept_by_the_leg(designed: tuple[dict[str, Any], Log]) -> Non
         assert np.abs(run.signals["tau"][:, j]).max() < limits["effort"]
 
 
-def test_twice_as_good_as_the_papers_shell(tmp_path: Path, designed: tuple[dict[str, Any], Log]) -> None:
+def test_twice_as_good_as_the_papers_shell(tmp_path: Path, designed: tuple[dict[str, Any], JointLog]) -> None:
     own = mean(realised(tmp_path, commanded(designed[1], 1))[0])
     assert mean(realised(tmp_path, run(shell(SECONDS), 1))[0]) > 2 * own
 
@@ -122,7 +124,7 @@ def random_series(report: dict[str, Any], seed: int, harmonics: int) -> Motion:
 
 @pytest.mark.parametrize(("harmonics", "better"), [(5, 3.0), (15, 3.0), (30, 2.0)])
 def test_better_than_random_fourier_series_within_the_same_limits(
-    tmp_path: Path, designed: tuple[dict[str, Any], Log], harmonics: int, better: float
+    tmp_path: Path, designed: tuple[dict[str, Any], JointLog], harmonics: int, better: float
 ) -> None:
     """How much depends on the series: the more of its harmonics are high, the more it too makes of the limits."""
     own = mean(realised(tmp_path, commanded(designed[1], 1))[0])
@@ -131,5 +133,5 @@ def test_better_than_random_fourier_series_within_the_same_limits(
         assert mean(realised(tmp_path, run(motion, seed))[0]) > better * own
 
 
-def test_the_command_that_is_written_is_read_back(designed: tuple[dict[str, Any], Log]) -> None:
+def test_the_command_that_is_written_is_read_back(designed: tuple[dict[str, Any], JointLog]) -> None:
     assert len(read_log(designed[0]["file"])) == SECONDS * 1000 + 1

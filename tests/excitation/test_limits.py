@@ -9,11 +9,11 @@ from exciting import arm, body, joint, robot
 from idtool.common.exceptions import ConfigError
 from idtool.excitation.limits import Limits, joint_limits
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import read_robot
 
 
-def model_of(text: str, tmp_path, *joints: str) -> Model:  # type: ignore[no-untyped-def]
+def model_of(text: str, tmp_path, *joints: str) -> RobotModel:  # type: ignore[no-untyped-def]
     path = tmp_path / "robot.urdf"
     path.write_text(text)
     return build_model(read_robot(path), parse_config({}, "c"), joints)

@@ -14,10 +14,10 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects import Effect, build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 TWO = chain(joint("shoulder", "revolute", "l0", "l1"), joint("elbow", "revolute", "l1", "l2"))
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 from commands import idtool
 from numpy.typing import NDArray
 
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def arm(effort: float = 30.0) -> str:
     )
 
 
-def excited(folder: Path, urdf: str | Path, *options: object, config: str = "") -> tuple[dict[str, Any], Log]:
+def excited(folder: Path, urdf: str | Path, *options: object, config: str = "") -> tuple[dict[str, Any], JointLog]:
     """The report and the log of a design that succeeds, by few iterations where nothing else is said."""
     folder.mkdir(exist_ok=True)
     path = folder / "robot.urdf"
@@ -77,7 +77,7 @@ def excited(folder: Path, urdf: str | Path, *options: object, config: str = "") 
     return done.json, read_log(done.json["file"])
 
 
-def derivatives(log: Log) -> tuple[Array, Array, Array]:
+def derivatives(log: JointLog) -> tuple[Array, Array, Array]:
     """Positions, and their derivatives by differences within the log, shape (N, nv) each; ends left out."""
     q, dt = log.signals["qcmd"], log.dt
     v = (q[:-4] - 8 * q[1:-3] + 8 * q[3:-1] - q[4:]) / (12 * dt)
@@ -85,7 +85,7 @@ def derivatives(log: Log) -> tuple[Array, Array, Array]:
     return q[2:-2], v, a
 
 
-def torque(urdf: str, joints: Sequence[str], friction: Mapping[str, tuple[float, float]], log: Log) -> Array:
+def torque(urdf: str, joints: Sequence[str], friction: Mapping[str, tuple[float, float]], log: JointLog) -> Array:
     """What Pinocchio says that a log's motion takes, friction added, shape (N, nv)."""
     model = pin.buildModelFromXML(urdf)
     data = model.createData()

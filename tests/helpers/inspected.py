@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from paths import REAL
 
 from idtool.data.inspection import Inspection, inspect_log
-from idtool.data.logs.log import Log, make_log
+from idtool.data.logs.log import JointLog, make_log
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]
@@ -47,7 +47,7 @@ def clean_signals(seconds: float = 30.0, rate: float = 1000.0, noise: float = 1.
     return {"t": t} | {name: y + noise * levels[name] * rng.normal(size=y.shape) for name, y in x.items()}
 
 
-def log_of(signals: Signals) -> Log:
+def log_of(signals: Signals) -> JointLog:
     """Signals as a log."""
     rest = {name: x for name, x in signals.items() if name != "t"}
     return make_log(Path("synthetic.csv"), signals["t"], JOINTS[: rest["q"].shape[1]], rest)

@@ -1,6 +1,6 @@
 """The paper's leg in MuJoCo, in closed loop along a commanded motion, with realistic sensors.
 
-An independent witness: nothing of idtool takes part but its `Log`. The leg's true bodies and friction are those of
+An independent witness: nothing of idtool takes part but its `JointLog`. The leg's true bodies and friction are those of
 sample_logs/truth.yaml (`TRUTH`), or drawn anew (`draw_truth`); what its designer believed is in sample_logs/leg.*.
 
 >>> motion = fourier(seed=3, seconds=10.0)
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from two_mass import Friction, Run
 
-from idtool.data.logs import Log, make_log
+from idtool.data.logs import JointLog, make_log
 
 __all__ = ["GENTLE", "JOINTS", "PERFECT", "RATE", "SAMPLES", "TRUTH", "URDF", "Controller", "LegRun", "LegSensors"]
 __all__ += ["Friction", "Motion", "Truth", "as_log", "draw_truth", "encoder_step", "fourier", "inverse_dynamics"]
@@ -131,11 +131,11 @@ GENTLE = Controller(kp=(75.0, 75.0, 37.5), kd=(3.0, 3.0, 1.5))  # for encoders o
 class LegRun:
     """A log and the true motion, a `two_mass.Run` with a, tau and friction averaged over each sample's millisecond."""
 
-    log: Log
+    log: JointLog
     true: Run
 
 
-def run_leg(qcmd: Array, vcmd: Array, seed: int, **options: Any) -> Log:
+def run_leg(qcmd: Array, vcmd: Array, seed: int, **options: Any) -> JointLog:
     """Run the leg along a command and log q, v, tau, qcmd and vcmd; as `track_leg`, without the true motion."""
     return track_leg(qcmd, vcmd, seed, **options).log
 
@@ -191,12 +191,12 @@ def track_leg(
     return LegRun(as_log(t, signals | {"qcmd": qcmd, "vcmd": vcmd}), run)
 
 
-def as_log(t: Array, signals: Mapping[str, Array]) -> Log:
+def as_log(t: Array, signals: Mapping[str, Array]) -> JointLog:
     """Signals of the leg, each (N, 3), as a log."""
     return make_log(Path("leg_run.mcap"), t, JOINTS, signals)
 
 
-def run_shell(seed: int, *, seconds: float = 10.0, start: float | None = None, **options: Any) -> Log:
+def run_shell(seed: int, *, seconds: float = 10.0, start: float | None = None, **options: Any) -> JointLog:
     """Run the leg along the paper's motion; ``options`` as for `run_leg`.
 
     Parameters

@@ -17,7 +17,7 @@ from leg_runs import as_log
 from leg_truth import JOINTS, TRUTH
 from numpy.typing import NDArray
 
-from idtool.data.logs import Log
+from idtool.data.logs import JointLog
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ _STEPS = 10  # of the simulation, a sample
 _NOISE = {"q": 1e-5, "v": 2e-3}  # rad, rad/s
 
 
-def position_controlled(motion: Motion, delay: float, *, held: bool = False) -> Log:
+def position_controlled(motion: Motion, delay: float, *, held: bool = False) -> JointLog:
     """Run the leg along a command; what is logged has no noise.
 
     Parameters
@@ -60,7 +60,7 @@ def position_controlled(motion: Motion, delay: float, *, held: bool = False) -> 
     return as_log(sampled, {"q": read[0], "v": read[1], "qcmd": motion.q, "vcmd": motion.v})
 
 
-def noisy(log: Log, seed: int, louder: float = 1.0) -> Log:
+def noisy(log: JointLog, seed: int, louder: float = 1.0) -> JointLog:
     """The same with noise of the sensors, of whose usual size it may be a multiple."""
     rng = np.random.default_rng(seed)
     signals = dict(log.signals)

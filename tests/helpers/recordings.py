@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 
-from idtool.data.logs import Log
+from idtool.data.logs import JointLog
 
 FIELDS = {"q": "position", "v": "velocity", "tau": "effort"}  # of a JointState message
 NAME = "sensor_msgs/msg/JointState"
@@ -247,7 +247,7 @@ def bag(folder: Path, *parts: Sequence[State], listed: Sequence[int] | None = No
     return folder
 
 
-def check_log(log: Log, items: Sequence[State]) -> None:
+def check_log(log: JointLog, items: Sequence[State]) -> None:
     """The log holds the states, bit by bit."""
     assert len(log) == len(items)
     assert log.t.tolist() == [state.stamp // 10**9 + state.stamp % 10**9 / 1e9 for state in items]

@@ -10,7 +10,7 @@ import pinocchio as pin  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from idtool.robot.body import Body
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -162,7 +162,7 @@ def actuated(robot: Robot) -> list[str]:
     return [j.name for j in robot.joints.values() if j.kind != "fixed" and j.mimic is None]
 
 
-def body(model: Model, name: str) -> Body:
+def body(model: RobotModel, name: str) -> Body:
     """A model's body by name."""
     (found,) = [b for b in model.bodies if b.name == name]
     return found

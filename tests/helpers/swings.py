@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.data.logs.log import Log, make_log
+from idtool.data.logs.log import JointLog, make_log
 from idtool.data.signals import Motion, Signals
 from idtool.robot.config import parse_config
 
@@ -35,13 +35,13 @@ def clock(seconds: float, rate: float = RATE) -> Array:
     return np.arange(round(seconds * rate)) / rate
 
 
-def swinging(t: Array, **signals: Array | None) -> Log:
+def swinging(t: Array, **signals: Array | None) -> JointLog:
     """A log of both joints: exact q, v and a torque, but for the signals given, each (N, 2), None for one left out."""
     chosen = {"q": swing(t), "v": swing(t, 1), "tau": np.cos(swing(t)), **signals}
     return make_log(Path("swing.csv"), t, JOINTS, {name: x for name, x in chosen.items() if x is not None})
 
 
-def signals_of(log: Log, **config: Any) -> Signals:
+def signals_of(log: JointLog, **config: Any) -> Signals:
     """The log's signals under a configuration."""
     return Signals(log, JOINTS, parse_config(config, "swing.yaml"))
 

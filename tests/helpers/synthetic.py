@@ -22,7 +22,7 @@ from idtool.robot.body import Body, Frame
 from idtool.robot.config import Config, parse_config
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Robot
 
@@ -36,7 +36,7 @@ class Synthetic:
     """A robot, its true coefficients, and the rows of a motion in which no sample knows of the others."""
 
     config: Config
-    model: Model
+    model: RobotModel
     linear: LinearModel
     Y: Array
     theta: Array

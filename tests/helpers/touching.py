@@ -7,9 +7,9 @@ from collections.abc import Callable
 from robots import joint
 
 from idtool.robot.collision import SelfCollision
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 SPHERE = '<sphere radius="{0}"/>'
 BOX = '<box size="{0} {1} {2}"/>'
@@ -38,7 +38,7 @@ def arm(base: str, upper: str, tip: str, kind: str = "revolute", extra: str = ""
     )
 
 
-def checked(model: Model, locked_joints: dict[str, float] | None = None) -> SelfCollision:
+def checked(model: RobotModel, locked_joints: dict[str, float] | None = None) -> SelfCollision:
     found = SelfCollision.from_model(model, locked_joints)
     assert found is not None
     return found

@@ -27,7 +27,7 @@ from idtool.estimation.dataset.equality_constraints import with_equal_bounds
 from idtool.estimation.problem.realizability import check_realizability
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import parameter_reflection
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.shapes import known_shapes
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def around(rng: np.random.Generator, count: int = 4000) -> Array:
 
 
 @pytest.fixture
-def build(build: Callable[..., Model]) -> Callable[..., Model]:
+def build(build: Callable[..., RobotModel]) -> Callable[..., RobotModel]:
     """A model of two links in a row and one fixed to the second, turned and a metre away."""
     fixed = joint("j3", "fixed", "l2", "l3", '<origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/>')
     text = chain(joint("j1", "revolute", "l0", "l1"), joint("j2", "revolute", "l1", "l2"), fixed)
@@ -75,7 +75,7 @@ def build(build: Callable[..., Model]) -> Callable[..., Model]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_shape_is_where_the_configuration_puts_it(
-    build: Callable[..., Model], rng: np.random.Generator, kind: str
+    build: Callable[..., RobotModel], rng: np.random.Generator, kind: str
 ) -> None:
     (shape,) = body(build(bounding_shapes={"l1": [KINDS[kind]]}), "l1").shapes
     points = around(rng)
@@ -90,7 +90,7 @@ def test_a_shape_is_where_the_configuration_puts_it(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_shape_of_a_link_on_a_fixed_joint_moves_with_it(
-    build: Callable[..., Model], rng: np.random.Generator, kind: str
+    build: Callable[..., RobotModel], rng: np.random.Generator, kind: str
 ) -> None:
     (shape,) = body(build(bounding_shapes={"l3": [KINDS[kind]]}), "l2").shapes
     points = around(rng)
@@ -98,7 +98,7 @@ def test_a_shape_of_a_link_on_a_fixed_joint_moves_with_it(
     np.testing.assert_array_equal(shape.contains(turned), is_inside(kind, points))
 
 
-def test_shapes_and_ellipsoids_are_one_union(build: Callable[..., Model]) -> None:
+def test_shapes_and_ellipsoids_are_one_union(build: Callable[..., RobotModel]) -> None:
     ball = {"semi_axes": [0.3, 0.3, 0.3]}
     both = build(bounding_shapes={"l1": [KINDS["box"], KINDS["capsule"]]}, bounding_ellipsoids={"l1": [ball]})
     first, second = body(both, "l1"), body(both, "l2")

@@ -14,9 +14,9 @@ from sentences import sentences
 
 from idtool.common.exceptions import ConfigError, IdtoolError, ModelError
 from idtool.robot.config import parse_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 LEG_JOINTS = ("abad", "hip", "knee")
 
 

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ConfigError
 from idtool.robot.inertia import from_mass_com_inertia, parameter_transform
-from idtool.robot.model import Frame, Model
+from idtool.robot.model import Frame, RobotModel
 
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 LEG_JOINTS = ("abad", "hip", "knee")
 ROTOR = {"joint": "hip", "gear_ratio": 10.604, "inertial": {"mass": 0.5, "inertia": [0.002, 0, 0.001, 0, 0, 0.002]}}
 
 
-def in_root(model: Model, frame: Frame) -> Frame:
+def in_root(model: RobotModel, frame: Frame) -> Frame:
     """A frame's place in the root link, every phi at its offset."""
     if frame.body < 0:
         return frame

@@ -13,11 +13,11 @@ from synthetic import true_body
 from idtool.robot.body import Body
 from idtool.robot.config import Config
 from idtool.robot.inertia import WRITTEN_DIGITS, from_mass_com_inertia, pseudo_inertia
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 from idtool.robot.urdf.writing import JointDynamics, identified_urdf, link_parameters, replace_parameters
 
-Build = Callable[..., Model]
+Build = Callable[..., RobotModel]
 
 ODD = b"""<?xml version='1.0' encoding="utf-8"?>\r
 <!-- <link name="a"><inertial/></link> -->\r

@@ -15,7 +15,7 @@ from paths import SAMPLES
 from sample_truth import EDGE, FILTER, LOGS, RATE, TRUTH, config_of, inertia_of, low_pass, rigid_torque
 from scipy.signal import sosfilt
 
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def prior_bodies(robot: str) -> dict[str, Any]:
     return bodies
 
 
-def residual(log: Log, robot: str, bodies: dict[str, Any]) -> Array:
+def residual(log: JointLog, robot: str, bodies: dict[str, Any]) -> Array:
     """What bodies and the true friction leave of the torque in the band, (N, nj)."""
     q = low_pass(log.signals["q"])
     v = np.gradient(q, 1 / RATE, axis=0)
@@ -54,7 +54,7 @@ def rms(x: Array) -> Array:
     return np.asarray(np.sqrt((x**2).mean(axis=0)))
 
 
-def load(name: str) -> tuple[str, Log]:
+def load(name: str) -> tuple[str, JointLog]:
     return name.rpartition("_")[0], read_log(SAMPLES / f"{name}.mcap")
 
 

@@ -12,7 +12,7 @@ import pytest
 from prescribed_motions import silent
 from sentences import sentences, texts
 
-from idtool.data.logs import Log, make_log
+from idtool.data.logs import JointLog, make_log
 from idtool.setup import loaded_logs as seen
 from idtool.setup.loaded_logs import first_samples
 from idtool.setup.trial_evaluator import TrialScore
@@ -175,7 +175,7 @@ def test_a_delay_stays_though_terms_that_make_the_whole_worse_go() -> None:
     assert [trial.kept for trial in found.trials] == [True, False, False]
 
 
-def segmented(*lengths: int) -> Log:
+def segmented(*lengths: int) -> JointLog:
     """A log with a gap of a second between segments of so many samples."""
     t = np.concatenate([np.arange(n) * DT + 1000.0 * i for i, n in enumerate(lengths)])
     return make_log(__file__, t, ("hip",), {"q": np.sin(t)[:, None], "v": np.cos(t)[:, None]})  # type: ignore[arg-type]

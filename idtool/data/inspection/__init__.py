@@ -31,7 +31,7 @@ from idtool.data.inspection.records import (
 )
 from idtool.data.inspection.signal_statistics import column_statistics, quantisation
 from idtool.data.inspection.velocity import velocity_lag
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 __all__ = [
     "FAULT_KINDS",
@@ -59,7 +59,7 @@ _LISTED_GAPS = 5
 _SHORT_SEGMENT = 0.5  # s
 
 
-def inspect_log(log: Log) -> Inspection:
+def inspect_log(log: JointLog) -> Inspection:
     """Inspect a log.
 
     Parameters
@@ -76,7 +76,7 @@ def inspect_log(log: Log) -> Inspection:
         return _inspect(log)
 
 
-def _inspect(log: Log) -> Inspection:
+def _inspect(log: JointLog) -> Inspection:
     stretches = _stretches(log.segments)
     statistics = {name: column_statistics(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
@@ -124,7 +124,7 @@ def _stretches(segments: tuple[slice, ...]) -> list[slice]:
     return [stretches[i] for i in np.linspace(0, len(stretches) - 1, count).astype(int)]
 
 
-def _stamps(log: Log, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:
+def _stamps(log: JointLog, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:
     step = np.diff(log.t[np.isfinite(log.t)])
     all_gaps = gaps(log)
     lengths = [s.stop - s.start for s in log.segments]

@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.records import Gap, Sampling
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 _GAP_STAMPS = 9  # stamps to either side of a gap
 _MIN_STEPS = 200  # steps that tell the time, for a statement
@@ -53,7 +53,7 @@ def clock_deviation(t: Array) -> Array:
     return np.asarray(centred - k * (k @ centred) / max(float(k @ k), 1.0))
 
 
-def gaps(log: Log) -> tuple[Gap, ...]:
+def gaps(log: JointLog) -> tuple[Gap, ...]:
     """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
     first = float(log.t[np.isfinite(log.t)][0])
     time_gaps = []
@@ -70,7 +70,7 @@ def gaps(log: Log) -> tuple[Gap, ...]:
     return tuple(sorted(time_gaps, key=lambda gap: -gap.lost))
 
 
-def fresh_rows(log: Log, stretch: slice) -> Mask:
+def fresh_rows(log: JointLog, stretch: slice) -> Mask:
     """True for rows of a stretch that differ from the one before in the q or v of any joint, shape (N,)."""
     fresh = np.zeros(stretch.stop - stretch.start, dtype=bool)
     fresh[0] = True

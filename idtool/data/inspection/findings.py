@@ -20,10 +20,12 @@ from idtool.data.inspection.velocity_findings import (
     exchanged_velocity,
     velocity_against_position,
 )
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 
-def all_findings(log: Log, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]) -> tuple[Notice, ...]:
+def all_findings(
+    log: JointLog, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]
+) -> tuple[Notice, ...]:
     """All findings, problems first, those with the same advice side by side.
 
     Where the stamps seem to be in another unit than seconds, which is a notice of the log, v can't be compared with

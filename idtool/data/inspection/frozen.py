@@ -13,7 +13,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.data.inspection.channel_findings import MAX_STALE_SHARE
 from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Signal
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 MIN_DURATION = 0.1  # s in all: less is too short for a filter to carry any further
 MIN_STRETCH_DURATION = 0.03  # s that one stretch lasts at least: less is a hiccup of a bus
@@ -31,7 +31,7 @@ _BLOCK = 1 << 16  # samples looked at together
 _READING_STRIDE = 5  # samples from one reading of q to the next for the distance, so that noise adds little to it
 
 
-def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, dict[str, FrozenStretches]]:
+def frozen_channels(log: JointLog, joints: Mapping[str, InspectedJoint]) -> dict[str, dict[str, FrozenStretches]]:
     """Frozen stretches by joint and signal; of every sample of the log.
 
     Parameters
@@ -54,7 +54,7 @@ def frozen_channels(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str,
 
 
 def _stretches(
-    log: Log, joints: Mapping[str, InspectedJoint], signal: str, shortest: int
+    log: JointLog, joints: Mapping[str, InspectedJoint], signal: str, shortest: int
 ) -> dict[str, list[tuple[int, int]]]:
     """First sample of each frozen stretch of a signal, and the one after its last, by joint."""
     columns = [i for i, name in enumerate(log.joints) if _may_freeze(joints[name], signal)]
@@ -88,7 +88,7 @@ def _blocks(segments: Sequence[slice], shortest: int) -> Iterator[slice]:
 
 
 def _frozen_runs(
-    log: Log, block: slice, signal: str, i: int, joint: InspectedJoint, shortest: int
+    log: JointLog, block: slice, signal: str, i: int, joint: InspectedJoint, shortest: int
 ) -> Iterator[tuple[int, int]]:
     """First sample of each frozen stretch in a block, and the one after its last.
 
@@ -138,7 +138,7 @@ def _least_leap(changes: Array, figures: Signal) -> float:
     return max(LEAP_FACTOR * float(np.median(changes)), 4 * (figures.step or 0.0))
 
 
-def _distance(log: Log, block: slice, i: int, joint: InspectedJoint, by: str) -> Array:
+def _distance(log: JointLog, block: slice, i: int, joint: InspectedJoint, by: str) -> Array:
     """Distance covered, by v or by q, over that of a sample at the joint's rms speed, shape (N,); 0 without v."""
     usual_step = joint.speed_rms * log.dt
     if by == "v":

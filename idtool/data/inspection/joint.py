@@ -24,7 +24,7 @@ from idtool.data.inspection.signal_statistics import (
 )
 from idtool.data.inspection.torque import torque_source
 from idtool.data.inspection.velocity import Agreement, velocity_agreement
-from idtool.data.logs.log import SIGNALS, Log
+from idtool.data.logs.log import SIGNALS, JointLog
 
 _MAX_QUANTISATION_SAMPLES = 1 << 15  # samples that quantisation is read from
 _MIN_RELATIVE_TRAVEL = 10.0  # range of q over its noise or resolution
@@ -36,7 +36,12 @@ _MIN_SPEED_AT_EXTREMES = 0.1  # speed at the extremes of q, over the rms speed: 
 
 
 def inspect_joint(
-    log: Log, i: int, statistics: Mapping[str, ColumnStatistics], jumps: Jumps, stretches: Sequence[slice], fresh: Mask
+    log: JointLog,
+    i: int,
+    statistics: Mapping[str, ColumnStatistics],
+    jumps: Jumps,
+    stretches: Sequence[slice],
+    fresh: Mask,
 ) -> tuple[InspectedJoint, Mask]:
     """Inspect joint ``i``.
 
@@ -143,7 +148,7 @@ def _moves_at_extremes_of_q(runs: Mapping[str, Sequence[Array]], low: float, hig
     return bool(np.median(np.abs(v[is_extreme])) > _MIN_SPEED_AT_EXTREMES * speed_rms)
 
 
-def _velocity(log: Log, runs: Mapping[str, Sequence[Array]], stretches: Sequence[slice]) -> Velocity | None:
+def _velocity(log: JointLog, runs: Mapping[str, Sequence[Array]], stretches: Sequence[slice]) -> Velocity | None:
     """Agreement of v with q, the stretches weighted by their information."""
     agreements: list[Agreement] = []
     power = []

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 JUMP_PERCENTILE = 99.5  # percentile of the steps, and
 JUMP_FACTOR = 10.0  # times that, beyond which a step is a jump
@@ -28,7 +28,7 @@ class Jumps(NamedTuple):
     wraps: bool
 
 
-def position_jumps(log: Log, stretches: Sequence[slice]) -> list[Jumps]:
+def position_jumps(log: JointLog, stretches: Sequence[slice]) -> list[Jumps]:
     """Jumps of q, by joint; of every sample of the log.
 
     Parameters

@@ -10,7 +10,7 @@ import numpy as np
 from idtool.common.notice import Notice, Severity
 from idtool.data.inspection.records import InspectedJoint, Velocity
 from idtool.data.inspection.velocity import velocity_agreement
-from idtool.data.logs.log import Log
+from idtool.data.logs.log import JointLog
 
 MIN_LAG = 0.25  # samples: less, no fit can see
 MIN_LAG_ERRORS = 3.0  # standard errors that a lag must exceed to count
@@ -26,7 +26,7 @@ MAX_LOG_GAIN = 0.25  # of log |gain|: more than a calibration is out
 _MAX_SAMPLES = 1 << 15  # samples
 
 
-def exchanged_velocities(log: Log, joints: Mapping[str, InspectedJoint]) -> dict[str, str]:
+def exchanged_velocities(log: JointLog, joints: Mapping[str, InspectedJoint]) -> dict[str, str]:
     """Joints whose velocity is another's, each with the joint under whose name its own stands.
 
     Only joints whose velocity has nothing to do with their position are compared, over a stretch of bounded length.

@@ -27,9 +27,9 @@ from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
-from idtool.data.logs.log import SIGNALS, Log, make_log
+from idtool.data.logs.log import SIGNALS, JointLog, make_log
 
-__all__ = ["SIGNALS", "Log", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
+__all__ = ["SIGNALS", "JointLog", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
 
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
@@ -40,9 +40,9 @@ class _Format(Protocol):
 
     def matches(self, head: bytes) -> bool: ...
 
-    def read(self, path: Path, topic: str | None, columns: Mapping[str, str]) -> Log: ...
+    def read(self, path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog: ...
 
-    def write(self, file: BinaryIO, log: Log) -> None: ...
+    def write(self, file: BinaryIO, log: JointLog) -> None: ...
 
 
 @cache
@@ -57,7 +57,7 @@ def read_log(
     topic: str | None = None,
     columns: Mapping[str, str] = {},
     scale: Mapping[str, Mapping[str, float]] = {},
-) -> Log:
+) -> JointLog:
     """Read a log of any format.
 
     Parameters
@@ -86,7 +86,7 @@ def read_log(
     return replace(log, sources=sources)
 
 
-def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
+def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
     """The log in its own units; OSError if a file cannot be read."""
     if path.is_dir():
         from idtool.data.logs.mcap import read
@@ -112,7 +112,7 @@ def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     raise LogError(path, f"is not a log in a supported format ({' or '.join(log_suffixes())}; CSV must be UTF-8)")
 
 
-def write_log(path: str | os.PathLike[str], log: Log) -> None:
+def write_log(path: str | os.PathLike[str], log: JointLog) -> None:
     """Write a log in the format given by the extension of ``path``.
 
     The file appears only when it is complete; until then an existing one stays.
@@ -158,7 +158,7 @@ def log_suffixes() -> list[str]:
     return [suffix for log_format in _formats() for suffix in log_format.SUFFIXES]
 
 
-def _apply_scale(log: Log, scale: Mapping[str, Mapping[str, float]]) -> None:
+def _apply_scale(log: JointLog, scale: Mapping[str, Mapping[str, float]]) -> None:
     """Convert a log to SI units, in place."""
     for signal, factors in scale.items():
         if factors and signal not in log.signals:

@@ -16,7 +16,7 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
-from idtool.data.logs.log import SIGNALS, Log, truncation_notice
+from idtool.data.logs.log import SIGNALS, JointLog, truncation_notice
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
@@ -37,7 +37,7 @@ def matches(head: bytes) -> bool:
     return not _CONTROL_CHARACTERS.search(head)
 
 
-def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
+def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
     """Read a table with canonical column names, or those in ``columns``; ``topic`` selects one of several topics.
 
     Raises
@@ -81,7 +81,7 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
     return make_log_of_complete_samples(path, t, joints, arrays, tuple(notices))
 
 
-def write(file: BinaryIO, log: Log) -> None:
+def write(file: BinaryIO, log: JointLog) -> None:
     """Write a log with canonical column names and all digits of every number."""
     columns = [(name, j) for j, joint in enumerate(log.joints) for name in SIGNALS if log.has(name, joint)]
     header = io.StringIO()

@@ -13,7 +13,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.data.logs.log import Log, make_log
+from idtool.data.logs.log import JointLog, make_log
 
 _BLOCK = 1 << 14  # samples checked together
 
@@ -24,7 +24,7 @@ def make_log_of_complete_samples(
     joints: tuple[str, ...],
     signals: Mapping[str, Array],
     notices: tuple[Notice, ...] = (),
-) -> Log:
+) -> JointLog:
     """`make_log`, but only with samples that fit together.
 
     If no two samples in a row have every joint and signal, only the samples of one kind are kept: the kind that has

@@ -1,4 +1,4 @@
-"""`Log`: joint signals over time, the one record that every reader returns.
+"""`JointLog`: joint signals over time, the one record that every reader returns.
 
 Letters: t time [s], q position [rad or m], v velocity [rad/s or m/s], tau torque or force at the joint output
 [N·m or N], qcmd and vcmd the commanded position and velocity. N samples, nj joints.
@@ -25,7 +25,7 @@ _BLOCK = 1 << 15  # samples checked together
 
 
 @dataclass(frozen=True)
-class Log:
+class JointLog:
     """Joint signals over time.
 
     Attributes
@@ -81,7 +81,7 @@ def make_log(
     joints: tuple[str, ...],
     signals: Mapping[str, Array],
     notices: tuple[Notice, ...] = (),
-) -> Log:
+) -> JointLog:
     """Check the data of a reader and split them into segments.
 
     Rows in which the time or a signal is not finite end a segment, as do gaps and backward steps in time. Samples that
@@ -125,7 +125,7 @@ def make_log(
         notices += (Notice("not_finite", "note", None, message, advice),)
     if unit := suspected_unit(dt, segments, present):
         notices += (time_unit_notice(dt, unit, present),)
-    return Log(path, joints, t, present, segments, dt, notices)
+    return JointLog(path, joints, t, present, segments, dt, notices)
 
 
 def _check_values(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:

@@ -17,7 +17,7 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.bag import MCAP, ZSTD, log_files
 from idtool.data.logs.interleaved import make_log_of_complete_samples
-from idtool.data.logs.log import Log, truncation_notice
+from idtool.data.logs.log import JointLog, truncation_notice
 from idtool.data.logs.mcap_file import open_mcap
 from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.data.logs.sample_buffer import SampleBuffer
@@ -38,7 +38,7 @@ def matches(head: bytes) -> bool:
     return head.startswith((MCAP, ZSTD))
 
 
-def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> Log:
+def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
     """Read the joint states of ``topic``, or of the only topic that carries any; ``columns`` are for CSV.
 
     Parameters
@@ -95,7 +95,7 @@ def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) 
     return {_COMMANDS[name]: array for name, array in signals.items() if name in _COMMANDS}
 
 
-def write(file: BinaryIO, log: Log) -> None:
+def write(file: BinaryIO, log: JointLog) -> None:
     """Write a log with stamps rounded to nanoseconds.
 
     Raises

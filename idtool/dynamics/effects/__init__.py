@@ -19,7 +19,7 @@ from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NamedEffect, ParameterValue, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.robot.config import Config, EffectEntry, Friction, UncertainValue
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 __all__ = [
     "Coefficient",
@@ -57,7 +57,7 @@ def friction_types() -> dict[str, type[JointTerm]]:
     return {key: types[key] for key in Friction.model_fields}
 
 
-def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
+def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
     """Terms of a model's torque equation: its rigid bodies, its friction, and what the configuration adds.
 
     A coefficient's prior is the configuration's value, else the URDF's. An entry under `effects` replaces the same term
@@ -87,7 +87,7 @@ def build_effects(model: Model, config: Config) -> tuple[Effect, ...]:
     return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))
 
 
-def effect_from_entry(entry: EffectEntry, model: Model) -> NamedEffect:
+def effect_from_entry(entry: EffectEntry, model: RobotModel) -> NamedEffect:
     """The effect that an entry describes.
 
     Raises
@@ -101,7 +101,7 @@ def effect_from_entry(entry: EffectEntry, model: Model) -> NamedEffect:
     return types[entry.effect].from_entry(entry, model)
 
 
-def _friction(model: Model, joint: int, config: Config) -> list[JointTerm]:
+def _friction(model: RobotModel, joint: int, config: Config) -> list[JointTerm]:
     """Friction terms of a joint."""
     properties = model.joints[joint]
     types = friction_types()

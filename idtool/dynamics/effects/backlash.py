@@ -19,7 +19,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import geometric_grid
 from idtool.dynamics.mechanism import Mechanism, Transmission
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _DAMPING_RATIO = 0.5
 _MIN_WIDTH = 3e-4  # rad or m: what gears have
@@ -55,7 +55,7 @@ class Backlash(FixedJointEffect):
         NonlinearParameter("motor_friction", optional_maximum=1.0),
     )
 
-    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
+    def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
         self._model_along: Callable[[Motion], Linearization] | None = None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from idtool.common.arrays import Array
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class DataSummary:
         True if the URDF's inertia is taken as true.
     """
 
-    model: Model
+    model: RobotModel
     effect_keys: frozenset[tuple[str | float, ...]]
     q_min: Array
     q_max: Array

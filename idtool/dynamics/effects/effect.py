@@ -16,7 +16,7 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.mechanism import Mechanism
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Effect(ABC):
         """Samples at which the columns can't be known from the motion: joint index to a mask of shape (N,)."""
         return {}
 
-    def modify_model(self, model: Model) -> Model:
+    def modify_model(self, model: RobotModel) -> RobotModel:
         """Tree of bodies with what the effect changes in it."""
         return model
 

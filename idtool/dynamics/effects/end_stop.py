@@ -14,7 +14,7 @@ from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.simulator_element import OneSidedSpring, SimulatorElement
 from idtool.dynamics.mechanism import Mechanism
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import UrdfJoint
 
 _SHARES = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.32)  # of the travel that lie beyond the positions tried
@@ -40,7 +40,7 @@ class EndStop(JointTerm):
     )
 
     def __init__(
-        self, model: Model, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
+        self, model: RobotModel, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
     ) -> None:
         super().__init__(model, joint, prior, nonlinear_values)
         self.nonlinear_values["side"] = _side(model.joints[joint], self.nonlinear_values["position"])

@@ -10,7 +10,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.robot.config import EffectEntry, UncertainValue
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 def entry_location(entry: EffectEntry) -> str:
@@ -88,7 +88,7 @@ def _numbers(given: Any, length: int) -> Array:
     return np.array([UncertainValue.model_validate(x).value for x in given])
 
 
-def read_joint_index(entry: EffectEntry, name: Any, model: Model, parameter: str = "") -> int:
+def read_joint_index(entry: EffectEntry, name: Any, model: RobotModel, parameter: str = "") -> int:
     """Index of the joint of that name; ``parameter`` is the one that names it, if any.
 
     Raises

@@ -21,7 +21,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
 from idtool.robot.kinematics import cross
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _RAMP = 0.005  # s in which a contact comes or goes
 
@@ -54,7 +54,7 @@ class ExternalContact(LinkEffect):
     acts_in_bursts = True
     parameter_names = ("windows", "wrench")
 
-    def __init__(self, model: Model, link: str, frame: Frame, windows: Array, wrench: Array) -> None:
+    def __init__(self, model: RobotModel, link: str, frame: Frame, windows: Array, wrench: Array) -> None:
         super().__init__(model, link, frame)
         self._edges = windows.ravel()
         self._force = wrench[:3]
@@ -62,7 +62,7 @@ class ExternalContact(LinkEffect):
 
     @classmethod
     @override
-    def from_checked_entry(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
+    def from_checked_entry(cls, entry: EffectEntry, model: RobotModel, frame: Frame) -> Self:
         windows = read_rows(entry, "windows", 2)
         wrench = read_vector(entry, "wrench", 6)
         if (np.diff(windows.ravel()) < _RAMP).any():

@@ -18,7 +18,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect, ParameterValue
 from idtool.dynamics.effects.probe import Probe
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 class FixedEffect(NamedEffect):
@@ -32,7 +32,7 @@ class FixedEffect(NamedEffect):
 
     coefficients: tuple[Coefficient, ...] = ()
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: RobotModel) -> None:
         self.active = tuple(np.arange(0) for _ in model.joints)
 
     @override
@@ -59,7 +59,7 @@ class FixedJointEffect(FixedEffect, JointEffect):
 
     joint: int
 
-    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
+    def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         FixedEffect.__init__(self, model)
         JointEffect.__init__(self, model, joint, nonlinear_values)
 
@@ -71,7 +71,7 @@ class FixedJointEffect(FixedEffect, JointEffect):
     @classmethod
     @override
     def with_values(
-        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+        cls, model: RobotModel, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
     ) -> Self:
         return cls(model, joint, nonlinear_values)
 

@@ -19,7 +19,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MAX_TILT = 0.7  # share of gravity across: a base that leans more is mounted so by intention
 
@@ -40,13 +40,13 @@ class GravityTilt(FixedEffect):
     description = "the base is not level"
     excitation_hint = "standstill in many postures of the first joints"
 
-    def __init__(self, model: Model, gravity: Array) -> None:
+    def __init__(self, model: RobotModel, gravity: Array) -> None:
         super().__init__(model)
         self.gravity = gravity
 
     @classmethod
     @override
-    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
+    def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
         if entry.joint is not None or entry.link is not None:
             raise ConfigError(entry_location(entry), "acts on the whole robot; give neither joint nor link")
         check_parameter_names(entry, ("gravity",))
@@ -94,7 +94,7 @@ class GravityTilt(FixedEffect):
         return {"gravity": "m/s²"}
 
     @override
-    def modify_model(self, model: Model) -> Model:
+    def modify_model(self, model: RobotModel) -> RobotModel:
         return replace(model, gravity=self.gravity)
 
     @override

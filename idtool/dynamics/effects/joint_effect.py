@@ -24,7 +24,7 @@ from idtool.dynamics.effects.entry_parameters import (
 from idtool.dynamics.effects.named_effect import NamedEffect, NonlinearParameter, ParameterValue
 from idtool.dynamics.effects.probe import Probe
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MIN_POSITIVE = 1e-6  # SI: the inverse square of a smaller number is not finite
 
@@ -53,7 +53,7 @@ class JointEffect(NamedEffect):
         Values of the nonlinear parameters.
     """
 
-    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
+    def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         self.joint: int | Indices = joint
         self.owner = model.joints[joint].name
         self.is_prismatic = model.joints[joint].kind == "prismatic"
@@ -69,7 +69,7 @@ class JointEffect(NamedEffect):
         """Names of the parameters that follow from the coefficients."""
 
     @classmethod
-    def may_act_on(cls, model: Model, joint: int) -> bool:
+    def may_act_on(cls, model: RobotModel, joint: int) -> bool:
         """False on a joint of the robot whose model has the effect in another form."""
         has_rotor = any(body.kind == "rotor" and body.ratios[joint] for body in model.bodies)
         return not (cls.is_rotor_inertia and has_rotor)
@@ -84,13 +84,13 @@ class JointEffect(NamedEffect):
     @classmethod
     @abstractmethod
     def with_values(
-        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+        cls, model: RobotModel, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
     ) -> Self:
         """Effect with given values of the linear and of the nonlinear parameters."""
 
     @classmethod
     @override
-    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
+    def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
         if entry.joint is None or entry.link is not None:
             raise ConfigError(entry_location(entry), "acts on a joint; give `joint` and not `link`")
         joint = read_joint_index(entry, entry.joint, model)
@@ -140,7 +140,7 @@ class JointEffect(NamedEffect):
         """Probe of the effect on a joint at given nonlinear values."""
 
     @classmethod
-    def to_entry(cls, model: Model, joint: int, values: Mapping[str, float]) -> EffectEntry:
+    def to_entry(cls, model: RobotModel, joint: int, values: Mapping[str, float]) -> EffectEntry:
         """Configuration entry with values of all parameters."""
         joint_names = {parameter.name for parameter in cls.nonlinear_parameters if parameter.is_joint}
         given: dict[str, Any] = {}
@@ -178,7 +178,7 @@ class JointEffect(NamedEffect):
         return units
 
 
-def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Model, joint: int) -> float:
+def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: RobotModel, joint: int) -> float:
     """Value of a nonlinear parameter; a joint's index where it names one."""
     name = parameter.name
     if parameter.is_joint:

@@ -19,7 +19,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.mechanism import Mechanism, Transmission
 from idtool.robot.inertia import symmetric_matrix
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
 _BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: candidates for the band in which torque tells the deflection
@@ -55,7 +55,7 @@ class JointElasticity(FixedJointEffect):
         NonlinearParameter("motor_friction", optional_maximum=1.0),
     )
 
-    def __init__(self, model: Model, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
+    def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
         nv = len(model.joints)
         self._rotor_inertia = np.zeros((nv, nv))  # torque on each joint per acceleration of each

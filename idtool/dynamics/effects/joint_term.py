@@ -29,7 +29,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _FAST = 0.1  # deadbands per sample above which the sign changes within a sample
 _SURE = 3.0  # deadbands beyond which the rounded sign is ±1 to half a percent
@@ -69,7 +69,7 @@ class JointTerm(JointEffect):
     even: bool = True
 
     def __init__(
-        self, model: Model, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
+        self, model: RobotModel, joint: int, prior: float = 0.0, nonlinear_values: Mapping[str, float] | None = None
     ) -> None:
         super().__init__(model, joint, nonlinear_values)
         coefficient = Coefficient(
@@ -94,7 +94,7 @@ class JointTerm(JointEffect):
     @classmethod
     @override
     def with_values(
-        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+        cls, model: RobotModel, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
     ) -> Self:
         return cls(model, joint, values[cls.coefficient_name], nonlinear_values)
 
@@ -104,7 +104,7 @@ class JointTerm(JointEffect):
         effect = cls.with_values(summary.model, joint, {cls.coefficient_name: 0.0}, nonlinear_values)
         return linear_probe(effect, summary, joint, nonlinear_values)
 
-    def unit_on(self, model: Model, joint: int) -> str:
+    def unit_on(self, model: RobotModel, joint: int) -> str:
         """Unit of the coefficient on a joint."""
         revolute, prismatic = self.units
         return prismatic if model.joints[joint].kind == "prismatic" else revolute
@@ -202,7 +202,7 @@ class JointTerms(JointEffect):
 
     def __init__(
         self,
-        model: Model,
+        model: RobotModel,
         joint: int,
         prior: Sequence[float] = (),
         nonlinear_values: Mapping[str, float] | None = None,
@@ -225,7 +225,7 @@ class JointTerms(JointEffect):
     @classmethod
     @override
     def with_values(
-        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+        cls, model: RobotModel, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
     ) -> Self:
         return cls(model, joint, [values[name] for name in cls.linear_parameters()], nonlinear_values)
 

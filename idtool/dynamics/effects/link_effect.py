@@ -15,7 +15,7 @@ from idtool.dynamics.effects.entry_parameters import check_parameter_names, entr
 from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.robot.body import Frame
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 class LinkEffect(FixedEffect):
@@ -44,7 +44,7 @@ class LinkEffect(FixedEffect):
 
     parameter_names: tuple[str, ...]
 
-    def __init__(self, model: Model, link: str, frame: Frame) -> None:
+    def __init__(self, model: RobotModel, link: str, frame: Frame) -> None:
         super().__init__(model)
         self.link = link
         self.frame = frame
@@ -52,7 +52,7 @@ class LinkEffect(FixedEffect):
 
     @classmethod
     @override
-    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
+    def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
         if entry.link is None or entry.joint is not None:
             raise ConfigError(entry_location(entry), "acts on a link; give `link` and not `joint`")
         links = model.robot.links
@@ -64,7 +64,7 @@ class LinkEffect(FixedEffect):
 
     @classmethod
     @abstractmethod
-    def from_checked_entry(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
+    def from_checked_entry(cls, entry: EffectEntry, model: RobotModel, frame: Frame) -> Self:
         """Effect that an entry describes whose parameter names and link have been checked."""
 
     @property
@@ -73,7 +73,7 @@ class LinkEffect(FixedEffect):
         return self.id, self.link
 
 
-def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
+def _link_frame(entry: EffectEntry, link: str, model: RobotModel) -> Frame:
     """Pose of a link's frame in the body that carries it, through fixed joints of links without inertial."""
     frames = {member.link: member.frame for body in model.bodies for member in body.members}
     parent_joints = {joint.child: joint for joint in model.robot.joints.values()}
@@ -93,7 +93,7 @@ def _link_frame(entry: EffectEntry, link: str, model: Model) -> Frame:
     return frames[ancestor].compose(R, p)
 
 
-def _chain(model: Model, last: int) -> Model:
+def _chain(model: RobotModel, last: int) -> RobotModel:
     """Model of the bodies from the base to one of them; see `LinkEffect.chain`."""
     bodies = []
     index = last

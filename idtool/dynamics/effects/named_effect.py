@@ -18,7 +18,7 @@ from idtool.dynamics.effects.init_trial import InitTrial
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.simulator_element import SimulatorElement
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 ParameterValue = tuple[float, float | None]  # and its standard error; None: not known
 
@@ -157,7 +157,7 @@ class NamedEffect(Effect):
         return False
 
     @classmethod
-    def doubt(cls, entries: Sequence[EffectEntry], model: Model) -> str:
+    def doubt(cls, entries: Sequence[EffectEntry], model: RobotModel) -> str:
         """Why effects of this kind may stand in for something else, as a sentence; empty: nothing speaks against them.
 
         Parameters
@@ -171,7 +171,7 @@ class NamedEffect(Effect):
 
     @classmethod
     @abstractmethod
-    def from_entry(cls, entry: EffectEntry, model: Model) -> NamedEffect:
+    def from_entry(cls, entry: EffectEntry, model: RobotModel) -> NamedEffect:
         """Effect that an entry describes; the entry's values are the prior of its coefficients.
 
         Raises

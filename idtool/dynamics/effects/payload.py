@@ -32,7 +32,7 @@ from idtool.robot.inertia import (
     symmetric_matrix,
 )
 from idtool.robot.kinematics import body_motions, cross
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _ROUNDING = 1e-9  # of the inertia's size
 _MIN_INFORMATION = 1e-9  # of the largest eigenvalue, that every other is taken to have at least
@@ -64,13 +64,13 @@ class Payload(LinkEffect):
     excitation_hint = "quick and slow motion in many postures"
     parameter_names = ("mass", "com", "inertia")
 
-    def __init__(self, model: Model, link: str, frame: Frame, pi: Array) -> None:
+    def __init__(self, model: RobotModel, link: str, frame: Frame, pi: Array) -> None:
         super().__init__(model, link, frame)
         self.pi = parameter_transform(frame.R, frame.p) @ pi  # in the body's frame
 
     @classmethod
     @override
-    def from_checked_entry(cls, entry: EffectEntry, model: Model, frame: Frame) -> Self:
+    def from_checked_entry(cls, entry: EffectEntry, model: RobotModel, frame: Frame) -> Self:
         mass = read_number(entry, "mass")
         com = read_vector(entry, "com", 3)
         inertia = symmetric_matrix(read_vector(entry, "inertia", 6))
@@ -100,7 +100,7 @@ class Payload(LinkEffect):
 
     @classmethod
     @override
-    def doubt(cls, entries: Sequence[EffectEntry], model: Model) -> str:
+    def doubt(cls, entries: Sequence[EffectEntry], model: RobotModel) -> str:
         """Payloads that together outweigh the robot."""
         mass = sum(read_number(entry, "mass") for entry in entries)
         robot = sum(float(body.pi[0]) for body in model.bodies)
@@ -115,7 +115,7 @@ class Payload(LinkEffect):
         )
 
     @classmethod
-    def _probe(cls, model: Model, link: str) -> Probe:
+    def _probe(cls, model: RobotModel, link: str) -> Probe:
         """Probe of the ten parameters in the link's frame."""
         parameters = {"mass": 1.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
         payload = cls.from_entry(EffectEntry(effect=cls.id, link=link, parameters=parameters), model)

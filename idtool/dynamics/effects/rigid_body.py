@@ -14,7 +14,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
 from idtool.robot.inertia import LENGTH_POWERS, PARAMETER_NAMES, PARAMETER_UNITS, PI_SIZE, mass_com_inertia, skew
 from idtool.robot.kinematics import BodyMotion, body_motions, cross
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MIN_MASS_SHARE = 0.1  # of the bodies' median mass
 
@@ -28,7 +28,7 @@ class RigidBodies(Effect):
         The tree of bodies.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: RobotModel) -> None:
         self.model = model
         typical = typical_mass(model.bodies)
         coefficients = []

@@ -26,7 +26,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
 _MAX_PROBED_DELAY = 0.1  # s
@@ -66,7 +66,7 @@ class TimeDelay(FixedEffect):
         display_factor=1e3,
     )
 
-    def __init__(self, model: Model, delay: float, joint: int | None = None) -> None:
+    def __init__(self, model: RobotModel, delay: float, joint: int | None = None) -> None:
         super().__init__(model)
         self.delay = delay
         self.joints = np.arange(len(model.joints)) if joint is None else np.array([joint])
@@ -74,7 +74,7 @@ class TimeDelay(FixedEffect):
 
     @classmethod
     @override
-    def from_entry(cls, entry: EffectEntry, model: Model) -> Self:
+    def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
         if entry.link is not None:
             raise ConfigError(entry_location(entry), "acts on a joint, or on all without one; give no link")
         check_parameter_names(entry, ("delay",))

@@ -13,7 +13,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_term import JointTerm, JointTerms
 from idtool.dynamics.effects.named_effect import NonlinearParameter, ParameterValue
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _SPACING = 0.42  # periods over the travel between the n that are tried
 _FEWEST = 1.2  # periods over the travel: fewer pass for springs and stops
@@ -90,7 +90,7 @@ class TorqueRipple(JointTerms):
     @classmethod
     @override
     def with_values(
-        cls, model: Model, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
+        cls, model: RobotModel, joint: int, values: Mapping[str, float], nonlinear_values: Mapping[str, float]
     ) -> Self:
         amplitude, phase = values["amplitude"], values["phase"]
         prior = [amplitude * np.cos(phase), amplitude * np.sin(phase)]

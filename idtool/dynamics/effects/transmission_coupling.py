@@ -13,7 +13,7 @@ from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.load_dependent_term import LoadDependentTerm
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.simulator_element import SimulatorElement, TorqueTransfer
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 # By whether the receiving joint and the source joint are prismatic.
 _UNITS = {(False, False): "1", (False, True): "m", (True, False): "1/m", (True, True): "1"}
@@ -43,7 +43,7 @@ class TransmissionCoupling(LoadDependentTerm):
                 yield {"source": float(source)}
 
     @override
-    def unit_on(self, model: Model, joint: int) -> str:
+    def unit_on(self, model: RobotModel, joint: int) -> str:
         source = int(self.nonlinear_values["source"])
         receiver_is_prismatic = model.joints[joint].kind == "prismatic"
         source_is_prismatic = model.joints[source].kind == "prismatic"
@@ -59,7 +59,7 @@ class TransmissionCoupling(LoadDependentTerm):
         return (TorqueTransfer(int(self.joint), int(self.nonlinear_values["source"]), float(theta[0])),)
 
 
-def _neighbours(model: Model, joint: int) -> list[int]:
+def _neighbours(model: RobotModel, joint: int) -> list[int]:
     """Joints on a common path from the base with a joint: those before it and behind it."""
     neighbours: set[int] = set()
     for i in range(len(model.bodies)):
@@ -69,7 +69,7 @@ def _neighbours(model: Model, joint: int) -> list[int]:
     return sorted(neighbours - {joint})
 
 
-def _moving_joints(model: Model, i: int) -> set[int]:
+def _moving_joints(model: RobotModel, i: int) -> set[int]:
     """Joints that move a body."""
     joints: set[int] = set()
     while i >= 0:

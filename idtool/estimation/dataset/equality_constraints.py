@@ -20,7 +20,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import Config, MeasuredValue, Mirror
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import PI_SIZE, parameter_reflection
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _ELLIPSOID_TOLERANCE = 1e-2  # relative to its size
 
@@ -88,7 +88,7 @@ class EqualityConstraints:
         return np.array(rows).reshape(-1, len(self.K) + 1)
 
 
-def equality_constraints(config: Config, model: Model, equation: LinearModel) -> EqualityConstraints:
+def equality_constraints(config: Config, model: RobotModel, equation: LinearModel) -> EqualityConstraints:
     """The equality constraints of a configuration, for one model.
 
     Raises
@@ -120,7 +120,7 @@ def equality_constraints(config: Config, model: Model, equation: LinearModel) ->
     return EqualityConstraints(K[:, free], free, constraints, body_copies)
 
 
-def with_equal_bounds(model: Model, equalities: EqualityConstraints) -> Model:
+def with_equal_bounds(model: RobotModel, equalities: EqualityConstraints) -> RobotModel:
     """The model with every copy bounded as its original, and a notice where a copy has other bounds of its own."""
     bodies = list(model.bodies)
     overruled = []
@@ -225,7 +225,7 @@ def _measured_constraint(label: str, row: Array, measured: MeasuredValue) -> Con
     return Constraint(label, row, measured.value, measured.standard_error)
 
 
-def _com_constraints(model: Model, p: int) -> list[Constraint]:
+def _com_constraints(model: RobotModel, p: int) -> list[Constraint]:
     """H − m c = 0 for every body whose centre of mass c is known."""
     constraints = []
     for i, body in enumerate(model.bodies):

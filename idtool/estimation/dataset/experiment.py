@@ -14,7 +14,7 @@ from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.controller import without_constant_torque
-from idtool.data.logs import Log, read_log
+from idtool.data.logs import JointLog, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -22,7 +22,7 @@ from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.robot.config import Config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
@@ -74,7 +74,7 @@ class Experiment:
     """
 
     config: Config
-    model: Model
+    model: RobotModel
     equation: LinearModel
     equalities: EqualityConstraints
     runs: tuple[Run, ...]
@@ -217,7 +217,7 @@ class Experiment:
         return data
 
 
-def _travel(log: Log, joint: str) -> float:
+def _travel(log: JointLog, joint: str) -> float:
     """Travel of a joint in a log [rad or m]; 0 if the log does not have it."""
     if not log.has("q", joint):
         return 0.0
@@ -226,7 +226,7 @@ def _travel(log: Log, joint: str) -> float:
     return float(high - low)
 
 
-def sources_of(robot: Robot, config: Config, logs: Iterable[Log] = ()) -> tuple[InputFile, ...]:
+def sources_of(robot: Robot, config: Config, logs: Iterable[JointLog] = ()) -> tuple[InputFile, ...]:
     """Files of a robot, a configuration and logs, each once; a log of arrays has no hash."""
     read = [robot.source, *([config.source] if config.source else [])]
     for log in logs:
@@ -247,10 +247,10 @@ def tracked(batches: Iterable[Batch], parts: Sequence[slice], progress: Progress
 def prepare(
     robot: Robot,
     config: Config,
-    logs: Sequence[Path | Log],
-    validate: Sequence[Path | Log] = (),
+    logs: Sequence[Path | JointLog],
+    validate: Sequence[Path | JointLog] = (),
     holdout: float = 0.3,
-    transform: Callable[[Log], Log] = lambda log: log,
+    transform: Callable[[JointLog], JointLog] = lambda log: log,
 ) -> Experiment:
     """Read the logs and put model and data together.
 
@@ -295,14 +295,14 @@ def prepare(
     return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
 
 
-def _read(log: Path | Log, config: Config) -> Log:
-    if not isinstance(log, Log):
+def _read(log: Path | JointLog, config: Config) -> JointLog:
+    if not isinstance(log, JointLog):
         options = config.log
         log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
     return without_constant_torque(log, config.controller)
 
 
-def _check_signals(log: Log, joints: Sequence[str]) -> None:
+def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
     """Refuse a log in which a joint of the model has no position, or a value that no sensor gives."""
     for name in joints:
         if not log.has("q", name):

@@ -14,7 +14,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError, ModelError
-from idtool.data.logs import Log, make_log
+from idtool.data.logs import JointLog, make_log
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import split_into_windows
@@ -44,7 +44,7 @@ class SimulatedLog:
         Number of rollouts, and of those that ran away, which end where they did.
     """
 
-    log: Log
+    log: JointLog
     measured: Array
     kind: Literal["open_loop", "closed_loop"]
     window: float | None
@@ -55,7 +55,7 @@ class SimulatedLog:
     diverged: int
 
 
-def as_logged(log: Log) -> Log:
+def as_logged(log: JointLog) -> JointLog:
     """The log itself, unchanged.
 
     Raises
@@ -68,7 +68,7 @@ def as_logged(log: Log) -> Log:
     return log
 
 
-def under_controller(log: Log) -> Log:
+def under_controller(log: JointLog) -> JointLog:
     """A log without its torque, so that the controller drives the joints on the logged command.
 
     Raises
@@ -81,7 +81,7 @@ def under_controller(log: Log) -> Log:
     return replace(log, signals={name: x for name, x in log.signals.items() if name != "tau"})
 
 
-def as_command(log: Log) -> Log:
+def as_command(log: JointLog) -> JointLog:
     """A log taken for a trajectory that the controller tracks: its command where it has one, else its motion."""
     command = {"q": "qcmd", "v": "vcmd"} if "qcmd" in log.signals else {"q": "q", "v": "v"}
     q = log.signals[command["q"]]
@@ -165,7 +165,7 @@ def _samples_before_divergence(v: Array) -> int:
     return int(moving[-1]) + 1 if moving.size else 0
 
 
-def _log_of(path: Path, joints: tuple[str, ...], rollouts: Sequence[_Rollout]) -> Log:
+def _log_of(path: Path, joints: tuple[str, ...], rollouts: Sequence[_Rollout]) -> JointLog:
     t = np.concatenate([rollout.t for rollout in rollouts])
     signals = {}
     for name in rollouts[0].signals:

@@ -32,7 +32,7 @@ from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.sets import ConstraintSet
 
 _GAP = 0.1  # that half the squared distance in standard errors may be above its least
@@ -80,7 +80,7 @@ class RecursiveFit:
     def __init__(
         self,
         equation: LinearModel,
-        model: Model,
+        model: RobotModel,
         sets: Sequence[ConstraintSet],
         kind: str,
         equalities: EqualityConstraints,
@@ -185,7 +185,7 @@ class _Information:
             self.vector[:] += worth * torque * w
 
 
-def units(equation: LinearModel, model: Model) -> Array:
+def units(equation: LinearModel, model: RobotModel) -> Array:
     """Typical size of every coefficient, shape (p,): an inertia parameter's own; any other's as a torque.
 
     That is the weight of the bodies that its joint moves, times their size where it turns: for friction of a rad/s or

@@ -26,7 +26,7 @@ from idtool.robot.config import Config
 from idtool.robot.config.estimation import MeasuredValue
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import PI_SIZE, from_pseudo_inertia, mass_com_inertia
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.shapes import Shape
 
 # Signs of a placeholder
@@ -70,7 +70,7 @@ class PriorBodies:
     notices: tuple[Notice, ...]
 
 
-def prior_bodies(config: Config, model: Model, equation: LinearModel, reduction: Reduction) -> PriorBodies:
+def prior_bodies(config: Config, model: RobotModel, equation: LinearModel, reduction: Reduction) -> PriorBodies:
     """The prior's bodies of a model.
 
     Parameters
@@ -278,7 +278,7 @@ def _pseudo_inertia(mass: float, center: Array, covariance: Array) -> Array:
 
 def _density(
     config: Config,
-    model: Model,
+    model: RobotModel,
     equation: LinearModel,
     reduction: Reduction,
     unit_densities: Mapping[int, Array],

@@ -22,7 +22,7 @@ from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _RANK = 1e-5  # of a column: what the others leave of it by less is rounding, such as that of 1.5708 in a URDF
 _ZERO = 1e-5  # of a column, as a share of a combination: the same
@@ -87,7 +87,7 @@ def base_parameters(Y: Array, order: Indices) -> BaseParameters:
 
 
 def structural_base_parameters(
-    model: Model, equation: LinearModel, equalities: EqualityConstraints | None = None
+    model: RobotModel, equation: LinearModel, equalities: EqualityConstraints | None = None
 ) -> BaseParameters:
     """The base parameters that the best of motions could determine.
 
@@ -137,7 +137,7 @@ def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
     return np.where(zeroed, 0.0, Y)
 
 
-def random_motion(model: Model, seed: int = 0) -> Motion:
+def random_motion(model: RobotModel, seed: int = 0) -> Motion:
     """A smooth motion without any regularity, limits not regarded; what depends on time or history can be told too."""
     rng = np.random.default_rng(seed)
     t: Array = _DT * np.arange(_SAMPLES, dtype=np.float64)

@@ -26,7 +26,7 @@ from idtool.estimation.uncertainty.base_parameters import BaseParameters, struct
 from idtool.estimation.uncertainty.ranges import free_spread, ranges
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, whitened_rows
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 InformationSource = Literal["data", "combination", "constraints", "prior"]
 
@@ -92,7 +92,7 @@ class Identifiability:
 
 
 def identifiability(
-    model: Model,
+    model: RobotModel,
     equation: LinearModel,
     equalities: EqualityConstraints,
     reduction: Reduction,

@@ -17,7 +17,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.excitation.limits import Limits
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 
 class MotionSamples(NamedTuple):
@@ -48,7 +48,7 @@ class PatternSpec:
         Link whose motion in space is designed; None: the last of the URDF.
     """
 
-    model: Model
+    model: RobotModel
     limits: Limits
     home: Array
     duration: float

@@ -22,7 +22,7 @@ from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import suggestion
 from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec, smooth_step
 from idtool.robot.inertia import mass_com_inertia
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 PHI_RATE = 12.0  # amplitude of the rate [rad/s]
 PHI_FREQUENCY = 1.63  # [rad/s]
@@ -182,7 +182,7 @@ class Shell(Pattern):
         return tuple(limbs)
 
 
-def tip_and_jacobian(model: Model, body: int, p: Array, q: Array) -> tuple[Array, Array]:
+def tip_and_jacobian(model: RobotModel, body: int, p: Array, q: Array) -> tuple[Array, Array]:
     """Position of a body's point p (3,) in the root link, shape (3, N), and its Jacobian, shape (N, 3, nv).
 
     Parameters
@@ -220,7 +220,7 @@ def tip_and_jacobian(model: Model, body: int, p: Array, q: Array) -> tuple[Array
     return tip.T, J
 
 
-def _tip_point(model: Model, link: str) -> tuple[int, Array] | None:
+def _tip_point(model: RobotModel, link: str) -> tuple[int, Array] | None:
     """The moving body that a link is part of, and the link's origin in it, joints between them at zero.
 
     A link that is itself a moving body has its origin at its joint; its far end is about twice as far as its centre of

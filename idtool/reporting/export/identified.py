@@ -19,7 +19,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
 from idtool.reporting.export.base import Part
 from idtool.robot.config import Config, read_config
-from idtool.robot.model import Model, build_model
+from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint, read_robot
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
@@ -79,7 +79,7 @@ class IdentifiedModel:
 
     robot: Robot
     config: Config
-    model: Model
+    model: RobotModel
     mechanism: Mechanism
     terms: tuple[EffectTorque, ...]
     inertias: tuple[Part, ...]
@@ -152,7 +152,7 @@ def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
 class _EffectsByForm:
     """Effects by the form that they have when the model is run forwards."""
 
-    model: Model
+    model: RobotModel
     terms: list[EffectTorque] = field(default_factory=list)
     inertias: list[Part] = field(default_factory=list)
     offsets: list[Part] = field(default_factory=list)

@@ -11,7 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.reporting.results.fit import BodyReport, PointMasses
 from idtool.robot.inertia import PI_SIZE
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.witness import deviation_ellipsoid, unrealizable_reasons
 
 _DECIMALS = 6  # of lengths in m
@@ -60,7 +60,7 @@ def report_views(bodies: Mapping[str, BodyReport]) -> dict[str, Any]:
     return body_views(drawings)
 
 
-def model_views(model: Model, theta: Array, prior: Array | None) -> dict[str, Any]:
+def model_views(model: RobotModel, theta: Array, prior: Array | None) -> dict[str, Any]:
     """Views of bodies that were not identified, see `body_views`.
 
     Parameters

@@ -15,7 +15,7 @@ from idtool.robot.body import Body, Frame
 from idtool.robot.geometry import link_surface
 from idtool.robot.kinematics import body_placements
 from idtool.robot.meshes import Mesh, merge_meshes, simplify_mesh
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import Robot
 
 ROBOT = ("The robot in 3D", "robot_3d.html")
@@ -28,7 +28,7 @@ _MIN_FACES = 60  # of a body
 
 
 def robot_view(
-    model: Model, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace], shown: str = "identified"
+    model: RobotModel, bodies: Sequence[Mapping[str, Any]], traces: Sequence[Trace], shown: str = "identified"
 ) -> dict[str, Any]:
     """The view of the robot for `robot.js`, of bounded size.
 

@@ -16,7 +16,7 @@ from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_
 from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.sections.validation import ModelErrorsSection
-from idtool.robot.model import Model
+from idtool.robot.model import RobotModel
 
 _SECTIONS = (
     ("Findings", "validation_findings.html"),
@@ -33,7 +33,7 @@ def validation_page(
     report: ValidationReport,
     command: str,
     rollouts: RolloutEvaluation | None = None,
-    bodies: tuple[Model, Mapping[str, Array]] | None = None,
+    bodies: tuple[RobotModel, Mapping[str, Array]] | None = None,
 ) -> str:
     """validation.html.
 
