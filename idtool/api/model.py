@@ -164,7 +164,7 @@ class Model:
 
     @property
     def effects(self) -> ReadOnly[tuple[str, ...]]:
-        """Effects of the model beside rigid bodies: id to the joints or links that have it."""
+        """Effects of the model besides rigid bodies: id to the joints or links that have it."""
         friction = friction_types()
         owners: dict[str, list[str]] = {}
         for joint in self.joints:

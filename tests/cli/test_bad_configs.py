@@ -102,7 +102,11 @@ KEYS: dict[str, tuple[str, Any, str]] = {
         [{"joint": "hip", "of": "knees"}],
         "mirror: knees: is not a moving joint of the model; did you mean knee?",
     ),
-    "mirror: a joint in a plane": ("mirror", [{"joint": "hip", "of": "knee", "plane": "xz"}], "mirror.0: plane is only for"),
+    "mirror: a joint in a plane": (
+        "mirror",
+        [{"joint": "hip", "of": "knee", "plane": "xz"}],
+        "mirror.0: plane is only for",
+    ),
     "SI units with an entropic prior": (
         "regularization",
         {"kind": "entropic", "units": "si"},

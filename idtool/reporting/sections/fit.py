@@ -254,7 +254,7 @@ def _friction_cells(friction: FrictionReport) -> list[Cell]:
 
 
 class EffectsSection(Section[FitReport]):
-    """Parameters of the effects beside rigid bodies and friction, with standard errors."""
+    """Parameters of the effects besides rigid bodies and friction, with standard errors."""
 
     title = "Effects"
 
