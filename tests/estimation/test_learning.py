@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from idtool.common.exceptions import LogError, SolverError
-from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, Run, prepare
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.estimate import solve
@@ -106,13 +106,13 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
             yield SimpleNamespace(start=starts[k], stop=starts[k + 1], motion=motion, before=0, after=0)
 
     def run(first: int) -> Any:
-        signals = SimpleNamespace(
+        signals: Any = SimpleNamespace(
             low_pass=SimpleNamespace(redundancy=2.0),
-            every_sample=SimpleNamespace(edge=0),
+            full_rate_low_pass=SimpleNamespace(edge=0),
             log=SimpleNamespace(path=Path("log.csv"), dt=0.001),
             batches=lambda _: batches(first),
         )
-        return SimpleNamespace(signals=signals, train=(slice(0, sum(sizes)),))
+        return Run(signals, (slice(0, sum(sizes)),), ())
 
     equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), filtered_rows=rows)
     logs = tuple(run(k * len(sizes)) for k in range(runs))

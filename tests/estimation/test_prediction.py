@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from robots import chain, inertial, joint
 
 from idtool.data.logs import make_log, write_log
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
-from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, Run, prepare
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.uncertainty.prediction import Prediction, prediction
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
@@ -40,10 +41,9 @@ class Rows:
             block=self._block,
         )
         self._of = {"train": train, "held out": held_out}
-        parts = {"train": (slice(0, train.shape[1]),), "held_out": (slice(0, held_out.shape[1]),)}
-        log = SimpleNamespace(path=Path("a.csv"))
-        self._held_out = parts["held_out"]
-        self.runs = (SimpleNamespace(signals=SimpleNamespace(log=log, batches=self._batches), **parts),)
+        self._held_out = (slice(0, held_out.shape[1]),)
+        signals: Any = SimpleNamespace(log=SimpleNamespace(path=Path("a.csv")), batches=self._batches)
+        self.runs = (Run(signals, (slice(0, train.shape[1]),), self._held_out),)
 
     def _batches(self, parts: tuple[slice, ...]) -> list[SimpleNamespace]:
         Y = self._of["held out" if parts is self._held_out else "train"]

@@ -176,15 +176,15 @@ def test_what_the_encoder_adds_goes_round_the_loop(motion: Motion) -> None:
 
 
 def test_what_the_drive_does_not_deliver_moves_the_leg(motion: Motion) -> None:
-    """The log is as noisy in both cases, but of what is felt, the joints give way to a part: power goes into errors."""
-    for felt in (0.0, 1.0):
-        run = runs.track_leg(motion.q, motion.v, 3, sensors=LegSensors(position_step=0.0, felt=felt))
-        still = runs.track_leg(motion.q, motion.v, 4, sensors=LegSensors(position_step=0.0, felt=felt))
+    """The log is as noisy in both cases, but only torque errors that act on the joints move the leg."""
+    for acting_share in (0.0, 1.0):
+        run = runs.track_leg(motion.q, motion.v, 3, sensors=LegSensors(position_step=0.0, acting_share=acting_share))
+        still = runs.track_leg(motion.q, motion.v, 4, sensors=LegSensors(position_step=0.0, acting_share=acting_share))
         error = run.log.signals["tau"] - run.true.tau
         assert rms(error) == pytest.approx(LegSensors().torque_noise, rel=0.05)
         answer = (run.true.a - low_pass(run.true.a))[5:]
         correlation = [np.corrcoef(answer[:, j], error[5:, j])[0, 1] for j in range(3)]
-        if felt:
+        if acting_share:
             assert (np.array(correlation) < -0.5).all()
             assert np.abs(run.true.q - still.true.q).max() > 1e-4
         else:

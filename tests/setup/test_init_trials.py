@@ -37,7 +37,7 @@ class TrialEvaluator:
 
     @property
     def experiment(self) -> Any:
-        signals = SimpleNamespace(log=SimpleNamespace(dt=DT), differentiated=np.array([False, True]))
+        signals = SimpleNamespace(log=SimpleNamespace(dt=DT), velocity_from_position=np.array([False, True]))
         equation = SimpleNamespace(joints=JOINTS)
         return SimpleNamespace(runs=[SimpleNamespace(signals=signals)], band_hz=BAND, notices=(), equation=equation)
 

@@ -44,6 +44,13 @@ class Friction(ConfigRecord):
     offset: Term = False
 
 
+def _value(given: Any) -> Any:
+    """A parameter, or a list of them, without standard errors."""
+    if isinstance(given, Mapping):
+        return given["value"]
+    return [_value(element) for element in given] if isinstance(given, list) else given
+
+
 def friction_tag(data: Any) -> str:
     """Tag of the form: terms for all joints alike, or by joint. Told by the keys, so that errors are about one form."""
     if not isinstance(data, Mapping) or not data or set(data) & set(Friction.model_fields):
@@ -63,6 +70,4 @@ class EffectEntry(ConfigRecord):
     @property
     def values(self) -> dict[str, Any]:
         """Values of the parameters without their standard errors."""
-        return {
-            name: given["value"] if isinstance(given, Mapping) else given for name, given in self.parameters.items()
-        }
+        return {name: _value(given) for name, given in self.parameters.items()}
