@@ -19,6 +19,10 @@ settings.register_profile("idtool", deadline=None, derandomize=True, max_example
 settings.load_profile("idtool")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--update-docs", action="store_true", help="write outputs that have changed into README and docs")
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """Random numbers, the same in every run."""

@@ -39,17 +39,17 @@ def commands(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", RUN, ids=RUN_NAMES)
-def test_the_quick_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
+def test_the_quick_commands_of_a_page_run(page: Path, tmp_path: Path, pytestconfig: pytest.Config) -> None:
     if page != README and commands(page) and commands(page) <= commands(README):
         return  # they are run there
-    Reader(tmp_path, slow=False).read(page)
+    Reader(tmp_path, slow=False, update=pytestconfig.getoption("--update-docs")).read(page)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUN, ids=RUN_NAMES)
-def test_all_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
+def test_all_commands_of_a_page_run(page: Path, tmp_path: Path, pytestconfig: pytest.Config) -> None:
     real = [block.line for block in blocks(page) if block.real]
-    Reader(tmp_path, slow=True).read(page)
+    Reader(tmp_path, slow=True, update=pytestconfig.getoption("--update-docs")).read(page)
     if real and not REAL.is_dir():
         pytest.skip(f"all but the blocks at lines {real}, whose logs are not in {REAL}")
 

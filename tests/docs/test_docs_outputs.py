@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from doc_outputs import check_output
+from doc_outputs import check_output, updated_output
 
 PRINTED = "head 40 Hz\na 1.00\nb 2.00\n\nhead 20 Hz\na 1.10\nend\n"
 
@@ -42,3 +42,17 @@ def test_what_was_printed_may_be_shown(shown: str) -> None:
 def test_what_was_not_printed_may_not(shown: str) -> None:
     with pytest.raises(AssertionError, match="here"):
         check_output(shown, PRINTED, "here")
+
+
+@pytest.mark.parametrize(
+    ("shown", "updated"),
+    [
+        (PRINTED, PRINTED.strip()),
+        ("head of the table\na 7\nold\nend", PRINTED.strip()),
+        ("…\nhead 30 Hz\na 9\n…", "…\nhead 40 Hz\na 1.00\n…"),
+        ("head 41 Hz\nb 3\n…\nthe end", "head 40 Hz\na 1.00\nb 2.00\n…\nend"),
+    ],
+)
+def test_a_block_is_updated_and_then_agrees(shown: str, updated: str) -> None:
+    assert updated_output(shown, PRINTED) == updated
+    check_output(updated, PRINTED, "here")

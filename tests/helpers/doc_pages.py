@@ -19,7 +19,7 @@ from typing import Any
 
 from commands import LEG, SAMPLES, TRAIN, VALIDATE, idtool
 from descriptions import described
-from doc_outputs import check_output
+from doc_outputs import check_output, updated_output
 from paths import CHECKOUT, REAL
 from recordings import State, metadata, ros2, write_mcap
 
@@ -160,10 +160,13 @@ class Reader:
         Where: holds the samples, and a robot and logs under the names that pages give them.
     slow
         Whether to do what takes long, too.
+    update
+        True to write outputs that have changed into the page, false to fail.
     """
 
     folder: Path
     slow: bool
+    update: bool = False
     here: Path = field(init=False)
     said: str = field(init=False, default="")
     variables: dict[str, Any] = field(init=False, default_factory=dict)
@@ -195,10 +198,21 @@ class Reader:
             elif block.file:
                 (self.here / block.file).write_text(block.text)
             elif block.language == "text" and self.said:
-                check_output(block.text, self.said, where)
+                self._compare(page, block, where)
+
+    def _compare(self, page: Path, block: Block, where: str) -> None:
+        """Compare a block with what was printed; with `update`, write that into the page."""
+        try:
+            check_output(block.text, self.said, where)
+        except AssertionError:
+            if not self.update:
+                raise
+            new = updated_output(block.text, self.said)
+            page.write_text(page.read_text().replace(f"```text\n{block.text}\n```", f"```text\n{new}\n```"))
+            print(f"updated: {where}")
 
     def _wanted(self, found: list[Block]) -> Iterator[Block]:
-        """The blocks to do: without what takes long, if so, and without what rests on it."""
+        """The blocks to run: without `slow`, those that take long and those that need their files are left out."""
         for block in found:
             rests = any(re.search(rf"(?<!\w){re.escape(name)}\b", block.text) for name in self.left_out)
             if block.language in ("sh", "python") and (not self.slow and (block.slow or block.real or rests)):
