@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +12,7 @@ from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identif
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json, as_yaml
 from idtool.diagnosis.data_faults import find_data_faults
-from idtool.diagnosis.records import ResidualProfile
+from idtool.diagnosis.records import ProfilesByJoint
 from idtool.diagnosis.residual_maps import residual_maps
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
@@ -22,8 +21,6 @@ from idtool.estimation.identification import Method
 from idtool.reporting.fit_report import fit_report, model_config
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.fit import FitReport
-
-Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]  # of the prior and the identified model
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -38,7 +35,7 @@ class FitResult(FitReport, SavableResult, Recordable):
     """An identified model, and how far to trust it; its fields are those of report.json."""
 
     _fit: Fit
-    _maps: Maps | None
+    _residual_maps: tuple[ProfilesByJoint, ProfilesByJoint] | None  # of the prior and the identified model
     _made_by: str
 
     @cached_property
@@ -55,7 +52,7 @@ class FitResult(FitReport, SavableResult, Recordable):
             IDENTIFIED_URDF: identified_urdf_text(self._fit, folder),
             MODEL_YAML: as_yaml(model_config(self._fit), header),
             "report.json": as_json(self.to_json()),
-            "report.html": fit_page(self._fit, self, made_by, self._maps),
+            "report.html": fit_page(self._fit, self, made_by, self._residual_maps),
         }
 
     def _recording_data(self) -> RecordingData:
@@ -202,6 +199,6 @@ def fit_experiment(
         maps = (prior_maps, identified_maps)
     result = FitResult.from_result(fit_report(solved))
     result._fit = solved
-    result._maps = maps
+    result._residual_maps = maps
     result._made_by = made_by
     return result

@@ -9,7 +9,7 @@ from idtool.api.model import Model, Source
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json
-from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.study_report import study_report

@@ -17,7 +17,7 @@ from idtool.common.names import suggestion
 from idtool.common.outputs import as_json
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
-from idtool.estimation.evaluation.validation import Evaluation, evaluate
+from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport

@@ -6,7 +6,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.records import ErrorSummary
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import evaluate_rollouts
-from idtool.estimation.evaluation.validation import evaluate
+from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.estimation.fit import Fit
 
 _MODEL = "model"

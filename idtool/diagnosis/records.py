@@ -166,6 +166,9 @@ class ResidualProfile:
     amplitude: Array
 
 
+ProfilesByJoint = Mapping[str, ResidualProfile]
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Result of a diagnosis.
@@ -203,7 +206,7 @@ class Diagnosis:
     after: ErrorSummary
     floor: Mapping[str, float]
     verdict: Verdict
-    maps_before: Mapping[str, ResidualProfile]
-    maps_after: Mapping[str, ResidualProfile]
+    maps_before: ProfilesByJoint
+    maps_after: ProfilesByJoint
     notices: tuple[Notice, ...]
     seconds: float

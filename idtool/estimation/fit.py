@@ -10,7 +10,7 @@ from idtool.common.notice import Notice
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
-from idtool.estimation.evaluation.validation import Evaluation, evaluate
+from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
 from idtool.estimation.fit_notices import fit_notices
 from idtool.estimation.identification import Method, estimate_from_logs
 from idtool.estimation.problem.estimate import Estimate
@@ -155,7 +155,7 @@ def fit(
     if delay and delay.error:
         delay_error = delay.slope * delay.error
     analysis = uncertainty_analysis(
-        experiment, identification, train.independent, progress, analyze_uncertainty, delay_error
+        experiment, identification, train.independent_samples, progress, analyze_uncertainty, delay_error
     )
     notices += analysis.notices
     clock.stop("uncertainty")

@@ -13,7 +13,7 @@ from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.dynamics.effects import NamedEffect, ParameterValue, config_parameters, effect_from_entry, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
-from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
@@ -152,7 +152,7 @@ def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> TorqueErrors:
 def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[str, float | None]:
     """Root mean square in the band over the measured torque's standard deviation, by joint."""
     rms = evaluation.errors[model].rms(joints)
-    return {name: rms[name] / spread if spread else None for name, spread in evaluation.spread.items()}
+    return {name: rms[name] / spread if spread else None for name, spread in evaluation.torque_std.items()}
 
 
 def body_report(fit: Fit, index: int, body: Body) -> BodyReport:

@@ -14,7 +14,7 @@ from paths import CHECKOUT, REAL
 
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import prepare
-from idtool.estimation.evaluation.validation import evaluate
+from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.estimation.problem.problem import weighted_rows
 from idtool.robot.config import read_config
 from idtool.robot.geometry import link_geometry

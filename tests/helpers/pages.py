@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.estimation.evaluation.envelope import Trace
-from idtool.estimation.evaluation.validation import Errors, Evaluation
+from idtool.estimation.evaluation.torque_errors import Errors, Evaluation
 from idtool.robot.inertia import from_mass_com_inertia
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from scipy import signal
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import split_into_windows
 from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.evaluation.validation import evaluate
+from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pages import Page, complete, evaluation_of
 from records import partial
 
-from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.pages import validation_page
 from idtool.reporting.plots.sampling import merge_stretches, round_curve
@@ -24,7 +24,7 @@ TORQUE = "Measured and predicted torque"
 
 def validated(evaluation: Evaluation, **extra: Any) -> Page:
     """The page of a validation, its bounds met by the first joint and not by the whole."""
-    units = dict.fromkeys(evaluation.spread, "N·m")
+    units = dict.fromkeys(evaluation.torque_std, "N·m")
     contents = validation_report(evaluation, units, 40.0, {next(iter(units)): 0.5, "overall": 0.3})
     return Page(validation_page(evaluation, partial(ValidationReport, contents.to_json() | extra), "idtool validate x"))
 
@@ -118,7 +118,7 @@ def test_bounds_pass_or_fail(noisy: dict[str, Array]) -> None:
 
 def test_a_validation_without_prior_or_bounds(noisy: dict[str, Array]) -> None:
     evaluation = evaluation_of({name: noisy[name] for name in ("measured", "model")})
-    units = dict.fromkeys(evaluation.spread, "N·m")
+    units = dict.fromkeys(evaluation.torque_std, "N·m")
     page = Page(validation_page(evaluation, validation_report(evaluation, units, 40.0, {}), "idtool validate x"))
     assert "prior" not in page.text
     assert "bound" not in page.text

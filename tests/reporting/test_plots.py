@@ -33,7 +33,7 @@ def torques() -> list[Figure]:
     measured = np.stack([np.sin(T), np.cos(T)])
     curves = {"measured": measured, "model": 0.9 * measured, "prior": 0.5 * measured, "q": 0.3 * measured}
     evaluation = evaluation_of(curves)
-    (group,) = torque_figures(evaluation, "model", dict.fromkeys(evaluation.spread, "N·m"), position=True).groups
+    (group,) = torque_figures(evaluation, "model", dict.fromkeys(evaluation.torque_std, "N·m"), position=True).groups
     return group.figures
 
 

@@ -14,16 +14,19 @@ _POINTS = 2000  # a curve is drawn as the least and greatest value in this many 
 
 @dataclass
 class Trace:
-    """Curves for drawing, of bounded size: (t, least, greatest) in stretches of time.
+    """Curves of a log for drawing, of bounded size.
+
+    Each short interval of time has two points at its centre: the minimum and the maximum of the curve in it. So points
+    of two curves do not belong to the same instant; errors and scatter plots need the samples themselves.
 
     Attributes
     ----------
     name
-        The log's.
+        Name of the log.
     t
-        Times [s], shape (points,).
+        Times [s], shape (points,), each interval's centre twice.
     curves
-        Name to values, shape (nv, points): ``measured``, ``residual`` (measured less the first model's) or a model's.
+        Values by name, shape (nv, points): ``measured``, ``residual`` (measured minus the first model's) or a model's.
     """
 
     name: str

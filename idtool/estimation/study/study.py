@@ -20,7 +20,7 @@ from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
-from idtool.estimation.evaluation.validation import Evaluation, evaluate
+from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
 from idtool.estimation.online.adapt import adapt, convergence, time_to
 from idtool.estimation.problem.certificate import Certificate
 from idtool.estimation.problem.estimate import solve, solve_locally

@@ -1,8 +1,15 @@
-"""A list of sections → one HTML file that needs nothing else.
+"""`render`: a list of sections → one HTML file that needs no other file.
 
-A section is a `Section`, or a heading with figures, or with a template under `templates/`, which reads what `render` is
-given. All text is escaped by the templates: names and paths are a stranger's. The browser draws figures with plotly.js,
-which is in the page, compressed.
+A section of a page is one of three:
+
+- a `Section`, which makes its table from the report, for page and terminal alike. A new table is a class in
+  ``reporting/sections/`` and an entry in the page's ``_SECTIONS`` (and in the list of the terminal).
+- a heading with figures. A new figure is a function in ``reporting/plots/`` that returns a `Figure`, and such an entry.
+- a heading with the name of a template under ``templates/``, for text with figures between or for drawings that no
+  `Figure` holds. The template reads the keyword arguments of `render`; a missing one is an error.
+
+Templates escape all text, since names and paths come from files of others. The browser draws figures with plotly.js,
+which the page contains, compressed.
 """
 
 from __future__ import annotations

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
-from idtool.diagnosis.records import ResidualProfile
+from idtool.diagnosis.records import ProfilesByJoint
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.number_text import rows_by_unit
@@ -33,8 +32,6 @@ from idtool.reporting.sections.fit import (
     TorqueErrorsSection,
 )
 
-Maps = tuple[Mapping[str, ResidualProfile], Mapping[str, ResidualProfile]]
-
 _PRIOR = PriorWeightsSection()
 _EFFECTS = EffectsSection()
 _RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
@@ -61,7 +58,12 @@ _SECTIONS = (
 )
 
 
-def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None) -> str:
+def fit_page(
+    fit: Fit,
+    report: FitReport,
+    command: str,
+    residual_maps: tuple[ProfilesByJoint, ProfilesByJoint] | None = None,
+) -> str:
     """report.html.
 
     Parameters
@@ -72,7 +74,7 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
         The content of report.json.
     command
         The command line that made it.
-    maps
+    residual_maps
         Torque residuals of the prior and of the identified model, by joint; None: not asked for.
     """
     units = report.units
@@ -86,7 +88,7 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
     if held_out and prior_rms:
         worse = [name for name in report.joints if rms[name] >= prior_rms[name]]
     automatic = report.regularization.automatic
-    shown_if = {_RESIDUALS: bool(maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
+    shown_if = {_RESIDUALS: bool(residual_maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     sections = with_simulation(sections, report.simulation)
     sections = with_uncertainty(sections, report)
@@ -99,7 +101,7 @@ def fit_page(fit: Fit, report: FitReport, command: str, maps: Maps | None = None
         report=report,
         groups=rows_by_unit(units),
         torques=torque_figures(fit.evaluation, "identified", units),
-        residuals=residual_figures(*maps, units, _MODEL_NAMES, _MODELS_TEXT) if maps else None,
+        residuals=residual_figures(*residual_maps, units, _MODEL_NAMES, _MODELS_TEXT) if residual_maps else None,
         weights=regularization_figure(automatic) if automatic else None,
         **simulation_view(fit.simulation, report.simulation, "identified"),
         **uncertainty_view(report),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.plots.comparison import advantage_figure, learning_figure, online_figure, violation_figure

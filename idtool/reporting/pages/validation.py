@@ -7,7 +7,7 @@ from typing import Any
 
 from idtool.common.arrays import Array
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
-from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import model_views

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.reporting.plots.figure import Figure, Panel, Trace, figure, styled_curve, time_axis
+from idtool.reporting.plots.figure import Figure, Panel, PlotlyTrace, figure, styled_curve, time_axis
 from idtool.reporting.plots.sampling import subsample_indices
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.sections.adapt import coefficient_history
@@ -54,7 +54,7 @@ def joint_figures(report: AdaptationReport) -> list[Figure]:
     times, theta = plotted_history(report)
     t, title = time_axis(times)
     joints = report.joints
-    kinds: dict[tuple[str, str, str], list[Trace]] = {}
+    kinds: dict[tuple[str, str, str], list[PlotlyTrace]] = {}
     for i, coefficient in enumerate(report.coefficients):
         owner = coefficient.owner
         if owner in report.bodies:

@@ -8,7 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.reporting.number_text import rows_by_unit
-from idtool.reporting.plots.figure import Figure, Panel, Trace, banded_curve, figure, styled_curve, time_axis
+from idtool.reporting.plots.figure import Figure, Panel, PlotlyTrace, banded_curve, figure, styled_curve, time_axis
 from idtool.reporting.plots.sampling import subsample_indices
 from idtool.reporting.results.study import StudyReport
 
@@ -22,7 +22,7 @@ _SAMPLES = "training samples"
 def learning_figure(report: StudyReport) -> Figure:
     """Held-out error against the number of samples."""
     learning = report.learning
-    curves: list[Trace] = []
+    curves: list[PlotlyTrace] = []
     for name, error in learning.curves.items():
         color = _color(name, learning.curves)
         curves += banded_curve(name, learning.counts, error.median, error.lower, error.upper, color)
@@ -34,7 +34,7 @@ def advantage_figure(report: StudyReport) -> Figure:
     """Advantage in held-out error over the first set, against the number of samples."""
     learning = report.learning
     first, *others = learning.curves
-    curves: list[Trace] = []
+    curves: list[PlotlyTrace] = []
     for name in others:
         advantage = learning.advantage[name].advantage
         deviation = _BAND_ERRORS * learning.advantage[name].advantage_error
@@ -63,7 +63,7 @@ def online_figure(report: StudyReport) -> Figure:
     return figure("Remark 5: parameter error of the online estimate", title, [panel])
 
 
-def _curves(x: Sequence[float | None], values: Mapping[str, Sequence[float | None] | Array]) -> list[Trace]:
+def _curves(x: Sequence[float | None], values: Mapping[str, Sequence[float | None] | Array]) -> list[PlotlyTrace]:
     return [styled_curve(name, x, y, _color(name, values)) for name, y in values.items()]
 
 

@@ -21,7 +21,7 @@ from idtool.reporting.plots.sampling import round_significant
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
 
-Trace = dict[str, Any]
+PlotlyTrace = dict[str, Any]
 Values = Sequence[float | None]
 
 TALL, MEDIUM, SHORT = 460, 340, 240  # px
@@ -51,7 +51,7 @@ class Figure:
 
     caption: str
     description: str
-    data: list[Trace]
+    data: list[PlotlyTrace]
     layout: dict[str, Any]
 
     @property
@@ -102,14 +102,16 @@ class Panel:
     """
 
     title: str
-    curves: Iterable[Trace]
+    curves: Iterable[PlotlyTrace]
     log: bool = False
     level: float | None = None
     domain: tuple[float, float] | None = None
     axis: Mapping[str, Any] = field(default_factory=dict)
 
 
-def curve(name: str, x: Values, y: Values, color: str, width: float = 2, dash: str = "solid", **more: Any) -> Trace:
+def curve(
+    name: str, x: Values, y: Values, color: str, width: float = 2, dash: str = "solid", **more: Any
+) -> PlotlyTrace:
     """A line; None breaks it."""
     line: dict[str, Any] = {"color": color, "width": width}
     if dash != "solid":
@@ -125,7 +127,7 @@ def curve(name: str, x: Values, y: Values, color: str, width: float = 2, dash: s
     } | more
 
 
-def styled_curve(name: str, x: Values, y: Iterable[float | None], index: int) -> Trace:
+def styled_curve(name: str, x: Values, y: Iterable[float | None], index: int) -> PlotlyTrace:
     """A curve in the colour and dash of its index, marked where it has few points."""
     color, dash = _style(index)
     more: dict[str, Any] = {} if len(x) > _MAX_MARKERS else {"mode": "lines+markers", "marker": {"size": 5}}
@@ -139,10 +141,10 @@ def banded_curve(
     lower: Iterable[float | None],
     upper: Iterable[float | None],
     index: int,
-) -> list[Trace]:
+) -> list[PlotlyTrace]:
     """`styled_curve` with a band between lower and upper values."""
     color, _ = _style(index)
-    edge: Trace = {"type": "scatter", "mode": "lines", "x": round_significant(x, _X_DIGITS), "line": {"width": 0}}
+    edge: PlotlyTrace = {"type": "scatter", "mode": "lines", "x": round_significant(x, _X_DIGITS), "line": {"width": 0}}
     edge |= {"hoverinfo": "skip", "showlegend": False}
     below = {**edge, "y": round_significant(lower)}
     above = {**edge, "y": round_significant(upper), "fill": "tonexty", "fillcolor": f"{color} {_BAND_OPACITY}"}
@@ -194,7 +196,7 @@ def figure(
         "showlegend": False,
         "xaxis": x | dict(x_axis or {}),
     }
-    data: list[Trace] = []
+    data: list[PlotlyTrace] = []
     shapes = []
     for i, panel in enumerate(panels):
         y: dict[str, Any] = {"domain": list(domains[i]), "title": {"text": panel.title}}
@@ -257,7 +259,7 @@ def stack_figures(figures: Sequence[Figure], title: str = "") -> Figure:
     count = max(len(figures), 1)
     share, gap = 1 / count, 0.2 / count
     layout: dict[str, Any] = {"height": max(_STACKED * count, 400), "showlegend": True, "title": {"text": title}}
-    data: list[Trace] = []
+    data: list[PlotlyTrace] = []
     legend_names: set[str] = set()
     rows = 0
     for k, figure in enumerate(figures):

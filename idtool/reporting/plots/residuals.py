@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from idtool.common.arrays import Array
 from idtool.diagnosis.records import ResidualProfile
 from idtool.reporting.diagnosis_text import position_units
-from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, Trace, curve, figure
+from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, PlotlyTrace, curve, figure
 from idtool.reporting.plots.sampling import largest_indices, round_significant
 
 _MAX_VALUES = 16_000  # that all residuals hold together: some 130 kB of text
@@ -116,14 +116,14 @@ def _amplitude_figure(
     return _figure(joint, turn, f"residual [{tau}]", curves, names)
 
 
-def _spectrum(at: Array, height: Array, name: str, color: str, points: int) -> Trace:
+def _spectrum(at: Array, height: Array, name: str, color: str, points: int) -> PlotlyTrace:
     """A spectrum; of lines that are too many, the highest of every few."""
     kept = largest_indices(height, points)
     return curve(name, round_significant(at[kept].tolist()), round_significant(height[kept].tolist()), color, 1.6)
 
 
 def _figure(
-    joint: str, x_title: str, y_title: str, curves: list[Trace], names: tuple[str, str], log: bool = False
+    joint: str, x_title: str, y_title: str, curves: list[PlotlyTrace], names: tuple[str, str], log: bool = False
 ) -> Figure:
     panel = Panel(y_title, curves, log=log, axis={} if log else {"rangemode": "tozero"})
     quantity, _, _ = x_title.partition(" [")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from idtool.estimation.evaluation.validation import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.plots.figure import MEDIUM, TALL, Figure, Panel, curve, figure, time_title
 from idtool.reporting.plots.log_series import JointSeries, LogFigures, LogSeries, log_figures, log_series
 

@@ -1,7 +1,7 @@
 """Torque errors of a model: RMS per joint, in the filter's band and against the torque as logged.
 
-A figure without its band means nothing, so prediction and measurement go through the same zero-phase filter; the raw
-figure leaves the measurement as it was logged.
+An error depends on the frequency band, so prediction and measurement pass through the same zero-phase low-pass. The
+error against the torque as logged compares the filtered prediction with the unfiltered measurement.
 """
 
 from __future__ import annotations
@@ -20,23 +20,31 @@ from idtool.estimation.evaluation.spectrum import Correlations
 
 @dataclass
 class Errors:
-    """Sums over samples, per joint, for one model.
+    """Torque errors of one model: sums over the samples, for each joint.
 
     Attributes
     ----------
     samples
         Number of samples.
-    band, raw
-        Squared errors in the band, and against the torque as logged; shape (nv,) [(N·m)² or N²].
+    sum_squares_in_band, sum_squares_as_logged
+        Sums of squared errors, shape (nv,) [(N·m)² or N²].
     """
 
     samples: int
-    band: Array
-    raw: Array
+    sum_squares_in_band: Array
+    sum_squares_as_logged: Array
+
+    @staticmethod
+    def none(joint_count: int) -> Errors:
+        """Errors of no samples."""
+        return Errors(0, np.zeros(joint_count), np.zeros(joint_count))
 
     def rms(self, joints: Sequence[str], raw: bool = False) -> dict[str, float]:
-        """Root mean square by joint, and ``overall`` joints and samples [N·m or N]."""
-        squares = (self.raw if raw else self.band) / max(self.samples, 1)
+        """RMS error of each joint, and of all joints and samples as ``overall`` [N·m or N].
+
+        ``raw``: against the torque as logged, else in the band.
+        """
+        squares = (self.sum_squares_as_logged if raw else self.sum_squares_in_band) / max(self.samples, 1)
         return {
             **{name: float(value) for name, value in zip(joints, np.sqrt(squares), strict=True)},
             "overall": float(np.sqrt(squares.mean())),
@@ -45,24 +53,24 @@ class Errors:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Models against data.
+    """Torque errors of one or more models on some logs.
 
     Attributes
     ----------
     errors
-        By model.
-    spread
-        Standard deviation of the measured torque in the band, by joint; what the normalized rms is measured in.
+        Errors by model.
+    torque_std
+        Standard deviation of the measured torque in the band, by joint [N·m or N], which normalizes the error.
     traces
-        One per log.
-    independent
+        Torque curves for drawing, one `Trace` per log.
+    independent_samples
         Number of independent samples in the first model's residual, by joint.
     """
 
     errors: Mapping[str, Errors]
-    spread: Mapping[str, float]
+    torque_std: Mapping[str, float]
     traces: tuple[Trace, ...]
-    independent: Mapping[str, float]
+    independent_samples: Mapping[str, float]
 
 
 def evaluate(
@@ -84,8 +92,8 @@ def evaluate(
         If true the traces hold the joints' positions too, as ``q``.
     """
     joints = experiment.equation.joints
-    errors = {name: Errors(0, np.zeros(len(joints)), np.zeros(len(joints))) for name in models}
-    moments = np.zeros((2, len(joints)))
+    errors = {name: Errors.none(len(joints)) for name in models}
+    torque_sums = np.zeros((2, len(joints)))  # of the measured torque and of its square
     samples, stride = 0, 1
     traces, correlations = [], Correlations()
     for run in experiment.runs:
@@ -100,9 +108,9 @@ def evaluate(
             inner = slice(batch.before, len(batch.motion.t) - batch.after)
             for name, torque in predicted.items():
                 errors[name].samples += torque.shape[1]
-                errors[name].band += np.square(torque - measured).sum(axis=1)
-                errors[name].raw += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
-            moments += measured.sum(axis=1), np.square(measured).sum(axis=1)
+                errors[name].sum_squares_in_band += np.square(torque - measured).sum(axis=1)
+                errors[name].sum_squares_as_logged += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
+            torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
             residual = measured - next(iter(predicted.values()))
             correlations.add(residual, measured, stride, log.dt)
@@ -110,12 +118,12 @@ def evaluate(
             t = batch.motion.t[inner] + log.t[0]
             envelope.add(t, {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
         traces.append(envelope.trace(log.path.name))
-    mean, square = moments / max(samples, 1)
-    spread = np.sqrt(np.maximum(square - mean**2, 0))
+    mean, square = torque_sums / max(samples, 1)
+    torque_std = np.sqrt(np.maximum(square - mean**2, 0))
     independent = correlations.independent(stride)
     return Evaluation(
         errors,
-        dict(zip(joints, spread.tolist(), strict=True)),
+        dict(zip(joints, torque_std.tolist(), strict=True)),
         tuple(traces),
         dict(zip(joints, independent.tolist(), strict=False)),
     )
