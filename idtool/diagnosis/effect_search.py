@@ -1,7 +1,8 @@
 """Search for missing effects, in rounds: the best effect is added, all are refitted, and superseded ones are removed.
 
-Torque that is held over a sample is recorded half a sample early, and every log has a delay of about that size. So a
-delay of all joints within a sample is fitted along, without a name: otherwise it looks like joint elasticity.
+A controller holds its torque during a sample, so that the log has it half a sample early: every log has a delay of
+about that size. Such a background effect, a delay of all joints shorter than one sample, is fitted with the others but
+not reported: without it, it looks like joint elasticity.
 """
 
 from __future__ import annotations
@@ -42,10 +43,12 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
 REVERSAL_MARGIN = 0.04  # s from reversals
-_MORE_INFORMATION = 4.0  # times, that a joint's rows away from reversals must have: half the standard errors
-_LESS_INFORMATION = 0.5  # times, that every joint's rows must keep
-_REVERSAL_SHARE = 0.5  # of the squared residual, that an effect which acts at reversals must explain with those rows
-_MAX_STEPS = 3  # of all nonlinear parameters after an effect was added
+# Rows near reversals are excluded if that multiplies a joint's information by the first factor, which halves its
+# standard errors, and leaves every joint at least the second.
+_MIN_INFORMATION_GAIN = 4.0
+_MIN_INFORMATION_LEFT = 0.5
+_REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
+_MAX_ITERATIONS = 3  # of the fit of all nonlinear parameters after an effect was added
 
 
 @dataclass
@@ -57,9 +60,9 @@ class AddedEffect:
     entry
         Its configuration entry.
     selection
-        The round that chose it.
+        The round of the search that selected it.
     chosen
-        Its record.
+        The candidate as reported, with its score.
     errors
         Standard errors of its nonlinear parameters, by name.
     """
@@ -78,7 +81,7 @@ class EffectSearch:
     current
         The model so far.
     initial
-        The model before any effect was added.
+        The model before any effect was added, with the background effects.
     added
         The effects found, in their order.
     removed
@@ -86,7 +89,7 @@ class EffectSearch:
     last_round
         The round that found nothing more.
     reversal_joints
-        Joints whose friction differs around reversals, which were excluded in the end.
+        Joints whose friction does not follow its law near reversals; the rows near reversals are then excluded.
     failed
         Reason why the model could not be fitted with an effect, by effect and target.
 
@@ -140,11 +143,13 @@ class EffectSearch:
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
 
     def run(self) -> None:
-        """Add effects until none is worthwhile; away from reversals, if the residual is much smaller there.
+        """Add effects until none is worthwhile.
 
-        Around a reversal no robot's friction follows a law with a sign, nor does a simulator's that rounds it. The
-        residual of that must not hide smaller effects, nor count as unknown. An effect that acts at reversals, such as
-        Stribeck friction, is named only if it explains most of the residual there.
+        Near a reversal, the friction of real robots does not follow Coulomb's law, and simulators smooth the sign. This
+        residual must not hide smaller effects, and must not be reported as an unknown effect. So if the residual is
+        much smaller away from reversals, effects are first searched there. Then those that act at reversals, such as
+        Stribeck friction, are searched with all rows, and must explain most of the residual. If the residual near
+        reversals is still large after that, those rows are excluded for the rest of the search.
         """
         if self._joints_clearer_away_from_reversals():
             self._set_reversal_margin(REVERSAL_MARGIN)
@@ -166,7 +171,7 @@ class EffectSearch:
         self._try_refit([other.entry for other in self.added])
 
     def entries(self, count: int) -> list[EffectEntry]:
-        """The configuration's effects and the first ones found, nonlinear parameters with their errors."""
+        """The configuration's effects and the first ``count`` reported ones, with errors of nonlinear parameters."""
         return [*self._configured, *(_with_errors(effect) for effect in self.reported[:count])]
 
     def final_experiment(self) -> Experiment:
@@ -176,30 +181,30 @@ class EffectSearch:
 
     @property
     def _given(self) -> tuple[EffectEntry, ...]:
-        """Effects that were not found: the configuration's and the background's."""
+        """Effects that the search did not add: those of the configuration and the background."""
         return (*self._configured, *self._background)
 
     def _set_reversal_margin(self, margin: float) -> None:
-        """Use the rows at least so far from reversals [s]."""
+        """Use only rows at least ``margin`` [s] away from reversals."""
         self.current = linearize_fit(self.current.experiment, self.progress, reversal_margin=margin)
         self._try_refit([effect.entry for effect in self.added])
 
     def _joints_clearer_away_from_reversals(self) -> tuple[str, ...]:
-        """Joints whose rows away from reversals have far more information; none if another joint's have far less."""
+        """Joints with much more information without the rows near reversals; none if another joint loses too much."""
         try:
             away = linearize_fit(self.current.experiment, self.progress, reversal_margin=REVERSAL_MARGIN)
         except FAILURES:
             return ()
         information = _information(self.current)
         information_away = _information(away)
-        if (information_away < _LESS_INFORMATION * information).any():
+        if (information_away < _MIN_INFORMATION_LEFT * information).any():
             return ()
-        is_clearer = information_away > _MORE_INFORMATION * information
+        is_clearer = information_away > _MIN_INFORMATION_GAIN * information
         joints = away.experiment.equation.joints
         return tuple(name for name, clearer in zip(joints, is_clearer, strict=True) if clearer)
 
     def _add_effects(self, min_share: float = MIN_SHARE) -> None:
-        """Rounds of the search, until nothing more is found or the same effects come up again."""
+        """Add effects in rounds, until no candidate is worthwhile or a set of effects recurs."""
         earlier: set[frozenset[tuple[str, str | None]]] = set()
         while len(self.reported) < self._max_effects:
             effects = self._effects if min_share == MIN_SHARE else self._reversal_effects()
@@ -263,19 +268,24 @@ class EffectSearch:
     def _refit(self, entries: Sequence[EffectEntry]) -> None:
         """Refit all effects, their nonlinear parameters together, with new weights of the joints."""
         background = _missing_background([*self._configured, *entries])
-        errors: Mapping[ParameterKey, float] = {}
-        for trial_background in (self._background or background, ()) if background else ((),):
-            errors = self._fit_with([*trial_background, *entries])
-            first = len(self._configured)
-            self._background = self.current.experiment.config.effects[first : first + len(trial_background)]
-            if all(effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background):
-                break
-            # more of it than any log has: it is left for the search to find
+        background = self._background or background if background else ()
+        errors = self._fit_with_background(background, entries)
+        if not all(effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background):
+            errors = self._fit_with_background((), entries)  # larger than in any log: the search must name it
         first = len(self._given)
         fitted_entries = self.current.experiment.config.effects[first:]
         for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True)):
             effect.entry = entry
             effect.errors = {name: error for (k, name), error in errors.items() if k == first + i}
+
+    def _fit_with_background(
+        self, background: Sequence[EffectEntry], entries: Sequence[EffectEntry]
+    ) -> Mapping[ParameterKey, float]:
+        """Fit with background effects, which become `_background` with their fitted values, and other effects."""
+        errors = self._fit_with([*background, *entries])
+        first = len(self._configured)
+        self._background = self.current.experiment.config.effects[first : first + len(background)]
+        return errors
 
     def _fit_with(self, entries: Sequence[EffectEntry]) -> Mapping[ParameterKey, float]:
         """Fit with effects besides those of the configuration; standard errors of their nonlinear parameters."""
@@ -285,13 +295,13 @@ class EffectSearch:
         if not entries:
             return {}
         first = len(self._configured)
-        moving = range(first, first + len(entries))
-        trial = fit_trial(self.current, experiment.config.effects, moving, self.progress, _MAX_STEPS)
+        refitted = range(first, first + len(entries))
+        trial = fit_trial(self.current, experiment.config.effects, refitted, self.progress, _MAX_ITERATIONS)
         self.current = trial.linearized
         return trial.errors
 
     def _prune(self) -> None:
-        """Remove effects, but for the newest, that are no longer worthwhile."""
+        """Remove effects that are no longer worthwhile, except the newest."""
         i = 0
         while len(self.added) > 1 and i < len(self.added) - 1:
             others = [effect.entry for k, effect in enumerate(self.added) if k != i]
@@ -307,7 +317,7 @@ class EffectSearch:
                 self.removed.append(removal_sentence(removed.chosen, self.added[-1].chosen))
 
     def _is_needed(self, effect: AddedEffect, others: Sequence[EffectEntry]) -> bool:
-        """True if an effect is still worthwhile beside the others, on the rows at which theirs are defined."""
+        """True if an effect is still worthwhile beside the others, on the rows that these are valid for."""
         current = self.current
         margin = effect.selection.base.reversal_margin
         try:
@@ -330,12 +340,12 @@ class EffectSearch:
 
 
 def _information(fit: LinearizedFit) -> Array:
-    """Information of the rows on an offset of each joint's torque, shape (nv,)."""
+    """Fisher information of the rows on an offset of each joint's torque, shape (nv,)."""
     return np.asarray(fit.row_counts.sum(axis=0) / np.square(fit.noise))
 
 
 def _missing_background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ...]:
-    """Effects of which every log has a little, but for those among the entries."""
+    """Background effects, which every log has a little of, that the entries do not contain."""
     present = {(entry.effect, entry.joint, entry.link) for entry in entries}
     missing = []
     for kind in effect_types().values():
@@ -346,7 +356,7 @@ def _missing_background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ..
 
 
 def _without_undetermined(effect: AddedEffect) -> EffectEntry:
-    """Entry of an effect without the optional parameters that do not differ from 0 within their errors."""
+    """Entry of an effect without the optional parameters that do not differ significantly from 0."""
     undetermined = set()
     for parameter in effect_types()[effect.entry.effect].nonlinear_parameters:
         name = parameter.name

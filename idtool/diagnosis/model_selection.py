@@ -16,7 +16,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.trial import TrialFit
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
@@ -115,7 +115,7 @@ def probe_key(probe: Probe) -> ProbeKey:
 
 def probe_target(probe: Probe) -> tuple[str, str]:
     """Effect and what it acts on, as in a `Candidate`."""
-    return probe.effect, probe.joint or probe.link or "all joints"
+    return probe.effect, target_name(probe.effect, probe.joint, probe.link)
 
 
 def is_reportable(effect: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import target_name
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 
@@ -85,7 +85,7 @@ class Candidate:
     @property
     def target(self) -> str:
         """Joint or link that it acts on, or what it acts on of the whole robot."""
-        return self.joint or self.link or effect_types()[self.effect].whole_robot_owner
+        return target_name(self.effect, self.joint, self.link)
 
     @property
     def significance(self) -> float:

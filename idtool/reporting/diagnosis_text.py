@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from idtool.dynamics.effects import NamedEffect, effect_types
+from idtool.dynamics.effects import NamedEffect, effect_types, target_name
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
 from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
@@ -19,9 +19,8 @@ def effect_name(effect: str) -> str:
 
 
 def owner_name(effect: EffectReport | CandidateReport) -> str:
-    """The joint, link or other owner that an effect of the report acts on."""
-    kind = effect_types().get(effect.effect, NamedEffect)
-    return str(effect.joint or effect.link or kind.whole_robot_owner)
+    """Joint or link of an effect, or what it acts on of the whole robot."""
+    return target_name(effect.effect, effect.joint, effect.link)
 
 
 def common_unit(units: Mapping[str, str]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from spatial_arm import experiment, written
 from idtool.data.signals import Motion
 from idtool.diagnosis import screen
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.model_selection import probe_target
+from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.dynamics.effects import effect_types
@@ -234,3 +237,10 @@ def test_however_many_at_once(base: LinearizedFit, monkeypatch: pytest.MonkeyPat
     assert len(calls) > 1 or name == "_MAX_COLUMNS"
     for one, other in zip(found, expected, strict=True):
         assert_same(one, other, 1e-6)
+
+
+@pytest.mark.parametrize("effect", list(effect_types()))
+def test_a_probe_and_its_record_name_the_same_target(effect: str) -> None:
+    """Candidates are compared by it, so that a diagnosis lists each one once."""
+    probe: Any = SimpleNamespace(effect=effect, joint=None, link=None)
+    assert probe_target(probe) == (effect, Candidate(effect, None, None, 0.1, 0.01, 1).target)

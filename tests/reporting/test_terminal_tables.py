@@ -243,7 +243,7 @@ def test_columns_without_content_give_way() -> None:
 
 def test_columns_of_the_page_and_rows_beyond_the_most_are_left_out() -> None:
     columns = [name(), Column("mass", "kg"), Column("margin", "kg", page_only=True)]
-    table = replace(table_of(columns, ("hip", "1", "2"), ("knee", "3", "4")), most_rows=1)
+    table = replace(table_of(columns, ("hip", "1", "2"), ("knee", "3", "4")), max_terminal_rows=1)
     assert lines_of(table, 80) == ["joint  mass kg", "hip          1"]
 
 

@@ -1,13 +1,20 @@
 """Logs of joint signals. A new format is one new file in this folder.
 
 A format's file defines `SUFFIXES`, its file name extensions; `matches`, which recognizes the first bytes of a file;
-`read`; and `write`. What a reader has to do, for which `csv` is the example:
+`read`; and `write`. A reader must
 
-- return what `make_log` or, if samples may lack signals, `make_log_of_complete_samples` makes of t and signals: float64
-  arrays that may be written to, t through `convert_to_seconds`, joint names printable and each once;
-- add a notice for everything that it leaves out, such as the options ``topic`` or ``columns`` where it has no use for
-  them;
-- bound its memory by the size of the file, whatever the file says of itself.
+- call `convert_to_seconds(t)`, which converts t in place and returns notices;
+- check the joint names (`check_names`: printable, each once) and the shapes: t (N,), signals (N, number of joints);
+- return `make_log(...)`, or `make_log_of_complete_samples(...)` if some samples lack signals. Arrays are float64 and
+  belong to the log, which may change them;
+- add a notice for everything that it ignores: data in the file, and the options ``topic`` and ``columns`` if the format
+  has no use for them;
+- raise `LogError` with one clear line for every kind of damaged file, and bound its memory by the size of the file,
+  whatever sizes the file declares.
+
+`csv` is an example. `SampleBuffer` is for files whose samples are read one after the other; others don't need it. Add
+the format's name to the help texts and pages that list the formats, and rows to the tables of
+`tests/data/test_logs_front_door.py` and `test_logs_fuzz.py`.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ __all__ = [
     "effect_from_entry",
     "effect_types",
     "friction_types",
+    "target_name",
 ]
 
 
@@ -85,6 +86,11 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
         entry_keys.add(effect.key)
         effects[effect.key] = effect
     return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))
+
+
+def target_name(effect: str, joint: str | None, link: str | None) -> str:
+    """Joint or link that an effect acts on, or for one on the whole robot what it acts on, such as "the base"."""
+    return joint or link or effect_types().get(effect, NamedEffect).whole_robot_owner
 
 
 def effect_from_entry(entry: EffectEntry, model: RobotModel) -> NamedEffect:

@@ -68,8 +68,8 @@ class Effect(ABC):
     Attributes
     ----------
     order
-        Effects are sorted by it, from the log to the truth: sensors come before what is computed from the true torque
-        and all of the inertia.
+        Effects are evaluated in ascending order. Torque sensors come first, because they determine the true torque;
+        effects that need the true torque or the whole inertia come last.
     uses_measured_torque
         True if the measured torque, and with it its noise, also enters elsewhere than as the torque to be explained.
     coefficients

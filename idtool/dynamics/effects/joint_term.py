@@ -1,13 +1,16 @@
 """`JointTerm` and `DryFriction`: one coefficient times one column on one joint; `JointTerms`: several of them.
 
-A subclass writes the column only. In the forward model it is the torque at the simulated state. Dry friction gives its
-level instead, and both follow from that: the column is the level times the direction of motion, and in the forward
-model the level is what a joint at rest can hold.
+A subclass of `JointTerm` defines `column`, which the fit and the forward model both use.
 
-A column is evaluated in two ways. In a fit, for the N samples of a log in the order of time. In the forward model, for
-W rollouts that have nothing to do with each other, at one instant: `Motion.is_log` is then False, ``v`` stands in the
-place of the acceleration, and terms of k joints are evaluated at once: ``joint`` is an array and the nonlinear values
-are columns. Indexing and elementwise arithmetic work for both; what compares neighbouring samples must ask `is_log`.
+A subclass of `DryFriction` defines `level` instead, the magnitude of the friction at a velocity. In a fit the column is
+the level times the direction of motion. In the forward model the level at v = 0 is the largest torque that holds the
+joint at rest; it may be 0. The column of a `DryFriction` is not used there.
+
+A column is evaluated in two ways. In a fit, it is evaluated for the N samples of a log in the order of time. In the
+forward model, it is evaluated at one instant of W independent rollouts: `Motion.is_log` is False, ``motion.a`` holds
+the velocity, and k joints are evaluated at once, so that ``joint`` is an array and each nonlinear value an array of
+shape (k, 1). Indexing and elementwise arithmetic work for both. Code that compares neighbouring samples, or uses the
+velocity deadband, must check `Motion.is_log`.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
-_FAST = 0.1  # deadbands per sample above which the sign changes within a sample
+_FAST = 0.1  # change of x per sample above which f is averaged over the sample
 _SURE = 3.0  # deadbands beyond which the rounded sign is ±1 to half a percent
 
 
@@ -43,7 +46,7 @@ class JointTerm(JointEffect):
     coefficient_name
         The coefficient's name: a noun or adjective that stands alone in a report, such as "viscous".
     units
-        Of the coefficient, on a revolute and on a prismatic joint, such as "N·m·s/rad"; half powers as "s^½".
+        Units of the coefficient on a revolute and on a prismatic joint, such as "N·m·s/rad"; half powers as "s^½".
     lower, upper
         Physical bounds.
     even
@@ -126,7 +129,9 @@ class DryFriction(JointTerm):
     """One coefficient on one joint whose torque is a level times the direction of motion.
 
     The base class of every friction that jumps, or has an infinite slope, where the velocity changes its sign. The
-    forward model then finds exactly when a joint stops. Samples at rest are left out of a fit, see `invalid_mask`.
+    forward model then finds exactly when a joint stops; as a `JointTerm`, such a law would be simulated inaccurately.
+    Samples at rest are left out of a fit, see `invalid_mask`. Override `column` too if the level changes within a few
+    velocity deadbands of v = 0, as `StribeckFriction` does.
     """
 
     is_friction = True
@@ -137,18 +142,27 @@ class DryFriction(JointTerm):
 
     @abstractmethod
     def level(self, motion: Motion) -> Array:
-        """Breakaway torque per unit of the coefficient, shape (N,); in the forward model (k, W)."""
+        """Magnitude of the friction per unit of the coefficient, shape (N,); in the forward model (k, W).
+
+        Its value at v = 0 is the breakaway torque.
+        """
 
     @override
     def column(self, motion: Motion) -> Array:
-        """Level times the direction of motion, which is rounded within the velocity deadband."""
+        """Level times the direction of motion, with the sign of v smoothed within the velocity deadband.
+
+        The direction is averaged over each sample, the level is that at the sample.
+        """
         x = motion.v[self.joint] / motion.velocity_deadband[self.joint]
         direction = sample_mean(np.tanh(x), x, log_cosh)
         return direction * self.level(motion)
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples at rest, where friction can be anything up to its level; override it if the level is 0 there."""
+        """Samples at rest, where friction can have any value up to its level; they are left out of the joint's rows.
+
+        If the level is 0 at v = 0, all samples are good: override it and return {}.
+        """
         joint = int(self.joint)
         return {joint: np.abs(motion.v[joint]) < _SURE * motion.velocity_deadband[joint]}
 
@@ -159,9 +173,9 @@ def sample_mean(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array
     Parameters
     ----------
     f
-        f(x) at the samples, shape (N,); it is the mean where x hardly changes.
+        f(x) at the samples, shape (N,); returned unchanged where x changes by less than 0.1 over the sample.
     x
-        Its argument, in units over which f changes by 1 at the fastest, shape (N,).
+        Argument of f, shape (N,), such as v divided by the velocity deadband.
     integral
         The integral of f over x.
     """

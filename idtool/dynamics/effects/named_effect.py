@@ -88,9 +88,9 @@ class NamedEffect(Effect):
     is_friction
         True for friction, which may act on the motor side of a transmission.
     acts_at_reversals
-        True if it shows where a joint reverses, as friction does.
+        True if it is visible where a joint reverses; not needed for friction.
     reportable
-        True if it is an answer to what a model lacks; else it is only fitted along, so as not to hide others.
+        True if `diagnose` may name it; else it is only included in the fit, so that it does not hide other effects.
     acts_in_bursts
         True if it explains intervals of time in which the residual is unusually large.
     is_commonplace

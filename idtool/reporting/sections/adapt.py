@@ -38,7 +38,7 @@ class PredictionErrorsSection(Section[AdaptationReport]):
             rows.append([Cell(name), *unit_cells(report.units, name), number_cell(report.prediction_rms[name])])
         unit = units_text(report.units)
         title = f"RMS error of the torque predicted one sample ahead, {unit}, below {report.band_hz:g} Hz"
-        return Table(title, [name_column("joint"), *units, Column("rms")], rows, keys=1 + len(units))
+        return Table(title, [name_column("joint"), *units, Column("rms")], rows, key_columns=1 + len(units))
 
     @override
     def text(self, report: AdaptationReport) -> str:
@@ -88,7 +88,7 @@ class FinalFrictionSection(Section[AdaptationReport]):
             rows.append([Cell(joint), *unit_cells(report.units, joint), *map(number_cell, terms)])
         viscous = " or ".join(dict.fromkeys(f"{unit}·s/{positions[joint]}" for joint, unit in report.units.items()))
         title = f"Friction at the end, viscous {viscous}, others {units_text(report.units)}"
-        return Table(title, columns, rows, keys=1 + len(units))
+        return Table(title, columns, rows, key_columns=1 + len(units))
 
     @override
     def text(self, report: AdaptationReport) -> str:

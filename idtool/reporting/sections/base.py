@@ -1,4 +1,7 @@
-"""`Section` and its `Table`, a plain record; and the text of cells."""
+"""`Section`: one part of a report. It makes its table from the report once, for the page and for the terminal.
+
+A table is a plain record; the terminal lays it out, and a template of the page shows it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ R_contra = TypeVar("R_contra", contravariant=True)
 Kind = Literal["name", "number", "words"]
 Emphasis = Literal["good", "note", "bad"]
 
-NO_VALUE = "–"  # a figure that there is not
+NO_VALUE = "–"  # shown instead of a number that does not exist
 
 
 @dataclass(frozen=True)
@@ -28,15 +31,15 @@ class Column:
     heading
         Text above it.
     unit
-        Unit of its figures, where the table's title does not tell it.
+        Unit of its numbers, if it is not in the table's title.
     kind
-        ``name`` and ``words`` stand flush left, ``number`` flush right; only ``words`` may be broken.
+        ``name`` and ``words`` are aligned left, ``number`` right; only ``words`` may be wrapped.
     help
         Explanation of the heading.
     page_only
-        Whether the terminal leaves it out.
+        True for a column that the terminal leaves out.
     attached
-        Whether it stays beside the column to its left where the terminal takes a table apart.
+        True for a column that stays with the one to its left if the terminal splits a wide table.
     """
 
     heading: str
@@ -56,7 +59,7 @@ class Cell:
     text
         Text that is shown.
     value
-        The number, with all its digits; None where there is none.
+        The number with all its digits; None if there is none.
     emphasis
         Assessment, shown as a colour.
     """
@@ -75,44 +78,44 @@ class Table:
     title
         Quantity in the table, with the unit if all have the same.
     columns
-        The columns; the first ones tell the rows apart.
+        The columns.
     rows
         The cells, one for each column.
-    keys
-        The number of columns that tell the rows apart.
-    most_rows
-        The number of rows that the terminal shows at most.
+    key_columns
+        Number of columns at the left that identify a row; the terminal repeats them if it splits the table.
+    max_terminal_rows
+        Largest number of rows in the terminal; None: all.
     """
 
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]] = field(default=())
-    keys: int = 1
-    most_rows: int | None = None
+    key_columns: int = 1
+    max_terminal_rows: int | None = None
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows):
-            raise ValueError(f"{self.title}: a row has not as many cells as there are columns")
+            raise ValueError(f"{self.title}: the number of cells in a row differs from the number of columns")
 
     def in_terminal(self) -> Table:
-        """The table as the terminal shows it: without columns and rows that are only the page's."""
+        """The table without the columns and rows that only the page shows."""
         shown = [i for i, column in enumerate(self.columns) if not column.page_only]
         columns = [self.columns[i] for i in shown]
-        rows = [[row[i] for i in shown] for row in self.rows[: self.most_rows]]
+        rows = [[row[i] for i in shown] for row in self.rows[: self.max_terminal_rows]]
         return replace(self, columns=columns, rows=rows)
 
 
 class Section(ABC, Generic[R_contra]):
-    """A part of a report, made from a record of its results.
+    """A part of a report with a table.
 
     Attributes
     ----------
     title
-        Its heading on the page.
+        Heading on the page.
     template
-        The file under ``templates/`` that shows it on the page.
+        The file under ``templates/`` that shows the section on the page, table and text included.
     parts
-        Sections that the page shows below it.
+        Subsections, which the page shows below the table.
     """
 
     title: str
@@ -121,7 +124,7 @@ class Section(ABC, Generic[R_contra]):
 
     @abstractmethod
     def table(self, report: R_contra) -> Table | None:
-        """Its table; None where the report has nothing to show."""
+        """Table made from the report; None if the report has nothing to show."""
 
     def text(self, report: R_contra) -> str:
         """Text of the page below the table; may be empty."""
@@ -129,23 +132,23 @@ class Section(ABC, Generic[R_contra]):
 
 
 def name_column(heading: str) -> Column:
-    """A column of names, which are never broken."""
+    """A column of names, which are never wrapped."""
     return Column(heading, kind="name")
 
 
 def number_cell(x: float | None, digits: int = 4, emphasis: Emphasis | None = None) -> Cell:
-    """A figure to so many digits; a dash for none."""
+    """A number to ``digits`` significant digits; a dash for None."""
     known = x is not None and math.isfinite(x)
     return Cell(number(x, digits), x if known else None, emphasis)
 
 
 def percent_cell(x: float | None) -> Cell:
-    """A share in percent; a dash for none."""
+    """A fraction in percent; a dash for None."""
     return Cell(percent(x), x)
 
 
 def error_cells(x: float | None, error: float | None) -> tuple[Cell, Cell]:
-    """A figure and its standard error, to two digits of the error; a dash for what there is not."""
+    """A figure and its standard error, to two digits of the error; a dash for what is None."""
     known = error is not None and math.isfinite(error)
     value, deviation = with_error(x, error)
     if x is None or not known:

@@ -116,7 +116,7 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
         title = f"RMS torque error{' on held-out data' if is_held_out else ''}, {common_unit(report.units)}"
         if rollouts:
             title += f"; position error of the simulation, {common_unit(lengths)}"
-        return Table(title, columns, rows, keys=1 + is_mixed)
+        return Table(title, columns, rows, key_columns=1 + is_mixed)
 
     @override
     def text(self, report: DiagnosisReport) -> str:
@@ -164,7 +164,7 @@ class CandidatesSection(Section[Sequence[CandidateReport]]):
             score = Cell(score_text(candidate.score, candidate.standard_error), candidate.score)
             names = [Cell(effect_name(candidate.effect)), Cell(owner_name(candidate))]
             rows.append([*names, score, Cell(str(candidate.parameters)), Cell(candidate.reason)])
-        return Table(self.title, columns, rows, keys=2)
+        return Table(self.title, columns, rows, key_columns=2)
 
 
 def parameter_texts(step: StepReport) -> list[str]:

@@ -60,7 +60,7 @@ class TorqueErrorsSection(Section[FitReport]):
             share = percent_cell(report.nrms.get(name))
             rows.append([Cell(name), *unit_cells(report.units, name), *errors[:3], share, *errors[3:]])
         title = f"RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
-        return Table(title, columns, rows, keys=1 + len(units))
+        return Table(title, columns, rows, key_columns=1 + len(units))
 
     @override
     def text(self, report: FitReport) -> str:
@@ -193,7 +193,7 @@ class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
                 unit = "kg" if report.units.get(joint) == "N" else "kg·m²"
                 errors = error_cells(inertia.reflected_inertia, inertia.standard_error)
                 rows.append([Cell(joint), Cell(rotor), *errors, Cell(interval_text(inertia.interval)), Cell(unit)])
-        return Table(self.title, columns, rows, keys=2) if rows else None
+        return Table(self.title, columns, rows, key_columns=2) if rows else None
 
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
@@ -230,7 +230,7 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
                 row.append(Cell(", ".join(kinds[report.units[joint]])))
             row += _friction_cells(friction)
             rows.append(row)
-        return Table(title, columns, rows, keys=1 + is_mixed)
+        return Table(title, columns, rows, key_columns=1 + is_mixed)
 
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
@@ -276,7 +276,7 @@ class EffectsSection(Section[FitReport]):
                 rows.append(
                     [Cell(effect_name(effect.effect)), Cell(owner_name(effect)), Cell(name), *cells, Cell(unit)]
                 )
-        return Table(self.title, columns, rows, keys=3) if rows else None
+        return Table(self.title, columns, rows, key_columns=3) if rows else None
 
     @override
     def text(self, report: FitReport) -> str:

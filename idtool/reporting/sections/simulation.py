@@ -67,7 +67,7 @@ class SimulationErrorsSection(Section[Simulation]):
         closed = report.kind == "closed_loop"
         loop = "closed loop under the controller" if closed else "open loop"
         title = f"Simulated position, RMS error, {units_text(report.units)}: {loop}, {restarts_text(report)}"
-        return Table(title, columns, rows, keys=1 + len(units))
+        return Table(title, columns, rows, key_columns=1 + len(units))
 
 
 def baseline_name(simulation: Simulation) -> str:

@@ -31,7 +31,7 @@ class ErrorsBySetSection(Section[StudyReport]):
         for joint in report.units:
             errors = [number_cell(entry.rms.validation[joint]) for entry in report.sets.values()]
             rows.append([Cell(joint), *unit_cells(report.units, joint), *errors])
-        return Table(f"RMS torque error, {units_text(report.units)}", columns, rows, keys=1 + len(units))
+        return Table(f"RMS torque error, {units_text(report.units)}", columns, rows, key_columns=1 + len(units))
 
 
 class MassesBySetSection(Section[StudyReport]):

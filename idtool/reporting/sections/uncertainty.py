@@ -66,7 +66,7 @@ class TorqueStandardErrorsSection(Section[FitReport]):
             row.append(percent_cell(errors.torque_undetermined[joint]))
             rows.append(row)
         title = f"Standard error of the predicted torque, {units_text(report.units)}"
-        return Table(title, columns, rows, keys=1 + len(units))
+        return Table(title, columns, rows, key_columns=1 + len(units))
 
     @override
     def text(self, report: FitReport) -> str:
@@ -184,7 +184,7 @@ class RepeatabilitySection(Section[FitReport]):
             emphasis: Emphasis | None = None if p.agrees else "bad"
             row += [number_cell(p.ratio, emphasis=emphasis), Cell("" if p.agrees else "yes", None, emphasis)]
             rows.append(row)
-        return Table("Least repeatable between the logs", columns, rows, most_rows=_MAX_TERMINAL_ROWS)
+        return Table("Least repeatable between the logs", columns, rows, max_terminal_rows=_MAX_TERMINAL_ROWS)
 
 
 class BiasSection(Section[FitReport]):

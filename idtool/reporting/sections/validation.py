@@ -51,7 +51,7 @@ class ModelErrorsSection(Section[ValidationReport]):
                 row += _bound_cells(report, name)
             rows.append(row)
         title = f"RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
-        return Table(title, columns, rows, keys=1 + len(units))
+        return Table(title, columns, rows, key_columns=1 + len(units))
 
     @override
     def text(self, report: ValidationReport) -> str:
@@ -81,7 +81,7 @@ class RegressionCasesSection(Section[RegressionReport]):
         for case in report.cases:
             errors = [number_cell(case.prior), number_cell(case.rms), number_cell(case.bound)]
             rows.append([Cell(case.case), Cell(case.joint), *errors, result_cell(case.ok)])
-        return Table("Regression: RMS torque error in the band, N·m or N", columns, rows, keys=2)
+        return Table("Regression: RMS torque error in the band, N·m or N", columns, rows, key_columns=2)
 
 
 def result_cell(ok: bool) -> Cell:

@@ -58,7 +58,7 @@ class _Strip:
 def table_lines(table: Table, width: int) -> Iterator[Text]:
     """A table as lines of at most this width [characters], where names and figures allow that."""
     strips = [_strip(table, i) for i in range(len(table.columns))]
-    for i, part in enumerate(_parts(strips, table.keys, width)):
+    for i, part in enumerate(_parts(strips, table.key_columns, width)):
         if i:
             yield Text()
         yield from _lines(part, width)
