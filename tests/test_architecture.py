@@ -1,4 +1,4 @@
-"""The house: eleven rooms from the ground up, who may import whom, and which library is whose."""
+"""The package's structure: eleven subpackages, which may import which, and where each library is used."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from idtool.dynamics.effects import effect_types
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "idtool"
 
-# From the ground up: a room imports only from rooms above it in this list.
-ROOMS = (
+# Each subpackage imports only from those above it in this list.
+SUBPACKAGES = (
     "common",
     "robot",
     "data",
@@ -34,9 +34,9 @@ ROOMS = (
     "api",
     "cli",
 )
-MOST_FLOORS = 12  # files or folders of the package, each importing the next
+MAX_IMPORT_CHAIN = 12  # files or folders, each importing the next
 
-WALLS = {
+LIBRARY_USERS = {
     "clarabel": ("estimation/problem/conic.py",),
     "cvxpy": ("estimation/problem/backends.py",),
     "pinocchio": ("dynamics/simulation/rigid_body_dynamics.py",),
@@ -72,8 +72,8 @@ def name(path: Path) -> str:
     return str(path.relative_to(PACKAGE))
 
 
-def room(path: Path) -> str:
-    """The room that a file is in."""
+def subpackage(path: Path) -> str:
+    """The subpackage that a file is in."""
     return path.relative_to(PACKAGE).parts[0]
 
 
@@ -120,7 +120,7 @@ def imports_between(folder: Path) -> dict[str, set[str]]:
     return graph
 
 
-def floors(graph: Mapping[str, set[str]]) -> int:
+def longest_import_chain(graph: Mapping[str, set[str]]) -> int:
     """How many entries the longest chain of imports passes."""
     height: dict[str, int] = {}
     for entry in TopologicalSorter(graph).static_order():
@@ -128,40 +128,44 @@ def floors(graph: Mapping[str, set[str]]) -> int:
     return max(height.values(), default=0)
 
 
-def test_the_listing_is_the_rooms() -> None:
+def test_the_listing_is_the_subpackages() -> None:
     entries = {path.name for path in PACKAGE.iterdir()} - {"__pycache__", "py.typed"}
-    assert entries == {*ROOMS, "__init__.py", "__main__.py"}
-    assert len(ROOMS) <= 12
+    assert entries == {*SUBPACKAGES, "__init__.py", "__main__.py"}
+    assert len(SUBPACKAGES) <= 12
 
 
 @pytest.mark.parametrize("path", FILES, ids=name)
-def test_a_room_imports_only_from_above(path: Path) -> None:
-    above = ROOMS[: ROOMS.index(room(path)) + 1]
+def test_a_subpackage_imports_only_from_above(path: Path) -> None:
+    above = SUBPACKAGES[: SUBPACKAGES.index(subpackage(path)) + 1]
     imported = imported_files(path)
     assert not imported & set(FRONT_DOORS)
-    assert {room(file) for file in imported} <= set(above)
+    assert {subpackage(file) for file in imported} <= set(above)
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=name)
-def test_no_entry_of_a_folder_imports_itself_by_way_of_others(folder: Path) -> None:
+def test_no_import_cycle_between_the_entries_of_a_folder(folder: Path) -> None:
     try:
-        assert floors(imports_between(folder)) <= MOST_FLOORS
+        assert longest_import_chain(imports_between(folder)) <= MAX_IMPORT_CHAIN
     except CycleError as error:
         pytest.fail(" imports ".join(reversed(error.args[1])))
 
 
 @pytest.mark.parametrize("path", FILES, ids=name)
-def test_libraries_stay_behind_their_walls(path: Path) -> None:
+def test_libraries_are_used_only_where_listed(path: Path) -> None:
     used = {imported.partition(".")[0] for imported in imports(path)}
-    for library in used & WALLS.keys():
-        assert any(path.is_relative_to(PACKAGE / wall) for wall in WALLS[library]), library
+    for library in used & LIBRARY_USERS.keys():
+        assert any(path.is_relative_to(PACKAGE / user) for user in LIBRARY_USERS[library]), library
 
 
 def test_every_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     declared = {re.split(r"[^\w-]", line)[0].lower().replace("_", "-") for line in project["dependencies"]}
     declared |= {re.split(r"[^\w-]", line)[0] for line in project["optional-dependencies"]["rerun"]}
-    by_path_file = {"pinocchio": ["pin"], "coal": ["coal"], "rerun": ["rerun-sdk"]}  # behind their back
+    by_path_file = {
+        "pinocchio": ["pin"],
+        "coal": ["coal"],
+        "rerun": ["rerun-sdk"],
+    }  # found through path files
     distributions = {**by_path_file, **packages_distributions()}
     used = {imported.partition(".")[0] for path in FILES for imported in imports(path)}
     for library in used - set(sys.stdlib_module_names) - {"idtool"}:
@@ -185,7 +189,7 @@ def test_what_is_public_is_described(path: Path) -> None:
     assert not [node.name for node in public if not ast.get_docstring(node)]
 
 
-def test_help_does_not_wait_for_the_numerics() -> None:
+def test_help_does_not_import_the_numerical_libraries() -> None:
     script = "import sys, idtool.cli; print(*{'numpy', 'scipy', 'cvxpy', 'lxml', 'pydantic'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

@@ -75,6 +75,7 @@ def padded(path: Path, size: int) -> bytes:
 def test_compression_within_compression_does_not_multiply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """40 MiB in 1 MiB that is in less than a KiB or two: each by itself is not out of bounds."""
     monkeypatch.setattr("idtool.data.logs.mcap_records._MAX_BYTES", 2 << 20)
+    monkeypatch.setattr("idtool.data.logs.size_limits._FREE_BYTES", 2 << 20)
     path = write_mcap(
         tmp_path / "log", ros2(states(5)), ZEROS, compression=CompressionType.ZSTD, chunk_size=1 << 20, **UNINDEXED
     )

@@ -203,7 +203,7 @@ def test_a_compressed_file_that_is_no_use(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(LogError, match="is damaged"):
         read_log(path)
     (tmp_path / "y").write_bytes(b"\x89MCAP0\r\n" + bytes(4 << 20))
-    monkeypatch.setattr("idtool.data.logs.mcap_file._MIN_SIZE_LIMIT", 1 << 20)
+    monkeypatch.setattr("idtool.data.logs.size_limits._FREE_BYTES", 1 << 20)
     with pytest.raises(LogError, match="expands to more than 256 times its size"):
         read_log(compressed(tmp_path / "y"))
 

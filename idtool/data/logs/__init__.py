@@ -10,7 +10,7 @@ A format's file defines `SUFFIXES`, its file name extensions; `matches`, which r
 - add a notice for everything that it ignores: data in the file, and the options ``topic`` and ``columns`` if the format
   has no use for them;
 - raise `LogError` with one clear line for every kind of damaged file, and bound its memory by the size of the file,
-  whatever sizes the file declares.
+  whatever sizes the file declares (`check_expanded_size`).
 
 `csv` is an example. `SampleBuffer` is for files whose samples are read one after the other; others don't need it. Add
 the format's name to the help texts and pages that list the formats, and rows to the tables of

@@ -11,10 +11,9 @@ from typing import BinaryIO
 from idtool.common.exceptions import LogError
 from idtool.data.logs.bag import MCAP, SQLITE, ZSTD, wrong_storage_message
 from idtool.data.logs.mcap_records import MAGIC, McapRecords
+from idtool.data.logs.size_limits import check_expanded_size
 
 _BLOCK_BYTES = 1 << 20
-_MAX_EXPANSION = 256  # ratio of the uncompressed to the compressed size
-_MIN_SIZE_LIMIT = 1 << 28  # bytes that even a small file may expand to
 
 
 @contextmanager
@@ -54,13 +53,12 @@ def _decompress(path: Path, file: BinaryIO, output: BinaryIO) -> None:
     """Write the decompressed contents of a file; of a truncated one, as much as can be decompressed."""
     import zstandard
 
-    limit = _MAX_EXPANSION * path.stat().st_size + _MIN_SIZE_LIMIT
+    size_on_disk = path.stat().st_size
     size = 0
     try:
         reader = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
         while block := reader.read(_BLOCK_BYTES):
             size += output.write(block)
-            if size > limit:
-                raise LogError(path, f"expands to more than {_MAX_EXPANSION} times its size; it is not a robot log")
+            check_expanded_size(path, size, size_on_disk)
     except zstandard.ZstdError:
         raise LogError(path, "is damaged (zstd); try 'zstd -d' on it") from None

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
+from idtool.data.logs.size_limits import check_expanded_size
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = map(int, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK))
 
 _MAX_BYTES = 1 << 28  # of a chunk or a message
-_MAX_EXPANSION = 256  # ratio of the size of all decompressed chunks to the size of the file
 _BATCH = 4096  # messages decoded together
 _PAGE = 1 << 16  # bytes read at a time, from the end
 _MIN_ZEROS = 1024  # at the end of a file that count as padding
@@ -180,9 +180,7 @@ class McapRecords:
             raise self._damage_error(offset)
         self._check_size(offset, max(size, compressed_size))
         self._expanded += size
-        if self._expanded > _MAX_EXPANSION * self._size_on_disk + _MAX_BYTES:
-            message = f"expands to more than {_MAX_EXPANSION} times its size; it is not a robot log"
-            raise LogError(self._path, message)
+        check_expanded_size(self._path, self._expanded, self._size_on_disk)
         self._file.seek(offset + data_start)
         data = self._file.read(min(compressed_size, available - data_start))
         try:
