@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -273,6 +274,13 @@ def test_tables_that_cannot_be_read(written: Written, text: str, said: str) -> N
         read_log(path)
     assert str(error.value).startswith(f"{path}: {said}")
     assert "\n" not in str(error.value)
+
+
+def test_an_infinite_time_is_left_out_without_a_numpy_warning(written: Written) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        log = read_log(written("t,q_hip\n0.5,1\ninf,1\n1.5,2\n2.5,3\n", "log.csv"))
+    assert [notice.code for notice in log.notices] == ["not_finite", "wrong_unit"]
 
 
 def test_lines_without_end(written: Written, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,8 @@ def convert_to_seconds(t: Array) -> list[Notice]:
 
 def _certain_unit(t: Array) -> str | None:
     """The unit of times that cannot be seconds; None for seconds."""
-    if (t[:_FIRST_SAMPLES] % 1 > 0).any():  # true of nearly all logs
+    first = t[:_FIRST_SAMPLES]
+    if (first[np.isfinite(first)] % 1 > 0).any():  # true of nearly all logs
         return None
     t = t[np.isfinite(t)]
     if len(t) < 2 or not (t == np.rint(t)).all():
