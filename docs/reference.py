@@ -44,7 +44,7 @@ RESULTS: dict[str, tuple[type[Result], str]] = {
     "export": (ExportReport, "Printed by `idtool export --json`."),
     "ellipsoids": (EllipsoidsReport, "Printed by `idtool ellipsoids --json`."),
     "ellipsoids --check": (CheckReport, "Printed by `idtool ellipsoids --check --json`."),
-    "The regression": (RegressionReport, "Printed by `idtool validate --json` without a URDF."),
+    "The regression test": (RegressionReport, "Printed by `idtool validate --json` without a URDF."),
 }
 _PLAIN = {float: "number", int: "integer", str: "text", bool: "true or false", Any: "any", type(None): "null"}
 

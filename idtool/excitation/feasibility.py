@@ -80,7 +80,7 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
 
     where = "--start" if is_given.all() else task.model.robot.path
     if not is_static.any():
-        what = "at the start, gravity alone requires more torque than allowed; give another --start, or effort limits"
+        what = "at the start, gravity alone requires more torque than the limits allow; give another --start, or larger effort limits"
         raise ModelError(where, what)
     if task.collision is None:
         raise AssertionError  # without geometry, no pose is too near

@@ -116,8 +116,10 @@ def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterato
         instead = {
             "q": "a fit uses the logged v where it is less noisy; otherwise",
             "v": "a fit differentiates q where that is less noisy; otherwise",
-        }.get(signal, "excite more, or")
-        rounding = f"{signal} comes in steps of {step:.3g}, which make {noise:.0%} of noise in the {disturbed}"
+        }.get(signal, "use a larger excitation, or")
+        rounding = (
+            f"{signal} has a resolution of {step:.3g}, which causes a noise of {noise:.0%} (rms) in the {disturbed}"
+        )
         yield Notice(
             "coarse_channel",
             "warning",

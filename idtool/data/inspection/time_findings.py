@@ -21,7 +21,7 @@ MAX_LOST_SHARE = 0.01  # share of the time: less is the ordinary end of a part, 
 MIN_SHORT_SHARE = 0.05  # share of samples in segments too short for a filter to settle in
 MAX_SHORT_SHARE = 0.5  # the same, from which on hardly anything remains
 
-_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit uses the logged v where that is less noisy"
+_DIFFERENTIATED = "the numerical derivative of q is noisy, so a fit uses the logged v if it is less noisy"
 
 
 def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
@@ -31,13 +31,13 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """
     unevenness = _unevenness(dt, stamps)
     if stamps.step_jitter > MAX_JITTER:
-        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} samples rms"
+        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} sample periods rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
     elif unevenness > MAX_JITTER:
         deviation = (
             "according to the motion, the actual sampling times deviate from the evenly spaced stamps by "
-            f"{unevenness:.2g} samples rms"
+            f"{unevenness:.2g} sample periods rms"
         )
         advice = f"the stamps were rounded or generated; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
@@ -73,7 +73,7 @@ def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
     if stamps.repeated > MIN_SHARE:
         share = f"{stamps.repeated:.1%} of the samples repeat the previous one in every joint"
-        meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
+        meaning = f"the log was sampled faster than its source; {_DIFFERENTIATED}; log at the source's rate"
         if stamps.repeated > MAX_REPEATED_SHARE:
             yield Notice("stale", "warning", None, share, meaning)
         else:
@@ -105,9 +105,9 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     )
     too_short = stamps.short > MAX_SHORT_SHARE
     severity: Severity = "problem" if too_short else "warning"
-    rest = "hardly any usable data remain for the fit" if too_short else "a fit may have to leave them out"
+    rest = "hardly any usable data remain for the fit" if too_short else "a fit may have to omit these segments"
     advice = "fill in single missing values, or log without gaps"
-    meaning = f"these are shorter than the settling time of a filter, so {rest}: {advice}"
+    meaning = f"these segments are shorter than the settling time of a filter, so {rest}: {advice}"
     if stamps.gaps:
         yield Notice("dropped_samples", severity, None, extent, meaning)
     else:

@@ -52,9 +52,9 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         )
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
-        return TorqueSource("commanded", "it has no noise, so it must be computed")
+        return TorqueSource("commanded", "it has no noise, so it is probably computed")
     if tau.step is not None and tau.noise < _ROUNDING_NOISE * tau.step:
-        return TorqueSource("unknown", f"it has no noise beyond its resolution of {tau.step:.3g}")
+        return TorqueSource("unknown", f"its noise is smaller than its resolution of {tau.step:.3g}")
     changes = np.concatenate([np.diff(x, 2) for x in runs["tau"]])
     fast_change = 1.4826 * float(np.median(np.abs(changes))) / np.sqrt(6)
     if fast_change > _MAX_FAST_CHANGE * tau.noise:
@@ -83,8 +83,8 @@ def _control_law(runs: Runs, tau: Signal) -> str | None:
         rounding = 0.4 * (tau.step or 0.0) / torque.std()
         if residual < max(_MAX_LAW_RESIDUAL, min(rounding, 20 * _MAX_LAW_RESIDUAL)):
             terms = " ".join(f"{gain:+.4g} {name}" for gain, name in zip(gains, names, strict=True))
-            late = f", {delay} samples late" if delay else ""
-            return f"it equals {terms} + constant within {residual:.1g} of its deviation{late}"
+            late = f" with a delay of {delay} sample periods" if delay else ""
+            return f"it equals {terms} + constant{late}, to within {residual:.1g} of its standard deviation"
     return None
 
 

@@ -72,7 +72,9 @@ class JointLog:
 def truncation_notice(file: str, kept: str) -> Notice:
     """Notice that a file was cut off while it was written, and how much of it was kept."""
     advice = "record again if this is too short"
-    return Notice("log_truncated", "warning", None, f"{file} was cut off while it was written; kept: {kept}", advice)
+    return Notice(
+        "log_truncated", "warning", None, f"{file} was cut off while it was written; {kept} were kept", advice
+    )
 
 
 def make_log(
@@ -121,7 +123,7 @@ def make_log(
         raise LogError(path, "no two consecutive samples are complete; check for missing values")
     if invalid.any():
         message = f"{int(invalid.sum())} samples have values that are not finite; they were left out"
-        advice = "if they are many, run idtool inspect"
+        advice = "if there are many of them, run idtool inspect"
         notices += (Notice("not_finite", "note", None, message, advice),)
     if unit := suspected_unit(dt, segments, present):
         notices += (time_unit_notice(dt, unit, present),)

@@ -65,7 +65,7 @@ class Mistake:
         shares = f"realizable bodies leave {after:.1%} of the torque's power unexplained if this is corrected, and "
         shares += f"{before:.1%} if not" if before < 1 else "all of it if not"
         alternatives = [f"{names[other.joints[0]]}: {other.details[0][0]}" for other in self.others]
-        or_else = f"; the data cannot distinguish it from {join_names(alternatives)}" if alternatives else ""
+        or_else = f"; the data cannot distinguish this fault from {join_names(alternatives)}" if alternatives else ""
         for joint, (defect, advice) in zip(self.joints, self.details, strict=True):
             if names[joint] in computed:
                 advice = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"

@@ -57,7 +57,7 @@ def wrong_torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Not
     if all_too_large and _has_placeholder_masses(fit):
         return
     factor = float(np.exp(np.median(logs)))
-    ratio = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
+    ratio = f"tau is {factor:.3g} times the {'gravity' if weight else 'inertial'} torque of the URDF's bodies"
     cause = "if tau is a motor torque or a current, or is in another unit such as mN·m,"
     advice = f"{cause} set its `log.scale`; otherwise the URDF's masses are wrong"
     yield Notice("wrong_unit", "problem", None, f"{ratio} at {join_names(list(factors))}", advice)

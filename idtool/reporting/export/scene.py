@@ -104,7 +104,7 @@ class Scene:
                 Part(
                     "inertial",
                     name,
-                    "MuJoCo does not accept a body without mass, so it has a mass of",
+                    "MuJoCo does not accept a body without mass, so the body gets the smallest mass that MuJoCo accepts",
                     MUJOCO_MINIMUM,
                     "kg",
                 )
