@@ -50,7 +50,10 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
 
         last = self._diagnosis.last
         urdf = last.experiment.model.robot.path.name
-        header = f"Written by idtool diagnose for {urdf}. Together with identified.urdf it is the model with the effects that were found."
+        header = (
+            f"Written by idtool diagnose for {urdf}. Together with identified.urdf it is the model with the effects "
+            "that were found."
+        )
         return {
             "diagnosis.json": as_json(self.to_json()),
             "diagnosis.html": diagnosis_page(self._diagnosis, self, made_by),
@@ -114,8 +117,8 @@ def diagnose(
     holdout
         Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
     inertia
-        ``refit``: the inertia is identified again at every step; ``fixed``: the inertia of the URDF is kept, so that a payload, a torque gain or a
-        tilted base can be found.
+        ``refit``: the inertia is identified again at every step; ``fixed``: the inertia of the URDF is kept, so
+        that a payload, a torque gain or a tilted base can be found.
     effects
         Ids of the effects to search for; None: all.
     most

@@ -87,9 +87,8 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
         },
         **notice_fields([_without_ellipsoid(link, why) for link, why in reasons.items()]),
     )
-    result._header = (
-        f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes enlarged by {margin:.0%}; m, rad."
-    )
+    enlarged = f"semi-axes enlarged by {100 * margin:.0f} %"
+    result._header = f"Smallest ellipsoids around the links of {robot.path.name}, {enlarged}; m, rad."
     return result
 
 

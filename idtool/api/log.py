@@ -25,9 +25,9 @@ from idtool.data.logs import read_log as read_record
 class Log:
     """Joint signals over time, read from a file. The arrays are read-only.
 
-    When you pass the path of a log to a function such as `idtool.fit`, the log is read with the settings of the model's configuration
-    (``log.topic``, ``log.columns``, ``log.scale``). A `Log` object is used as it is. `Model.read_log` reads a log with the settings of the
-    configuration.
+    When you pass the path of a log to a function such as `idtool.fit`, the log is read with the settings of the
+    model's configuration (``log.topic``, ``log.columns``, ``log.scale``). A `Log` object is used as it is.
+    `Model.read_log` reads a log with the settings of the configuration.
 
     Parameters
     ----------

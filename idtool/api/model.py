@@ -164,7 +164,7 @@ class Model:
 
     @property
     def effects(self) -> ReadOnly[tuple[str, ...]]:
-        """Effects of the model besides rigid bodies: id to the joints or links that have it."""
+        """Effects of the model in addition to rigid bodies: ids with the joints or links that they act on."""
         friction = friction_types()
         owners: dict[str, list[str]] = {}
         for joint in self.joints:

@@ -188,8 +188,8 @@ def simulate(
     log
         A log or, with ``track``, a trajectory: a path, read as the configuration says, or a `Log`.
     window
-        Time between restarts from the measured state [s]; 0: no restarts. None: the configuration's ``simulation.window``
-        under the logged torque, never under the controller.
+        Time between restarts from the measured state [s]; 0: no restarts. None: the configuration's
+        ``simulation.window`` under the logged torque, and no restarts under the controller.
     closed_loop
         Drive the joints with the configuration's controller and the logged command instead of the logged torque.
     track

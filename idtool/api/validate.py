@@ -119,8 +119,8 @@ def validate(
     logs
         Paths of logs, which are read with the settings of the configuration, or `Log` objects.
     prior
-        A model of the same robot for comparison. If it has no configuration of its own, it uses that of the model, but without
-        the friction values and the effects.
+        A model of the same robot for comparison. If it has no configuration of its own, it uses that of the model, but
+        without the friction values and the effects.
     max_rms
         Largest accepted torque error [N·m or N], for all joints together, or by joint and ``overall``; see ``ok``.
     simulation

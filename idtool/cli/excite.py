@@ -52,7 +52,8 @@ def excite_command(
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="RMS torque noise in the filter's band, N·m: 0.1 or hip=0.1; default: from --log, or 1 % of the effort limit."
+            help="RMS torque noise in the filter's band, N·m: 0.1 or hip=0.1; default: from --log, or 1 % of the "
+            "effort limit."
         ),
     ] = None,
     margin: Annotated[float, typer.Option(help="Unused fraction of each limit; twice that for the effort.")] = 0.1,

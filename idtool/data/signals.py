@@ -171,7 +171,8 @@ class Signals:
         advice = "compare the unit, sign and order of the velocities with those of the positions"
         self._note(Notice("velocity_unrelated", "warning", None, message, advice), unrelated)
         if self.channels.jitter > _MAX_JITTER:
-            message = f"the time stamps have a jitter of {self.channels.jitter:.2f} sample periods rms, so the measured velocity is used"
+            jitter = f"a jitter of {self.channels.jitter:.2f} sample periods rms"
+            message = f"the time stamps have {jitter}, so the measured velocity is used"
             advice = "use the time at which a sample is taken as its time stamp, not the time at which it is written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | unrelated)

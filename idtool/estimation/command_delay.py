@@ -101,7 +101,8 @@ class CommandDelay:
         fitted = _milliseconds(self.value, self.standard_error)
         text = f"{fitted} from command to torque (fitted)"
         if self.given is not None:
-            text = f"{1e3 * self.given.value:.3g} ms from command to torque (given); the value fitted to the data is {fitted}"
+            given = f"{1e3 * self.given.value:.3g} ms"
+            text = f"{given} from command to torque (given); the value fitted to the data is {fitted}"
         if self.correlation < _CONFOUNDED:
             return text
         known = _milliseconds(self.value, self.known_friction_error).partition(" ")[2]
@@ -125,7 +126,7 @@ class CommandDelay:
             fitted = _milliseconds(self.value, self.standard_error)
             before, after = self.viscous
             difference = f"{1e3 * self.given.value:.3g} ms is given, but the value fitted to the data is {fitted}"
-            change = f"the fitted delay reduces the torque error by {self.gain:.1%}"
+            change = f"the fitted delay reduces the torque error by {100 * self.gain:.1f} %"
             friction = f" and changes mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
             message = f"{difference}; {change}{friction}"
             return (

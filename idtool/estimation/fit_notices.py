@@ -162,5 +162,6 @@ def _error_notices(
         advice = "a unit in the URDF or the configuration may be wrong"
         yield Notice("prior_error_large", "warning", None, message, advice)
     if held_out and own > prior:
-        message = f"the identified model predicts the held-out data worse than the URDF does (error {own:.3g} instead of {prior:.3g})"
+        errors = f"error {own:.3g} instead of {prior:.3g}"
+        message = f"the identified model predicts the held-out data worse than the URDF does ({errors})"
         yield Notice("worse_than_prior", "problem", None, message)

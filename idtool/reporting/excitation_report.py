@@ -186,7 +186,10 @@ def _notices(design: Design) -> list[Notice]:
     task = design.task
     notices = [*task.model.notices, *task.robot_limits.notices]
     if task.noise_assumed:
-        message = f"the torque noise is unknown; 1 % of the effort limit, or of the largest torque without a limit, is assumed: {join_names(task.noise_assumed)}"
+        message = (
+            "the torque noise is unknown; 1 % of the effort limit, or of the largest torque if there is no limit, is "
+            f"assumed: {join_names(task.noise_assumed)}"
+        )
         notices.append(Notice("noise_assumed", "warning", None, message, "give --noise, or a log with --log"))
     if task.collision is None or not task.collision.pairs:
         message = "no links with geometry that could collide were found, so self-collision was not checked"

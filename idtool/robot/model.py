@@ -122,7 +122,8 @@ class _Builder:
         for body in bodies[:links]:
             if not body.pi[0] > 0:
                 message = "no mass in the URDF, so it has no prior"
-                advice = "add an inertial to the link; otherwise its parameters that the data do not determine are meaningless"
+                meaningless = "its parameters that the data do not determine are meaningless"
+                advice = f"add an inertial to the link; otherwise {meaningless}"
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         gravity = np.asarray(self.config.gravity)
         return RobotModel(self.robot, self.joints, bodies, gravity, tuple(self.notices))

@@ -154,7 +154,8 @@ def _header(draft: Draft) -> list[str]:
     logs = join_names([path.name for path in draft.paths])
     return [
         f"First configuration for {draft.robot.path.name}, written by idtool init from {logs}. SI units.",
-        "Comments describe the keys and, in brackets, the sources of their values. Sections that are commented out are templates: complete them if they apply to the robot.",
+        "Comments describe the keys and, in brackets, the sources of their values. Sections that are commented out are "
+        "templates: complete them if they apply to the robot.",
     ]
 
 

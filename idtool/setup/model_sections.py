@@ -19,8 +19,10 @@ def rotors(draft: Draft) -> ConfigSection:
     known = {name: ratio for name, ratio in draft.ratios.items() if name in draft.joints}
     told = [f"{name}: {ratio:g}" for name, ratio in known.items() if abs(ratio) != 1]
     comments = [
-        "Rotors of geared motors: bodies that spin at gear_ratio times the speed of a joint. Replace every null by a value.",
-        f"Gear ratios in the URDF (<transmission>): {', '.join(told) or 'none'}. The inertia is about the centre of mass.",
+        "Rotors of geared motors: bodies that spin at gear_ratio times the speed of a joint. Replace every null by a "
+        "value.",
+        f"Gear ratios in the URDF (<transmission>): {', '.join(told) or 'none'}. The inertia is about the centre of "
+        "mass.",
     ]
     if len(told) < len(known):
         one = join_names([name for name, ratio in known.items() if abs(ratio) == 1])
@@ -107,7 +109,8 @@ def bounding_ellipsoids(draft: Draft) -> ConfigSection:
     ]
     if not bounds.ellipsoids:
         comments = [
-            "For each link, an ellipsoid in its frame that contains all its mass; m, rad. The URDF has no usable geometry."
+            "For each link, an ellipsoid in its frame that contains all its mass; m, rad. The URDF has no usable "
+            "geometry."
         ]
     if not bounds.missing:
         return ConfigSection("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids))
@@ -153,9 +156,15 @@ def known(draft: Draft) -> ConfigSection:
     """The section ``known``: a template, with the URDF's masses for comparison."""
     robot = draft.robot
     links = [robot.joints[name].child for name in draft.joints]
-    what = "Masses that were measured by other means, kg; with a standard error they are soft constraints. Replace every null by a value."
+    what = (
+        "Masses that were measured by other means, kg; with a standard error they are soft constraints. Replace every "
+        "null by a value."
+    )
     masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
     prior = f"Masses in the URDF: {join_names(masses) or 'none'}."
-    whole = "total_mass: mass of all moving parts, including rotors; it is easy to measure, and the torque rarely determines it."
+    whole = (
+        "total_mass: mass of all moving parts, including rotors; it is easy to measure, and the torque rarely "
+        "determines it."
+    )
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
     return ConfigSection("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})

@@ -12,12 +12,15 @@ from idtool.setup.loaded_logs import MAX_SAMPLES
 from idtool.setup.records import ConfigSection, Trial
 from idtool.setup.trials import HOLDOUT, term_type, trial_of
 
-HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MAX_SAMPLES} samples if it is longer)"
+HELD_OUT = f"the last {100 * HOLDOUT:.0f} % of each log (of its first {MAX_SAMPLES} samples if it is longer)"
 
 
 def joints(draft: Draft) -> ConfigSection:
     """The section ``joints``: the joints that are identified."""
-    what = "Joints that are identified: actuated joints that are in every log, move, and have a torque or a command (URDF, logs)."
+    what = (
+        "Joints that are identified: actuated joints that are in every log, move, and have a torque or a command "
+        "(URDF, logs)."
+    )
     return ConfigSection("joints", (what,), list(draft.log_summary.identifiable))
 
 
@@ -56,8 +59,8 @@ def log(draft: Draft) -> ConfigSection:
     first = draft.joints[0]
     unit = draft.unit("torque", draft.joints)
     remark = (
-        f"scale: {unit} per logged unit, if the log is not in {unit}, for example torque constant × gear ratio; columns: "
-        "names of the columns in the file."
+        f"scale: {unit} per logged unit, if the log is not in {unit}, for example torque constant × gear ratio; "
+        "columns: names of the columns in the file."
     )
     template = {"scale": {"tau": {first: None}}, "columns": {f"tau_{first}": None}}
     return ConfigSection("log", tuple(comments), value, (remark,), template)
@@ -83,8 +86,8 @@ def low_pass(draft: Draft) -> ConfigSection:
     seen = draft.log_summary
     what = (
         "One zero-phase low-pass for all signals. cutoff_hz: the motion lies below "
-        f"{seen.motion_hz:.2g} Hz (logs); the cut-off is {seen.bands:g} times this frequency, but at least 5 Hz, and not above "
-        "40 Hz or a fifth of the sampling rate. kind and order have their default values."
+        f"{seen.motion_hz:.2g} Hz (logs); the cut-off is {seen.bands:g} times this frequency, but at least 5 Hz, and "
+        "not above 40 Hz or a fifth of the sampling rate. kind and order have their default values."
     )
     if seen.commanded:
         what += (

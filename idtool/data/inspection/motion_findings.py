@@ -36,14 +36,15 @@ def motion_findings(name: str, joint: InspectedJoint, frozen: FrozenStretches | 
         yield Notice("joint_at_rest", "warning", name, "the joint does not move", meaning)
         return
     if joint.standstill > MAX_STANDSTILL:
-        share = f"the joint is at rest {joint.standstill:.0%} of the time"
+        share = f"the joint is at rest {100 * joint.standstill:.0f} % of the time"
         meaning = (
             "samples at rest determine hardly anything except gravity, and gravity only to within the static friction"
         )
         yield Notice("often_at_rest", "note", name, share, meaning)
     yield from _jumps(name, joint, frozen)
     if joint.band_hz is not None and joint.band_hz > MAX_RELATIVE_BAND / dt:
-        band = f"99 % of the velocity's power lies below {joint.band_hz:.3g} Hz, but the sampling rate is only {1 / dt:.4g} Hz"
+        rate = f"the sampling rate is only {1 / dt:.4g} Hz"
+        band = f"99 % of the velocity's power lies below {joint.band_hz:.3g} Hz, but {rate}"
         meaning = "accelerations at these frequencies are unreliable: log faster, or lower `filter.cutoff_hz`"
         yield Notice("motion_too_fast", "warning", name, band, meaning)
     q = joint.signals["q"]

@@ -52,9 +52,8 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
         return
     lost_share = stamps.sampling.skipped - stamps.repeated
     if lost_share > MIN_SHARE:
-        share = (
-            f"according to the motion, {stamps.sampling.skipped:.1%} of the steps are two or more sample periods long"
-        )
+        skipped = f"{100 * stamps.sampling.skipped:.1f} % of the steps"
+        share = f"according to the motion, {skipped} are two or more sample periods long"
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
         if lost_share > MAX_SKIPPED_SHARE and stamps.step_jitter <= MAX_JITTER:
             yield Notice("dropped_samples", "warning", None, share, meaning)
@@ -72,7 +71,7 @@ def _unevenness(dt: float, stamps: Stamps) -> float:
 def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
     if stamps.repeated > MIN_SHARE:
-        share = f"{stamps.repeated:.1%} of the samples repeat the previous one in every joint"
+        share = f"{100 * stamps.repeated:.1f} % of the samples repeat the previous one in every joint"
         meaning = f"the log was sampled faster than its source; {_DIFFERENTIATED}; log at the source's rate"
         if stamps.repeated > MAX_REPEATED_SHARE:
             yield Notice("stale", "warning", None, share, meaning)
@@ -100,8 +99,8 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     if segments < 2 or stamps.short < MIN_SHORT_SHARE:
         return
     extent = (
-        f"gaps and missing values divide the log into {segments} segments: {stamps.short:.0%} of it is in segments "
-        "shorter than 0.5 s"
+        f"gaps and missing values divide the log into {segments} segments: {100 * stamps.short:.0f} % of it is in "
+        "segments shorter than 0.5 s"
     )
     too_short = stamps.short > MAX_SHORT_SHARE
     severity: Severity = "problem" if too_short else "warning"

@@ -69,7 +69,9 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
         Nominal sample time [s].
     """
     if v.agreement < 1 - MAX_DISAGREEMENT or v.gain is None or v.lag_ms is None or v.lag_error_ms is None:
-        share = f"the derivative of q explains only {v.agreement:.0%} of the power of v in the band of the motion"
+        share = (
+            f"the derivative of q explains only {100 * v.agreement:.0f} % of the power of v in the band of the motion"
+        )
         meaning = "v belongs to another joint or is wrong: set `velocity: differentiated`"
         severity: Severity = "problem" if v.agreement < MIN_AGREEMENT else "warning"
         yield Notice("velocity_unrelated", severity, name, share, meaning)

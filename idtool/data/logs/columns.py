@@ -80,7 +80,7 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: 
     if not columns:
         raise LogError(
             path,
-            f"is not a log: its first line contains {join_names(header)}, but no joint signal; name the columns t, "
+            f"is not a log: its first line has no joint signal (columns: {join_names(header)}); name the columns t, "
             "q_<joint>, v_<joint>, tau_<joint>, or map them in log.columns",
         )
     if time is None:

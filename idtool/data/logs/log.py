@@ -72,9 +72,7 @@ class JointLog:
 def truncation_notice(file: str, kept: str) -> Notice:
     """Notice that a file was cut off while it was written, and how much of it was kept."""
     advice = "record again if this is too short"
-    return Notice(
-        "log_truncated", "warning", None, f"{file} was cut off while it was written; {kept} were kept", advice
-    )
+    return Notice("log_truncated", "warning", None, f"{file} was cut off while it was written; kept: {kept}", advice)
 
 
 def make_log(

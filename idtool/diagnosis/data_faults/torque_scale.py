@@ -134,7 +134,9 @@ def clipped_torque(fit: ChannelFit, j: int, joint: InspectedJoint) -> Iterator[N
     missing, error = _missing_torque(total)
     level = max(abs(tau.minimum), abs(tau.maximum))
     if missing > max(_MIN_SIGNIFICANCE * error, _MIN_EXCESS * level):
-        extremes = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
+        extremes = (
+            f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {100 * tau.stuck:.1f} % of the samples"
+        )
         beyond = f"where the motion requires {missing:.2g} more on average"
         name = fit.equation.joints[j]
         yield Notice("clipped", "problem", name, f"{extremes}, {beyond}", "reduce the excitation, or raise the limit")

@@ -131,7 +131,10 @@ def with_equal_bounds(model: RobotModel, equalities: EqualityConstraints) -> Rob
             overruled.append(own.name)
     notices = model.notices
     if overruled:
-        message = f"these copies get the bounds of their originals instead of their own from the configuration: {join_names(overruled)}"
+        message = (
+            "these copies get the bounds of their originals instead of their own from the configuration: "
+            f"{join_names(overruled)}"
+        )
         notices = (*notices, Notice("copies_bounds_overruled", "warning", None, message))
     return replace(model, bodies=tuple(bodies), notices=notices)
 

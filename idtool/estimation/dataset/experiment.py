@@ -121,8 +121,8 @@ class Experiment:
                 moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, assumed position {place:g})")
         if moved:
             message = (
-                f"these joints are assumed to stand still, but move in the log: {', '.join(moved)}; the effect of their motion "
-                "on the other joints' torque is not in the model and biases the parameters"
+                f"these joints are assumed to stand still, but move in the log: {', '.join(moved)}; the effect of "
+                "their motion on the other joints' torque is not in the model and biases the parameters"
             )
             advice = "add them to joints, or keep them at rest while you log"
             yield Notice("moving_joints_held_still", "warning", None, message, advice)

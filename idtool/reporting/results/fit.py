@@ -197,7 +197,8 @@ class UncertaintyReport(Record):
 
     confidence: float = field("Confidence level of the intervals: 0.95.")
     blocks: int = field(
-        "Number of time blocks for the standard errors; 0 if there are too few blocks, so that the standard errors are computed from the number of independent samples."
+        "Number of time blocks for the standard errors; 0 if there are too few blocks, so that the standard errors are "
+        "computed from the number of independent samples."
     )
     block_seconds: float = field("Length of a block [s].")
     correlated_beyond_blocks: bool = field(

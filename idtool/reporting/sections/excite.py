@@ -100,6 +100,6 @@ class CriteriaSection(Section[ExcitationReport]):
     @override
     def text(self, report: ExcitationReport) -> str:
         return (
-            "D: geometric mean of the relative standard errors; A: their root mean square; E: the largest of them; condition: "
-            "condition number."
+            "D: geometric mean of the relative standard errors; A: their root mean square; E: the largest of them; "
+            "condition: condition number."
         )

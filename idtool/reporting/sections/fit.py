@@ -198,9 +198,9 @@ class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
-            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine this value only in a "
-            "sum with the inertia of bodies that turn with the rotor. If prior or constraints change the value, the interval "
-            "contains both the value and the estimate from the data alone."
+            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine this value "
+            "only in a sum with the inertia of bodies that turn with the rotor. If prior or constraints change the "
+            "value, the interval contains both the value and the estimate from the data alone."
         )
 
 

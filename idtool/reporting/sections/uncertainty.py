@@ -121,8 +121,9 @@ class BaseParametersSection(Section[FitReport]):
     def text(self, report: FitReport) -> str:
         return (
             "± se: one standard error; –: these logs do not determine the value. Pull: distance between the value and "
-            "the estimate from the data alone, in standard errors, due to prior and constraints; changed by prior or constraints: "
-            f"more than {MAX_PULL:g}. The interval contains both values. …: smaller terms; report.json lists all of them."
+            "the estimate from the data alone, in standard errors, due to prior and constraints; changed by prior or "
+            f"constraints: a pull of more than {MAX_PULL:g}. The interval contains both values. …: smaller terms; "
+            "report.json lists all of them."
         )
 
 

@@ -57,8 +57,8 @@ class ModelErrorsSection(Section[ValidationReport]):
     def text(self, report: ValidationReport) -> str:
         return (
             "Root mean square of predicted minus measured torque, both filtered by the same zero-phase low-pass. As "
-            "logged: relative to the unfiltered torque, so noise above the band counts as error too. Error / torque: the "
-            "model's error divided by the standard deviation of the measured torque."
+            "logged: relative to the unfiltered torque, so noise above the band counts as error too. Error / torque: "
+            "the model's error divided by the standard deviation of the measured torque."
         )
 
 

@@ -31,7 +31,8 @@ def _warning(simulation: Simulation) -> str | None:
     better = itertools.takewhile(lambda horizon: _is_better(horizon.position, horizon.baseline), simulation.horizon)
     if seconds := [horizon.seconds for horizon in better]:
         long = f"{1000 * seconds[-1]:g} ms"
-        return f"{drift}; its error is smaller up to {long} after a restart: do not trust its rollouts for longer than that."
+        better_until = f"its error is smaller up to {long} after a restart"
+        return f"{drift}; {better_until}: do not trust its rollouts for longer than that."
     return f"{drift}: do not trust its rollouts."
 
 
