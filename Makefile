@@ -8,7 +8,7 @@ KERNELS ?= Haswell SkylakeX Zen Sandybridge
 
 .PHONY: demo test test-blas test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean regularization
 
-demo: $(READY)  ## the main job on the sample logs
+demo: $(READY)  ## fit and validate the sample leg
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
 	$(BIN)/idtool fit sample_logs/leg.urdf sample_logs/leg_train.mcap --validate sample_logs/leg_validate.mcap
 	$(BIN)/idtool validate leg_idtool/identified.urdf sample_logs/leg_validate.csv --prior sample_logs/leg.urdf --out leg_idtool
@@ -19,36 +19,36 @@ test: $(READY)  ## style, types and tests
 	$(BIN)/mypy
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m "not slow"
 
-test-blas: $(READY)  ## the tests with OpenBLAS's kernels for other CPUs, which round differently
+test-blas: $(READY)  ## the tests with OpenBLAS kernels for other CPUs, which round differently
 	$(BIN)/python tests/blas_kernels.py --jobs $(JOBS) $(KERNELS)
 
-test-slow: $(READY)  ## what takes longer than CI allows
+test-slow: $(READY)  ## the tests that are too slow for CI
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m slow
 
-docs: $(READY)  ## the pages of docs/ as a site in site/; links that lead nowhere are errors
+docs: $(READY)  ## build the documentation as a site in site/; broken links are errors
 	$(BIN)/mkdocs build --strict --config-file docs/mkdocs.yml
 
-test-rerun: $(READY)  ## recordings for rerun's viewer, which is an extra of 170 MB
+test-rerun: $(READY)  ## the tests of recordings for the rerun viewer, an optional dependency of 170 MB
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/requirements-rerun.txt
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest tests/reporting/test_rerun.py
 
-benchmarks: $(READY)  ## speed and memory, each a ratio of two things measured in one run
+benchmarks: $(READY)  ## speed and memory; each speed is a ratio of two times measured in one run
 	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \
 		OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/$$script.py || exit 1; done
 
-coverage: $(READY)  ## how often the 95 % intervals cover the truth, on 260 simulated logs; takes minutes
+coverage: $(READY)  ## how often the 95 % intervals contain the true value, on 260 simulated logs; takes minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/coverage.py --jobs $(JOBS)
 
-regularization: $(READY)  ## how near the truth a fit ends for every weight of the prior, on simulated robots; takes an hour
+regularization: $(READY)  ## errors of the identified parameters for every weight of the prior, on simulated robots; takes an hour
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/regularization.py --jobs $(JOBS)
 
-scoreboard: $(READY)  ## what `idtool diagnose` names of what is hidden in simulated robots; takes hours
+scoreboard: $(READY)  ## fraction of the effects hidden in simulated robots that `idtool diagnose` identifies; takes hours
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/scoreboard.py --jobs $(JOBS)
 
-samples: $(READY)  ## make the sample logs anew in MuJoCo
+samples: $(READY)  ## regenerate the sample logs in MuJoCo
 	$(BIN)/python sample_logs/make.py
 
-lock: $(READY)  ## the newest versions that fit, for all supported Pythons
+lock: $(READY)  ## update the pinned dependencies to the newest compatible versions, for all supported Pythons
 	$(BIN)/pip install --quiet uv
 	for extras in "" "rerun"; do \
 		$(BIN)/uv pip compile pyproject.toml --extra dev $${extras:+--extra $$extras} --universal --generate-hashes --quiet \

@@ -44,7 +44,7 @@ RESULTS: dict[str, tuple[type[Result], str]] = {
     "export": (ExportReport, "Printed by `idtool export --json`."),
     "ellipsoids": (EllipsoidsReport, "Printed by `idtool ellipsoids --json`."),
     "ellipsoids --check": (CheckReport, "Printed by `idtool ellipsoids --check --json`."),
-    "The regression": (RegressionReport, "Printed by `idtool validate --json` without a URDF."),
+    "The regression test": (RegressionReport, "Printed by `idtool validate --json` without a URDF."),
 }
 _PLAIN = {float: "number", int: "integer", str: "text", bool: "true or false", Any: "any", type(None): "null"}
 
@@ -90,17 +90,31 @@ def _words(annotation: Any) -> str:
             return _words(arguments[0])
         return f"by {keys}: {_words(get_args(arguments[0])[0])}"
     if get_origin(annotation) in (Union, types.UnionType):
-        return " or ".join(_words(argument) for argument in arguments)
+        return " or ".join(_grouped(_words(argument)) for argument in arguments)
     if get_origin(annotation) is Literal:
         return " or ".join(f"`{argument}`" for argument in arguments)
     if get_origin(annotation) is tuple:
         inner = [_words(argument) for argument in arguments if argument is not Ellipsis]
-        return f"list of {inner[0]}" if Ellipsis in arguments else f"[{', '.join(inner)}]"
+        return f"list of {_plural(inner[0])}" if Ellipsis in arguments else f"[{', '.join(inner)}]"
     if get_origin(annotation) in (ReadOnly, dict):
         return "object"
     if isinstance(annotation, type) and issubclass(annotation, Record):
         return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
     return _PLAIN.get(annotation, "list of numbers")
+
+
+def _grouped(words: str) -> str:
+    """Words for a type, in parentheses if an alternative after them could be read as part of them."""
+    return f"({words})" if words.startswith("by ") and " or " in words else words
+
+
+def _plural(words: str) -> str:
+    """Words for the items of a list."""
+    if words.startswith("list of "):
+        return words.replace("list", "lists", 1)
+    if " or " in words:
+        return f"({words})"
+    return f"{words}s" if words in ("number", "integer", "text", "object") else words
 
 
 def _nested(annotation: Any) -> Iterator[type[Record]]:

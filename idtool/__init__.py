@@ -1,6 +1,6 @@
 """Identify the dynamics of robot legs and arms from logged joint data.
 
-What is here is imported when it is first used: `import idtool` alone costs next to nothing.
+Public names are imported when they are first used, so `import idtool` itself is fast.
 
 Examples
 --------

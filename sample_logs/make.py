@@ -33,13 +33,13 @@ TRUTH = """\
 # The parameters that the sample logs were simulated with. Written by make.py.
 #
 # <robot>:
-#   seed:      of the parameters, the phases of the motion and the noise
+#   seed:      random seed of the parameters, the phases of the motion and the noise
 #   bodies:    mass (kg), com (m) and inertia (kg m^2) of links and rotors, each in its own frame; the inertia about
 #              the com as [ixx, ixy, iyy, ixz, iyz, izz]. A rotor is balanced: symmetric about its axis.
 #   friction:  torque viscous * v + coulomb * sign(v) at the joint (N m s/rad, N m)
 #   sensors:   position_step and velocity_step: resolution of q and v (rad, rad/s); torque_noise: standard deviation
 #              of the white noise on tau (N m); velocity_lag: lag of v behind the derivative of q (s). With a
-#              velocity_step of zero v is differenced from the quantised q and smoothed.
+#              velocity_step of zero, v is the smoothed numerical derivative of the quantized q.
 """
 
 

@@ -37,23 +37,23 @@ class AdaptationResult(AdaptationReport, SavableResult):
 def adapt(
     model: Model | Source, logs: Logs, *, forgetting: float = 20.0, progress: Progress | None = None
 ) -> AdaptationResult:
-    """Identify online, one update for each decimated row, within the constraints; `idtool adapt` as a function.
+    """Identify online within the constraints, with one update for each decimated row, like `idtool adapt`.
 
     Parameters
     ----------
     model
         The model, or its URDF.
     logs
-        The logs: paths, read as the configuration says, or `Log`.
+        Paths of logs, which are read with the settings of the configuration, or `Log` objects.
     forgetting
-        Time constant with which samples lose their weight [s]; infinity: never.
+        Time constant of exponential forgetting [s]; infinity: no forgetting.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------
     IdtoolError
-        If a log, the configuration or the model cannot be used. Messages name options as the command line does.
+        If a log, the configuration or the model cannot be used. Messages contain the option names of the command line.
     """
     from idtool.estimation.command_delay import with_delay
     from idtool.estimation.identification import choose_sets

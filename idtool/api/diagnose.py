@@ -1,4 +1,4 @@
-"""`diagnose`: what a model lacks."""
+"""`diagnose`: find effects that a model lacks."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
 
         last = self._diagnosis.last
         urdf = last.experiment.model.robot.path.name
-        header = f"Diagnosed by idtool from {urdf}; with identified.urdf it is the model with the effects found."
+        header = (
+            f"Written by idtool diagnose for {urdf}. Together with identified.urdf it is the model with the effects "
+            "that were found."
+        )
         return {
             "diagnosis.json": as_json(self.to_json()),
             "diagnosis.html": diagnosis_page(self._diagnosis, self, made_by),
@@ -65,7 +68,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         return last.experiment.model, fit_traces(last), "identified"
 
     def plot(self) -> Figure:
-        """The gap closing: errors of torque and rollouts step by step, of all joints together and of each."""
+        """Plot the torque and simulation errors after each step, for all joints together and for each joint."""
         from idtool.reporting.plots.figure import stack_figures
         from idtool.reporting.plots.gap import gap_figures
 
@@ -101,32 +104,32 @@ def diagnose(
     simulation: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
-    """Find where model and data disagree, name the missing effect, add it; `idtool diagnose` as a function.
+    """Find where model and data disagree, identify the missing effects and add them, like `idtool diagnose`.
 
     Parameters
     ----------
     model
         The model, or its URDF.
     logs
-        The logs: paths, read as the configuration says, or `Log`.
+        Paths of logs, which are read with the settings of the configuration, or `Log` objects.
     validate
-        Whole logs for validation; where given, nothing is held out of the others.
+        Whole logs for validation. If they are given, no part of the other logs is held out.
     holdout
-        Share at the end of every log that is kept for validation, from 0 to below 1.
+        Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
     inertia
-        ``refit``: identified anew at every step; ``fixed``: the URDF's is true, so that a payload, a torque gain or a
-        tilted base can be told from it.
+        ``refit``: the inertia is identified again at every step; ``fixed``: the inertia of the URDF is kept, so
+        that a payload, a torque gain or a tilted base can be found.
     effects
-        Ids of the effects that may be named; None: all.
+        Ids of the effects to search for; None: all.
     most
-        The most effects that are added.
+        Largest number of effects to add.
     assume
         Effects to start with: ``"parallel_spring:hip"``, ``("parallel_spring", "hip")``, or ``"gravity_tilt"`` for one
         that has neither joint nor link.
     simulation
-        Whether to run the models forwards too.
+        Whether to simulate the models too.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------

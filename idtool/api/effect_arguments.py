@@ -43,7 +43,9 @@ def parse_assumption(text: str | EffectAssumption) -> EffectAssumption:
 def _check_effect(option: str, effect: str) -> str:
     names = [id for id, kind in effect_types().items() if kind.reportable]
     if effect not in names:
-        raise ConfigError(option, f"{printable(effect) or 'nothing'} is not an effect; {suggestion(effect, names)}")
+        raise ConfigError(
+            option, f"{printable(effect) or 'an empty name'} is not an effect; {suggestion(effect, names)}"
+        )
     return effect
 
 
@@ -66,5 +68,6 @@ def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel
             raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
         if owner is not None and owner not in names:
             raise ConfigError(
-                "--assume", f"{printable(owner) or 'nothing'} is not a {what} of the model; {suggestion(owner, names)}"
+                "--assume",
+                f"{printable(owner) or 'an empty name'} is not a {what} of the model; {suggestion(owner, names)}",
             )

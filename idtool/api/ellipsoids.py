@@ -40,7 +40,7 @@ class EllipsoidsResult(EllipsoidsReport):
 
 
 class CheckResult(CheckReport):
-    """Which of a robot's links have an inertia that no body can have."""
+    """Result of the check: the links whose inertia is not physically realizable."""
 
     _repaired: bytes
 
@@ -50,7 +50,7 @@ class CheckResult(CheckReport):
         return not any(link.violations for link in self.links.values())
 
     def save(self, file: str | os.PathLike[str]) -> Path:
-        """Write the nearest URDF whose bodies can exist; OutputError if the file cannot be written."""
+        """Write the nearest URDF with realizable inertias; OutputError if the file cannot be written."""
         path = Path(file)
         check_file(path, [])
         write_all(path.parent, {path.name: self._repaired})
@@ -72,7 +72,7 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
     urdf
         The URDF, or a model.
     margin
-        Share by which the semi-axes grow.
+        Fraction by which the semi-axes are enlarged.
 
     Raises
     ------
@@ -87,9 +87,8 @@ def ellipsoids(urdf: Model | Source, *, margin: float = 0.05) -> EllipsoidsResul
         },
         **notice_fields([_without_ellipsoid(link, why) for link, why in reasons.items()]),
     )
-    result._header = (
-        f"Smallest ellipsoids around the links of {robot.path.name}, semi-axes enlarged by {margin:.0%}; m, rad."
-    )
+    enlarged = f"semi-axes enlarged by {100 * margin:.0f} %"
+    result._header = f"Smallest ellipsoids around the links of {robot.path.name}, {enlarged}; m, rad."
     return result
 
 
@@ -98,14 +97,14 @@ def _without_ellipsoid(link: str, reason: str) -> Notice:
 
 
 def check(model: Model | Source, *, repair: bool = False) -> CheckResult:
-    """Find the links whose inertia no body can have; `idtool ellipsoids --check` as a function.
+    """Find the links whose inertia is not physically realizable, like `idtool ellipsoids --check`.
 
     Parameters
     ----------
     model
-        The model, or its URDF; bounds in its configuration are heeded.
+        The model, or the path of its URDF. The bounds in its configuration are taken into account.
     repair
-        Whether to find the nearest inertias that some body can have.
+        Whether to compute the nearest realizable inertias.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""`excite`: a trajectory that makes the parameters visible."""
+"""`excite`: design an exciting trajectory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ALL_JOINTS = ""  # in place of a joint: all joints
 
 
 class ExcitationResult(ExcitationReport):
-    """A designed trajectory, and the standard errors to expect of it."""
+    """A designed trajectory and the expected standard errors of a fit to it."""
 
     _design: Design
 
@@ -53,7 +53,7 @@ class ExcitationResult(ExcitationReport):
         file
             The log, MCAP or CSV by its ending.
         made_by
-            What the page says it was made by.
+            Command that the HTML report shows.
 
         Returns
         -------
@@ -106,24 +106,24 @@ def excite(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> ExcitationResult:
-    """Design a trajectory that makes the parameters visible; `idtool excite` as a function.
+    """Design an exciting trajectory, like `idtool excite`.
 
     Parameters
     ----------
     model
         The model, or its URDF.
     logs
-        Logs that there are already: the trajectory is what to do next.
+        Existing logs. The trajectory is designed to complement them.
     pattern
         ``fourier``, ``bspline``, or ``shell``, the paper's motion.
     criterion
         ``d``: all parameters; ``a``: the mean error; ``e``: the worst combination; or ``condition``.
     favour
-        What the criterion is for: bodies, joints' friction, or parameters (``hip.coulomb``).
+        Bodies, joints (for their friction) or parameters (``hip.coulomb``) for which to optimize.
     duration
-        Of the trajectory [s].
+        Duration of the trajectory [s].
     slow
-        Share of it for slow sweeps and standstill, for friction.
+        Fraction of the duration for slow sweeps and standstill, which determine friction.
     rate
         Samples per second [Hz].
     max_frequency
@@ -132,24 +132,24 @@ def excite(
         RMS torque noise in the filter's band [N·m or N], of all joints or by joint; None: from the logs, or 1 % of the
         largest torque.
     margin
-        Share of each limit left unused; of the effort, twice that.
+        Unused fraction of each limit; twice this fraction for the effort.
     clearance
-        Least distance between links [m].
+        Minimum distance between links [m].
     start
         Pose at start and end, by joint [rad or m].
     tip
-        Link that follows the shell; None: every limb's last.
+        Link that follows the shell; None: the last link of every limb.
     iterations
-        Of the search.
+        Number of iterations of the search.
     seed
-        Of what is drawn; None: the configuration's.
+        Random seed; None: the seed of the configuration.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------
     IdtoolError
-        If the model, the configuration or a log cannot be used. Messages name options as the command line does.
+        If the model, the configuration or a log cannot be used. Messages contain the option names of the command line.
     """
     report_progress = progress or ignore_progress
     _check_options(criterion, duration, rate, margin, clearance, max_frequency)

@@ -19,7 +19,7 @@ Simulator = Literal["mujoco", "drake"]
 
 
 class ExportResult(ExportReport):
-    """The identified model as a simulator's file, and what of it the file cannot carry."""
+    """The identified model as a simulator file, and the parts of the model that the file cannot represent."""
 
     _text: bytes
     _folder: Path
@@ -50,7 +50,7 @@ class ExportResult(ExportReport):
         Raises
         ------
         OutputError
-            If it cannot be written, or would take the place of the identified model.
+            If the file cannot be written, or would overwrite the identified model.
         """
         path = self.default_file if file is None else Path(file)
         check_file(path, [self._folder / URDF, self._folder / CONFIG])
@@ -60,13 +60,13 @@ class ExportResult(ExportReport):
     def __repr__(self) -> str:
         kinds = dict.fromkeys(part.what for part in self.carried)
         missing = dict.fromkeys(f"{part.what} of {part.of}" for part in self.not_carried)
-        lines = [f"ExportResult {self._name}: carries {', '.join(kinds)}"]
-        lines += [f"  not carried: {name}" for name in missing]
+        lines = [f"ExportResult {self._name}: contains {', '.join(kinds)}"]
+        lines += [f"  not exported: {name}" for name in missing]
         return "\n".join([*lines, *notice_lines(self.notices)])
 
 
 def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool = False) -> ExportResult:
-    """Turn the identified model into a file for a simulator; `idtool export` as a function.
+    """Write the identified model as a file for a simulator, like `idtool export`.
 
     Parameters
     ----------
@@ -75,15 +75,15 @@ def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool 
     to
         The simulator.
     rotor_bodies
-        For MuJoCo: a rotor that joint inertias cannot carry in full becomes a body that a constraint holds.
+        For MuJoCo: represent rotors that armature cannot fully represent as bodies that are held by constraints.
 
     Raises
     ------
     IdtoolError
-        If the folder holds no identified model, or the simulator would refuse it.
+        If the folder contains no identified model, or the simulator would reject the model.
     """
     if rotor_bodies and to != "mujoco":
-        raise ConfigError("--rotor-bodies", f"is for mujoco; leave it out for {to}")
+        raise ConfigError("--rotor-bodies", f"is only for mujoco; omit it for {to}")
     source = Path(folder)
     if source.is_file():
         source = source.parent
@@ -91,7 +91,7 @@ def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool 
     exported = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
     notices = list(identified.model.notices)
     if to == "mujoco" and any(part.what == "rotor" for part in exported.not_carried):
-        message = "--rotor-bodies carries the rotors in full, each as a body with a coordinate of its own"
+        message = "use --rotor-bodies to represent the rotors completely, each as a body with its own coordinate"
         notices.append(Notice("rotors_simplified", "note", None, message))
     result = ExportResult(
         file=None,

@@ -32,7 +32,7 @@ _MAX_MASSES = 6  # in a result's repr
 
 
 class FitResult(FitReport, SavableResult, Recordable):
-    """An identified model, and how far to trust it; its fields are those of report.json."""
+    """An identified model and its errors and uncertainty. The fields are those of report.json."""
 
     _fit: Fit
     _residual_maps: tuple[ProfilesByJoint, ProfilesByJoint] | None  # of the prior and the identified model
@@ -47,7 +47,7 @@ class FitResult(FitReport, SavableResult, Recordable):
         from idtool.reporting.pages import fit_page
 
         urdf = self._fit.experiment.model.robot.path.name
-        header = f"Identified by idtool from {urdf}; with identified.urdf it is the identified model."
+        header = f"Identified by idtool from {urdf}. Together with identified.urdf it is the identified model."
         return {
             IDENTIFIED_URDF: identified_urdf_text(self._fit, folder),
             MODEL_YAML: as_yaml(model_config(self._fit), header),
@@ -66,12 +66,12 @@ class FitResult(FitReport, SavableResult, Recordable):
         Parameters
         ----------
         log
-            Which of the logs.
+            Index of the log.
 
         Raises
         ------
         IndexError
-            If there are not so many.
+            If there are fewer logs.
         """
         from idtool.reporting.plots.torques import torque_figures
 
@@ -79,12 +79,12 @@ class FitResult(FitReport, SavableResult, Recordable):
 
     def __repr__(self) -> str:
         units = " or ".join(dict.fromkeys(self.units.values()))
-        data = "what was fitted" if self.rms.validation is None else "held-out data"
+        data = "the fitted data" if self.rms.validation is None else "held-out data"
         rms = self.rms.validation or self.rms.train
         prior = self.rms.prior_validation
         head = ["joint", "identified"]
         if prior:
-            head.append("given")
+            head.append("prior")
         head += ["viscous", "coulomb"]
         rows = []
         for name in (*self.joints, "overall"):
@@ -118,33 +118,33 @@ def fit(
     quick: bool = False,
     progress: Progress | None = None,
 ) -> FitResult:
-    """Identify inertias, friction and rotors; `idtool fit` as a function.
+    """Identify inertias, friction and rotors, like `idtool fit`.
 
     Parameters
     ----------
     model
         The model, or its URDF.
     logs
-        Logs to fit to: paths, read as the configuration says, or `Log`.
+        Logs for the fit: paths, which are read with the settings of the configuration, or `Log` objects.
     validate
-        Whole logs for validation; where given, nothing is held out of the others.
+        Whole logs for validation. If they are given, no part of the other logs is held out.
     holdout
-        Share at the end of every log that is kept for validation, from 0 to below 1.
+        Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
     method
-        ``ls``, least squares, or ``iv``, instrumental variables, which noise in q and v does not bias; slower.
+        ``ls``: least squares; ``iv``: instrumental variables, which are not biased by noise in q and v but are slower.
     simulation
-        Whether to run the identified and the given model forwards too.
+        Whether to simulate the identified and the original model too.
     quick
-        Only the fit: nothing run forwards, not asked what each number rests on, whether several logs agree, and whether
-        noise has biased it.
+        Only fit the model. Skip the simulation, the sources of the parameters, the comparison of logs, and the check
+        of the bias from noise.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------
     IdtoolError
         If a log, the configuration or the model cannot be used: `LogError`, `ConfigError`, `ModelError`; or the
-        problem was not solved: `SolverError`. Messages name options as the command line does.
+        problem was not solved: `SolverError`. Messages contain the option names of the command line.
 
     Examples
     --------
@@ -180,7 +180,7 @@ def fit_experiment(
     progress, method
         As in `fit`.
     simulate
-        Whether to run the identified and the given model forwards too.
+        Whether to simulate the identified and the original model too.
     analyze_uncertainty
         If true, find the information source of each parameter, compare logs, and look for bias by noise.
 

@@ -35,7 +35,7 @@ class InitResult(InitReport):
         Parameters
         ----------
         force
-            Whether to overwrite a file that is there.
+            Whether to overwrite an existing file.
 
         Returns
         -------
@@ -67,20 +67,20 @@ def init(
     file: Source | None = None,
     progress: Progress | None = None,
 ) -> InitResult:
-    """Draft a configuration from a URDF and logs; `idtool init` as a function, which writes nothing before `save`.
+    """Create a first configuration from a URDF and logs, like `idtool init`. Only `save` writes the file.
 
     Parameters
     ----------
     urdf
-        The URDF, or a bag of ROS that holds it as ``/robot_description``.
+        The URDF, or a ROS bag that contains it as ``/robot_description``.
     logs
         The logs.
     config
-        A configuration with what is known already, such as controller gains: its keys are kept as they are.
+        A configuration with known values, such as controller gains. Its keys are kept unchanged.
     file
-        Where it is to be written; None: ``<urdf stem>.yaml`` beside the URDF, where the other functions look for it.
+        File for `save`; None: ``<urdf stem>.yaml`` beside the URDF, where the other functions look for it.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------

@@ -20,7 +20,7 @@ class InspectionResult(InspectionReport):
 
 
 def inspect(log: LogSource) -> InspectionResult:
-    """Tell what is in a log and what is wrong with it; `idtool inspect` as a function.
+    """Determine the contents and the faults of a log, like `idtool inspect`.
 
     Parameters
     ----------

@@ -23,27 +23,27 @@ from idtool.data.logs import read_log as read_record
 
 
 class Log:
-    """Joint signals over time, from a file; its arrays cannot be written to.
+    """Joint signals over time, read from a file. The arrays are read-only.
 
-    A log that is given to `idtool.fit` and its like by its path is read as the model's configuration says
-    (``log.topic``, ``log.columns``, ``log.scale``). A `Log` is taken as it is; `Model.read_log` reads one as the
-    configuration says.
+    When you pass the path of a log to a function such as `idtool.fit`, the log is read with the settings of the
+    model's configuration (``log.topic``, ``log.columns``, ``log.scale``). A `Log` object is used as it is.
+    `Model.read_log` reads a log with the settings of the configuration.
 
     Parameters
     ----------
     path
         The file, MCAP or CSV, or a rosbag2 folder.
     topic
-        The topic that carries the joint states, where the file has several.
+        The topic with the joint states, if the file has several topics.
     columns
-        Canonical name (``t``, ``q_hip``, …) to the column of the file that holds it, for CSV.
+        For CSV: name of the column in the file for each canonical name (``t``, ``q_hip``, …).
     scale
-        Signal to joint to SI units per logged unit, e.g. ``{"tau": {"hip": 0.118}}`` for a logged current.
+        SI units per logged unit, by signal and joint, e.g. ``{"tau": {"hip": 0.118}}`` for a logged current.
 
     Raises
     ------
     LogError
-        If the file cannot be read, or does not hold what the options name.
+        If the file cannot be read, or does not contain the topic, columns or joints in the options.
 
     Examples
     --------
@@ -83,7 +83,7 @@ class Log:
         Parameters
         ----------
         name
-            What messages and reports call it.
+            Name of the log in messages and reports.
         t
             Sample times [s], shape (N,).
         joints
@@ -95,7 +95,7 @@ class Log:
         Raises
         ------
         LogError
-            If shapes do not fit, or there is no usable run of samples.
+            If the shapes do not match, or the log has no usable segment.
         """
         names = tuple(joints)
         times = np.array(t, dtype=float)
@@ -104,7 +104,7 @@ class Log:
             if values is not None:
                 signals[signal] = np.array(values, dtype=float)
         if times.ndim != 1 or not names or len(set(names)) != len(names):
-            raise LogError(name, "needs times of shape (N,) and one name for each joint, no two alike")
+            raise LogError(name, "needs times of shape (N,) and a unique name for each joint")
         shape = (len(times), len(names))
         for signal, array in signals.items():
             if array.shape != shape:
@@ -143,7 +143,7 @@ class Log:
 
     @property
     def path(self) -> Path:
-        """The file; of a log from arrays its name."""
+        """Path of the file, or the name of a log that was created from arrays."""
         return self._record.path
 
     @property
@@ -153,7 +153,7 @@ class Log:
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Which of q, v, tau, qcmd and vcmd there are."""
+        """Those of q, v, tau, qcmd and vcmd that the log contains."""
         return tuple(name for name in SIGNALS if name in self._record.signals)
 
     @property
@@ -168,27 +168,27 @@ class Log:
 
     @property
     def v(self) -> Array | None:
-        """Velocities [rad/s or m/s], shape (N, nj); None where none were logged."""
+        """Velocities [rad/s or m/s], shape (N, nj); None if they were not logged."""
         return self._record.signals.get("v")
 
     @property
     def tau(self) -> Array | None:
-        """Torques at the joint output [N·m or N], shape (N, nj); None where none were logged."""
+        """Torques at the joint output [N·m or N], shape (N, nj); None if they were not logged."""
         return self._record.signals.get("tau")
 
     @property
     def qcmd(self) -> Array | None:
-        """Commanded positions [rad or m], shape (N, nj); None where none were logged."""
+        """Commanded positions [rad or m], shape (N, nj); None if they were not logged."""
         return self._record.signals.get("qcmd")
 
     @property
     def vcmd(self) -> Array | None:
-        """Commanded velocities [rad/s or m/s], shape (N, nj); None where none were logged."""
+        """Commanded velocities [rad/s or m/s], shape (N, nj); None if they were not logged."""
         return self._record.signals.get("vcmd")
 
     @property
     def segments(self) -> tuple[slice, ...]:
-        """Runs of samples without a gap, as slices into the first axis."""
+        """Segments of samples without a gap, as slices of the first axis."""
         return self._record.segments
 
     @property
@@ -203,7 +203,7 @@ class Log:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The notices, a text each."""
+        """The notices as plain text."""
         return tuple(notice.text for notice in self.notices)
 
     @property
@@ -212,12 +212,12 @@ class Log:
         return self._record.notices
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it, as MCAP or CSV by the ending; returns the path.
+        """Write the log as MCAP or CSV, depending on the file extension; returns the path.
 
         Raises
         ------
         LogError
-            If the ending is not known, or the log cannot be written.
+            If the file extension is unknown, or the log cannot be written.
         """
         write_log(path, self._record)
         return Path(path)

@@ -25,20 +25,20 @@ from idtool.robot.urdf.writing import identified_urdf, relocate_meshes
 
 Source = str | os.PathLike[str]
 IDENTIFIED_URDF, MODEL_YAML = "identified.urdf", "model.yaml"  # what fit and diagnose write
-_IDENTIFIED_ORIGIN = "what was identified"
+_IDENTIFIED_ORIGIN = "the identified parameters"
 
 
 class Model:
-    """A robot: a URDF, and a configuration for what a URDF does not say. It cannot be changed.
+    """A robot: a URDF, and a configuration with everything that a URDF does not contain. A model cannot be changed.
 
-    Whether the two fit together is checked when it is used.
+    Whether URDF and configuration are consistent is checked when the model is used.
 
     Parameters
     ----------
     urdf
-        The URDF, or a bag of ROS, an MCAP file or a rosbag2 folder, that holds it as ``/robot_description``.
+        The URDF, or a ROS bag (MCAP file or rosbag2 folder) that contains it as ``/robot_description``.
     config
-        The configuration: a YAML file, or what would be in it as a dictionary. None: the one beside the URDF
+        The configuration: a YAML file, or a dictionary with the same content. None: the file beside the URDF
         (``<urdf stem>.yaml``, beside an ``identified.urdf`` also ``model.yaml``), else the defaults.
 
     Raises
@@ -138,7 +138,7 @@ class Model:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The configuration as plain data, without keys at their default; a copy."""
+        """The configuration as plain data (a copy), without keys that have their default value."""
         return self._config.model_dump(mode="json", exclude_unset=True)
 
     @property
@@ -148,23 +148,23 @@ class Model:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The joints that move, where the logs hold them all.
+        """The joints that are identified if the logs contain all of them.
 
         Raises
         ------
         IdtoolError
-            If URDF and configuration do not fit together; the same for `bodies` and `effects`.
+            If URDF and configuration are inconsistent; the same for `bodies` and `effects`.
         """
         return self._tree.names
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Links that move by themselves, then rotors. Links fixed to others are part of these."""
+        """Moving links, then rotors. Links on fixed joints are part of the links that carry them."""
         return tuple(body.name for body in self._tree.bodies)
 
     @property
     def effects(self) -> ReadOnly[tuple[str, ...]]:
-        """Effects of the model besides rigid bodies: id to the joints or links that have it."""
+        """Effects of the model in addition to rigid bodies: ids with the joints or links that they act on."""
         friction = friction_types()
         owners: dict[str, list[str]] = {}
         for joint in self.joints:
@@ -187,7 +187,7 @@ class Model:
         return build_model(self._robot, self._config, moving)
 
     def read_log(self, path: Source) -> Log:
-        """A log, read as the configuration says.
+        """Read a log with the settings of the configuration.
 
         Parameters
         ----------

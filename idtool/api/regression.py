@@ -13,7 +13,7 @@ def regression(progress: Progress | None = None) -> RegressionReport:
     Parameters
     ----------
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------

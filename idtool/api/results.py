@@ -53,15 +53,15 @@ def notice_lines(notices: Sequence[NoticeReport]) -> list[str]:
 
 
 class Recordable(ABC):
-    """A result that rerun's viewer can show."""
+    """A result that can be recorded for the rerun viewer."""
 
     def rerun(self, file: str | os.PathLike[str]) -> Path:
-        """Write a recording for rerun's viewer, as ``--rerun`` does: the robot, its motion, torques and residuals.
+        """Write a recording for the rerun viewer, like ``--rerun``: the robot, its motion, torques and residuals.
 
         Parameters
         ----------
         file
-            Where to, FILE.rrd.
+            File to write, with the extension .rrd.
 
         Raises
         ------
@@ -85,14 +85,14 @@ class SavableResult(ABC):
     _made_by: str
 
     def save(self, folder: str | os.PathLike[str], made_by: str | None = None) -> tuple[Path, ...]:
-        """Write the files that the command writes, all or none.
+        """Write the same files as the command. If an error occurs, no file is written.
 
         Parameters
         ----------
         folder
-            Where to; made where it is not there.
+            Output folder; it is created if it does not exist.
         made_by
-            What the page says it was made by; None: the call.
+            Command that the HTML report shows; None: the Python call.
 
         Returns
         -------

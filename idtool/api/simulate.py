@@ -43,14 +43,14 @@ LOG_NAME = "simulated.mcap"  # what the log is called in a folder
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulationResult(Recordable):
-    """A model run forwards.
+    """Result of a simulation.
 
     Attributes
     ----------
     log
-        The motion: q, v, tau, and qcmd and vcmd where they drove it.
+        The motion: q, v, tau, and also qcmd and vcmd if the controller used them.
     report
-        What `idtool simulate --json` prints; its fields are attributes of the result, too.
+        The content of `idtool simulate --json`. Its fields are also attributes of the result.
     """
 
     log: Log
@@ -61,7 +61,7 @@ class SimulationResult(Recordable):
 
     @property
     def rmse(self) -> MotionRmse:
-        """RMS distance from what was measured, without the samples at which it was started."""
+        """RMS error relative to the measured motion, without the samples at which the simulation was restarted."""
         return self.report.rmse
 
     @property
@@ -115,7 +115,7 @@ class SimulationResult(Recordable):
         Parameters
         ----------
         place
-            A folder, in which it is ``simulated.mcap``, or a file, MCAP or CSV by its ending.
+            A folder, in which ``simulated.mcap`` is written, or an MCAP or CSV file.
 
         Returns
         -------
@@ -124,7 +124,7 @@ class SimulationResult(Recordable):
         Raises
         ------
         IdtoolError
-            If the log cannot be written, or would take the place of the one that was read.
+            If the log cannot be written, or would overwrite the log that was read.
         """
         file = Path(place)
         if file.suffix.lower() not in log_suffixes():
@@ -145,7 +145,7 @@ class SimulationResult(Recordable):
         return self._model, motion, "model"
 
     def plot(self) -> Figure:
-        """Measured and simulated position of every joint; with ``track`` the trajectory in place of the former."""
+        """Measured and simulated position of every joint; with ``track``, the trajectory instead of the measurement."""
         from idtool.reporting.plots.simulation import motion_figures
 
         curves = {"measured": self._measured.T, "simulated": self.log.q.T}
@@ -179,7 +179,7 @@ def simulate(
     track: bool = False,
     progress: Progress | None = None,
 ) -> SimulationResult:
-    """Run a model forwards along a log, or along a trajectory under its controller; `idtool simulate` as a function.
+    """Simulate a model under the torque or the controller of a log, or along a trajectory, like `idtool simulate`.
 
     Parameters
     ----------
@@ -188,19 +188,19 @@ def simulate(
     log
         A log or, with ``track``, a trajectory: a path, read as the configuration says, or a `Log`.
     window
-        Start again from the measured state this often [s]; 0: never. None: the configuration's ``simulation.window``
-        under the logged torque, never under the controller.
+        Time between restarts from the measured state [s]; 0: no restarts. None: the configuration's
+        ``simulation.window`` under the logged torque, and no restarts under the controller.
     closed_loop
-        Let the configuration's controller drive the joints on the logged command, not the logged torque.
+        Drive the joints with the configuration's controller and the logged command instead of the logged torque.
     track
-        Let the controller track the log's qcmd and vcmd, else its q and v, from their first state on.
+        Let the controller track the log's qcmd and vcmd, or q and v without them, from their first state.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------
     IdtoolError
-        If the log, the configuration or the model cannot be used, or the model runs away as soon as it is started.
+        If the log, the configuration or the model cannot be used, or the simulation diverges immediately.
         Messages name options as the command line does.
 
     Examples

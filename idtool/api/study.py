@@ -18,7 +18,7 @@ _MIN_DRAWS = 5
 
 
 class StudyResult(StudyReport, SavableResult):
-    """All constraint sets, priors and estimators side by side; its fields are those of study.json."""
+    """Comparison of all constraint sets, priors and estimators. The fields are those of study.json."""
 
     _validation: Evaluation
     _made_by: str
@@ -37,7 +37,7 @@ class StudyResult(StudyReport, SavableResult):
             validation = four_digits(entry.rms.validation["overall"])
             rows.append([name, train, validation, str(entry.violations)])
         lines = [title]
-        lines += table_lines(["constraints", "train", "held out", "unrealizable"], rows)
+        lines += table_lines(["constraints", "train", "held out", "not realizable"], rows)
         lines += notice_lines(self.notices)
         return "\n".join(lines)
 
@@ -51,27 +51,27 @@ def study(
     draws: int = 40,
     progress: Progress | None = None,
 ) -> StudyResult:
-    """Compare all constraint sets, priors and estimators, and error against sample count; `idtool study` as a function.
+    """Compare all constraint sets, priors and estimators, also for fewer samples, like `idtool study`.
 
     Parameters
     ----------
     model
         The model, or its URDF.
     logs
-        Logs to fit to: paths, read as the configuration says, or `Log`.
+        Logs for the fit: paths, which are read with the settings of the configuration, or `Log` objects.
     validate
-        Whole logs for validation; where given, nothing is held out of the others.
+        Whole logs for validation. If they are given, no part of the other logs is held out.
     holdout
-        Share at the end of every log that is kept for validation, from 0 to below 1.
+        Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
     draws
-        Random draws of samples for each count, at least 5.
+        Number of random draws for each number of samples, at least 5.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------
     IdtoolError
-        If a log, the configuration or the model cannot be used. Messages name options as the command line does.
+        If a log, the configuration or the model cannot be used. Messages contain the option names of the command line.
     """
     from idtool.estimation.study.study import study as compare
 

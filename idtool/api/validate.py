@@ -63,7 +63,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         Raises
         ------
         IndexError
-            If there are not so many.
+            If there are fewer logs.
         """
         from idtool.reporting.plots.torques import torque_figures
 
@@ -75,7 +75,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         head = ["joint", "model"]
         if prior:
             head.append("prior")
-        head.append("of torque")
+        head.append("error / torque")
         if self.bound:
             head.append("bound")
         rows = []
@@ -98,7 +98,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         if name not in self.bound:
             return ""
         bound = four_digits(self.bound[name])
-        return bound if self.ok[name] else f"{bound} missed"
+        return bound if self.ok[name] else f"{bound} (not met)"
 
 
 def validate(
@@ -110,28 +110,28 @@ def validate(
     simulation: bool = True,
     progress: Progress | None = None,
 ) -> ValidationResult:
-    """Tell how well a model predicts the torque and the motion of logs; `idtool validate` as a function.
+    """Compute the torque and motion errors of a model on logs, like `idtool validate`.
 
     Parameters
     ----------
     model
         The model, or its URDF.
     logs
-        The logs: paths, read as the configuration says, or `Log`.
+        Paths of logs, which are read with the settings of the configuration, or `Log` objects.
     prior
-        A model of the same robot to compare with. Without a configuration of its own it takes the model's, but neither
-        the values of its friction nor its effects.
+        A model of the same robot for comparison. If it has no configuration of its own, it uses that of the model, but
+        without the friction values and the effects.
     max_rms
-        Largest torque error that is accepted [N·m or N], over all joints or by joint and ``overall``; see ``ok``.
+        Largest accepted torque error [N·m or N], for all joints together, or by joint and ``overall``; see ``ok``.
     simulation
-        Whether to run the models forwards too.
+        Whether to simulate the models too.
     progress
-        Told the stage and the share of it that is done; None: silence.
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
     Raises
     ------
     IdtoolError
-        If a log, a configuration or a model cannot be used. Messages name options as the command line does.
+        If a log, a configuration or a model cannot be used. Messages contain the option names of the command line.
 
     Examples
     --------
@@ -195,7 +195,7 @@ def validate_experiment(
     progress
         Called with the stage and the share of it that is done.
     simulate
-        Whether to run the models forwards too.
+        Whether to simulate the models too.
 
     Raises
     ------

@@ -31,11 +31,11 @@ def excite_command(
         ),
     ] = None,
     log: Annotated[
-        list[Path] | None, typer.Option(help="An existing log, whose information is taken into account; repeatable.")
+        list[Path] | None, typer.Option(help="An existing log that the trajectory complements; repeatable.")
     ] = None,
     pattern: Annotated[str, typer.Option(help="fourier, bspline, or shell (the motion of the paper).")] = "fourier",
     criterion: Annotated[
-        str, typer.Option(help="d: all parameters; a: mean error; e: worst combination; condition: condition number.")
+        str, typer.Option(help="d: all parameters; a: RMS error; e: worst combination; condition: condition number.")
     ] = "d",
     favour: Annotated[
         list[str] | None,
@@ -47,11 +47,14 @@ def excite_command(
     ] = 0.2,
     rate: Annotated[float, typer.Option(help="Sampling rate, Hz.")] = 1000.0,
     max_frequency: Annotated[
-        float | None, typer.Option("--max-frequency", help="Highest frequency, Hz; default: from the limits.")
+        float | None, typer.Option("--max-frequency", help="Highest frequency, Hz; default: computed from the limits.")
     ] = None,
     noise: Annotated[
         list[str] | None,
-        typer.Option(help="RMS torque noise in the filter's band, N·m: 0.1 or hip=0.1; default: from --log, or 1 %."),
+        typer.Option(
+            help="RMS torque noise in the filter's band, N·m: 0.1 or hip=0.1; default: from --log, or 1 % of the "
+            "effort limit."
+        ),
     ] = None,
     margin: Annotated[float, typer.Option(help="Unused fraction of each limit; twice that for the effort.")] = 0.1,
     clearance: Annotated[float, typer.Option(help="Minimum distance between links, m.")] = 0.01,
@@ -117,6 +120,6 @@ def _parse_numbers(option: str, texts: Sequence[str], for_all: bool) -> dict[str
         is_too_small = for_all and value <= 0
         if not math.isfinite(value) or lacks_joint or is_too_small:
             form = "NUMBER or JOINT=NUMBER, above 0" if for_all else "JOINT=NUMBER"
-            raise ConfigError(option, f"{text or 'nothing'} is not {form}")
+            raise ConfigError(option, f"{text or 'an empty value'} is not {form}")
         numbers[name if separator else _ALL_JOINTS] = value
     return numbers

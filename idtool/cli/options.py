@@ -161,7 +161,9 @@ def parse_bounds(texts: list[str], experiment: Experiment) -> dict[str, float]:
         except ValueError:
             bound = math.nan
         if not 0 < bound < math.inf:
-            raise ConfigError("--max-rms", f"{text or 'nothing'} is not NUMBER or JOINT=NUMBER, with a number above 0")
+            raise ConfigError(
+                "--max-rms", f"{text or 'an empty value'} is not NUMBER or JOINT=NUMBER, with a number above 0"
+            )
         bounds[name] = bound
     return bounds
 

@@ -36,7 +36,7 @@ def study_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Compare all constraint sets, priors and estimators on the same data, and for fewer samples."""
+    """Compare all constraint sets, priors and estimators on the same data, and for different numbers of samples."""
     from idtool.api.model import Model
     from idtool.api.study import study
     from idtool.reporting.terminal import Terminal

@@ -52,7 +52,7 @@ def validate_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Compute the torque and motion errors of a model on logs; without arguments, run the regression."""
+    """Compute the torque and motion errors of a model on logs; without arguments, run the regression test."""
     from idtool.api.data import load_experiment
     from idtool.api.model import Model
     from idtool.api.validate import prior_model, validate_experiment

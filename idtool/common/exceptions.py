@@ -32,15 +32,15 @@ class ConfigError(IdtoolError):
 
 
 class LogError(IdtoolError):
-    """A log that cannot be read or holds too little."""
+    """A log that cannot be read or contains too little data."""
 
 
 class ModelError(IdtoolError):
-    """A URDF, or a URDF and configuration together, that do not make a robot."""
+    """A URDF that is invalid, or that is not consistent with the configuration."""
 
 
 class SolverError(IdtoolError):
-    """An optimization problem that is infeasible or was not solved to the promised accuracy."""
+    """An optimization problem that is infeasible or was not solved to the required accuracy."""
 
 
 class InfeasibleError(SolverError):

@@ -108,7 +108,7 @@ def without_constant_torque(log: JointLog, controller: Controller | None) -> Joi
     tau = log.signals["tau"].copy()
     tau[:, columns] = np.nan
     names = join_names([log.joints[i] for i in columns])
-    message = f"the logged torque never changes, so the controller's torque is used: {names}"
+    message = f"the logged torque of these joints never changes, so the controller's torque is used: {names}"
     notice = Notice("torque_from_command", "note", None, message)
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 

@@ -160,7 +160,7 @@ class Signals:
     def _choose_velocity(self, config: Config) -> Mask:
         """True for the joints whose velocity is differentiated from q, shape (nv,)."""
         missing = ~self.channels.has_velocity
-        advice = "log the velocity too if positions are coarse"
+        advice = "if the positions have a coarse resolution, also log the velocity"
         message = "no velocity was logged; it is differentiated from q"
         notice = Notice("velocity_differentiated", "note", None, message, advice)
         self._note(notice, missing)
@@ -171,8 +171,9 @@ class Signals:
         advice = "compare the unit, sign and order of the velocities with those of the positions"
         self._note(Notice("velocity_unrelated", "warning", None, message, advice), unrelated)
         if self.channels.jitter > _MAX_JITTER:
-            message = f"the stamps jitter by {self.channels.jitter:.2f} samples rms, so the measured velocity is used"
-            advice = "stamp samples when they are taken, not when they are written"
+            jitter = f"a jitter of {self.channels.jitter:.2f} sample periods rms"
+            message = f"the time stamps have {jitter}, so the measured velocity is used"
+            advice = "use the time at which a sample is taken as its time stamp, not the time at which it is written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | unrelated)
         part = self.channels.longest_stretch(self._ranges())
@@ -192,7 +193,7 @@ class Signals:
     def _note_velocity_errors(self) -> None:
         lag = float(np.where(self.velocity_from_position, 0.0, np.abs(self.lag)).max())
         if lag > _MIN_LAG * self.log.dt:
-            message = f"the measured velocity is up to {lag * 1e3:.1f} ms late; the lag is corrected"
+            message = f"the measured velocity lags by up to {lag * 1e3:.1f} ms; idtool corrects it"
             self.notices.append(Notice("velocity_lag", "note", None, message))
         if self.channels.bias.any():
             bias = float(np.abs(self.channels.bias).max())
@@ -214,7 +215,7 @@ class Signals:
             )
         if len(long_enough) < len(ranges):
             message = f"{len(ranges) - len(long_enough)} segments between gaps were too short for the filter"
-            advice = "if they are many, find out why samples are lost"
+            advice = "if there are many of them, find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
             if notice not in self.notices:
                 self.notices.append(notice)

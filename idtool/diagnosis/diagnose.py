@@ -282,7 +282,7 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
     if search.reversal_joints:
         message = (
             f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction on {', '.join(search.reversal_joints)} "
-            "does not follow its level and direction, as when a simulator rounds it off; these samples were excluded "
+            "does not follow Coulomb's law, as if a simulator smoothed the friction; these samples were excluded "
             "in the last rounds"
         )
         yield Notice("reversals_left_aside", "warning", None, message)

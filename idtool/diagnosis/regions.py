@@ -113,7 +113,7 @@ def describe_region(residual: JointResidual, windows: Sequence[tuple[float, floa
     ]
     best = max(regions, key=lambda region: region.score, default=None)
     if best is None or best.score < _MIN_SCORE:
-        return _windows_text(windows) if windows else "all along"
+        return _windows_text(windows) if windows else "in the whole log"
     if best.kind in ("angle", "frequency", "windows"):
         return best.words
 

@@ -225,7 +225,10 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
     if _worsens_validation(candidate, base):
         return "increases the error on the held-out data"
     if not _is_relevant(fit, base, initial):
-        return "explains less than the uncertainty of the effects found before, or a negligible part of the torque"
+        return (
+            "explains less than the uncertainty of the effects that were found before, or only a negligible part of "
+            "the torque"
+        )
     return ""
 
 

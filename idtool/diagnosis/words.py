@@ -31,7 +31,7 @@ def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     description = effect_types()[chosen.effect].description
     shown = list(step.parameters.items())[:_MAX_PARAMETERS]
     parameters = ", ".join(_parameter(name, value, step.standard_error.get(name)) for name, value in shown)
-    where = "" if region in ("", "all along") else f"The residual was concentrated {region}. "
+    where = "" if region in ("", "in the whole log") else f"The residual was concentrated {region}. "
     return f"{chosen.target}: {description} ({chosen.effect}: {parameters}). {where}{_improvement(step, units)}"
 
 

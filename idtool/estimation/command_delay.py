@@ -99,15 +99,16 @@ class CommandDelay:
         if self.standard_error is None or self.known_friction_error is None:
             return None
         fitted = _milliseconds(self.value, self.standard_error)
-        text = f"{fitted} from command to torque, fitted"
+        text = f"{fitted} from command to torque (fitted)"
         if self.given is not None:
-            text = f"{1e3 * self.given.value:.3g} ms from command to torque, as given; the data say {fitted}"
+            given = f"{1e3 * self.given.value:.3g} ms"
+            text = f"{given} from command to torque (given); the value fitted to the data is {fitted}"
         if self.correlation < _CONFOUNDED:
             return text
         known = _milliseconds(self.value, self.known_friction_error).partition(" ")[2]
         return (
-            f"{text}; viscous friction has nearly the same effect (correlation {self.correlation:.2f}); with "
-            f"known friction: {known}"
+            f"{text}; viscous friction has nearly the same effect (correlation {self.correlation:.2f}); if "
+            f"friction were known, the standard error would be {known}"
         )
 
     @property
@@ -117,16 +118,26 @@ class CommandDelay:
         if self.standard_error is None:
             if self.given is not None:
                 return ()
-            message = "the commands do not determine it; 0 is used"
-            return (Notice("command_delay_undetermined", "warning", setting, message, "log a motion, or give it"),)
+            message = "the commands do not determine the delay; 0 is used"
+            return (
+                Notice("command_delay_undetermined", "warning", setting, message, "log a motion, or give the delay"),
+            )
         if self.contradicted and self.given is not None:
             fitted = _milliseconds(self.value, self.standard_error)
             before, after = self.viscous
-            difference = f"{1e3 * self.given.value:.3g} ms is given, but the data say {fitted}"
-            change = f"the fitted delay reduces the torque error by {self.gain:.1%}"
+            difference = f"{1e3 * self.given.value:.3g} ms is given, but the value fitted to the data is {fitted}"
+            change = f"the fitted delay reduces the torque error by {100 * self.gain:.1f} %"
             friction = f" and changes mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
             message = f"{difference}; {change}{friction}"
-            return (Notice("command_delay_contradicted", "warning", setting, message, "set auto to have it fitted"),)
+            return (
+                Notice(
+                    "command_delay_contradicted",
+                    "warning",
+                    setting,
+                    message,
+                    "set the delay to auto, so that it is fitted",
+                ),
+            )
         if self.given is None and self.value >= MAX_DELAY - _CONVERGED:
             most = f"{1e3 * MAX_DELAY:.0f} ms"
             message = f"a delay of {most} or more fits best"

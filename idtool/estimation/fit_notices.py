@@ -113,7 +113,7 @@ def _shape_notices(experiment: Experiment, identification: Identification) -> It
             thin.setdefault(_THIN_SHAPES[flat - 1], []).append(body.name)
     for shape, names in thin.items():
         unseen = "the motion does not excite the inertia about every axis"
-        message = f"{join_names(names)}: nearly a {shape}, unlike any real link: {unseen}"
+        message = f"{join_names(names)}: the mass distribution is nearly a {shape}, which no real link is: {unseen}"
         yield Notice("implausible_shape", "warning", None, message, advice)
     at_rim = [
         body.name for body, pi in _bodies(identification) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)
@@ -162,7 +162,6 @@ def _error_notices(
         advice = "a unit in the URDF or the configuration may be wrong"
         yield Notice("prior_error_large", "warning", None, message, advice)
     if held_out and own > prior:
-        message = (
-            f"the identified model predicts the held-out data worse than the URDF does ({own:.3g} against {prior:.3g})"
-        )
+        errors = f"error {own:.3g} instead of {prior:.3g}"
+        message = f"the identified model predicts the held-out data worse than the URDF does ({errors})"
         yield Notice("worse_than_prior", "problem", None, message)

@@ -171,7 +171,7 @@ def _with_prior(
             regularization = regularization.with_weight(path.weight)
         except SolverError:  # if it is infeasible, the fit itself says so, with the place in the configuration
             regularization = regularization.with_weight(assumed_weight(reduction))
-            message = f"could not be chosen from the data; {regularization.numeric_weight:.1g} is assumed"
+            message = f"the weight could not be chosen from the data; {regularization.numeric_weight:.1g} is assumed"
             notices.append(Notice("prior_weight_assumed", "warning", "regularization.weight", message))
     config = experiment.config.model_copy(update={"regularization": regularization})
     return replace(experiment, config=config), path, notices
@@ -192,6 +192,8 @@ def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[Constra
     if not lacking:
         return sets, []
     bounds = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
-    message = f"no {bounds}, so only full physical consistency is required: {', '.join(lacking)}"
-    advice = "add what is missing to the configuration; idtool ellipsoids finds bounding ellipsoids"
+    message = (
+        f"these bodies have no {bounds}, so only full physical consistency is required of them: {', '.join(lacking)}"
+    )
+    advice = "add the missing bounds to the configuration; idtool ellipsoids computes bounding ellipsoids"
     return sets, [Notice("bodies_without_bounds", "warning", None, message, advice)]

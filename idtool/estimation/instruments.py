@@ -30,7 +30,7 @@ _STANDS_OUT = 30.0  # power relative to the noise's, from which on it is motion
 _CUTOFF_RATIO = 1.5  # of a smoothing's cut-off to the highest frequency of the motion
 _LINES = 40  # of a spectrum, up to the band
 _ORDER = 4  # of the smoothing, one way
-_ALTERNATIVE = "or estimate by least squares (method ls)"
+_ALTERNATIVE = "or use least squares (--method ls)"
 
 
 @dataclass(frozen=True)

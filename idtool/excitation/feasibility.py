@@ -80,8 +80,8 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
 
     where = "--start" if is_given.all() else task.model.robot.path
     if not is_static.any():
-        what = "at the start, gravity alone requires more torque than allowed; give another --start, or effort limits"
-        raise ModelError(where, what)
+        what = "at the start, gravity alone requires more torque than the limits allow"
+        raise ModelError(where, f"{what}; give another --start, or larger effort limits")
     if task.collision is None:
         raise AssertionError  # without geometry, no pose is too near
     best = int(np.argmax(np.where(is_static, clearance, -np.inf)))

@@ -149,7 +149,9 @@ def _limits_of_joint(
     upper = min(own_upper, joint.upper)
     if not (math.isfinite(lower) and math.isfinite(upper)):
         if prismatic:
-            raise ConfigError(f"limits: {joint.name}", "has no position limits in the URDF; give `position: [a, b]`")
+            raise ConfigError(
+                f"limits: {joint.name}", "the URDF has no position limits for this joint; give `position: [a, b]`"
+            )
         lower = max(lower, -DEFAULT_RANGE)
         upper = min(upper, DEFAULT_RANGE)
         assumed.setdefault("no position limit; ± half a turn is assumed", []).append(joint.name)
@@ -161,7 +163,7 @@ def _limits_of_joint(
     rise_time = DEFAULT_RISE_TIME[math.isfinite(effort)]
     acceleration = own.acceleration or velocity / rise_time
     if own.acceleration is None:
-        what = f"no acceleration limit; the one that reaches the velocity limit in {rise_time:g} s is assumed"
+        what = f"no acceleration limit; the acceleration that reaches the velocity limit in {rise_time:g} s is assumed"
         assumed.setdefault(what, []).append(f"{joint.name} {acceleration:g} {per_second}²")
     if not math.isfinite(effort):
         assumed.setdefault("no effort limit; the torque is not limited", []).append(joint.name)

@@ -28,7 +28,7 @@ def common_unit(units: Mapping[str, str]) -> str:
     kinds = list(dict.fromkeys(units.values()))
     if len(kinds) == 1:
         return kinds[0]
-    return f"{' and '.join(kinds)} together"
+    return f"mixed {' and '.join(kinds)}"
 
 
 def position_units(units: Mapping[str, str]) -> dict[str, str]:
@@ -95,7 +95,7 @@ def next_steps(report: DiagnosisReport) -> list[str]:
             purpose = f"To distinguish {_effect_on_owner(step)} from {_effect_on_owner(step.alternatives[0])}"
             steps.append(f"{purpose}: {step.evidence.separate}")
     if owners := [owner_name(step) for step in report.steps if step.effect == UNKNOWN]:
-        what = "is not caused by any known effect: see the residual maps in diagnosis.html"
+        what = "is not explained by any known effect: see the residual maps in diagnosis.html"
         steps.append(f"The remaining residual on {_join_words(owners)} {what}.")
     if "overall" in report.rollout_worse:
         steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")

@@ -186,17 +186,20 @@ def _notices(design: Design) -> list[Notice]:
     task = design.task
     notices = [*task.model.notices, *task.robot_limits.notices]
     if task.noise_assumed:
-        message = f"the torque noise is unknown; 1 % of the largest torque is assumed: {join_names(task.noise_assumed)}"
+        message = (
+            "the torque noise is unknown; 1 % of the effort limit, or of the largest torque if there is no limit, is "
+            f"assumed: {join_names(task.noise_assumed)}"
+        )
         notices.append(Notice("noise_assumed", "warning", None, message, "give --noise, or a log with --log"))
     if task.collision is None or not task.collision.pairs:
         message = "no links with geometry that could collide were found, so self-collision was not checked"
-        notices.append(Notice("self_collision_unchecked", "warning", None, message, "run it slowly first"))
+        notices.append(Notice("self_collision_unchecked", "warning", None, message, "run the trajectory slowly first"))
     if task.collision:
         notices += task.collision.notices
     undetermined = undetermined_names(design, task.base)
     if undetermined:
-        message = f"practically undetermined by this trajectory: {join_names(undetermined)}"
-        advice = "make it longer, or choose another pattern"
+        message = f"this trajectory hardly determines these parameters: {join_names(undetermined)}"
+        advice = "make the trajectory longer, or choose another pattern"
         notices.append(Notice("parameters_not_excited", "warning", None, message, advice))
     if design.interrupted:
         message = "the search was interrupted: this is the best trajectory so far"

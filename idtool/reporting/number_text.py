@@ -13,7 +13,7 @@ def rows_by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
         groups.setdefault(unit, []).append(name)
     if len(groups) == 1:
         return [(unit, [*names, "overall"]) for unit, names in groups.items()]
-    return [*groups.items(), (f"{' and '.join(groups)} together", ["overall"])]
+    return [*groups.items(), (f"mixed {' and '.join(groups)}", ["overall"])]
 
 
 def number(x: float | None, digits: int = 3) -> str:

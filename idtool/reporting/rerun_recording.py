@@ -132,7 +132,7 @@ def rerun_package() -> ModuleType:
         import rerun.blueprint
         import rerun.urdf
     except ImportError:
-        raise ConfigError("--rerun", "needs rerun, which is not installed; pip install 'idtool[rerun]'") from None
+        raise ConfigError("--rerun", "needs rerun, which is not installed; run pip install 'idtool[rerun]'") from None
     module: ModuleType = rerun
     return module
 

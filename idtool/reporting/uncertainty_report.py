@@ -181,13 +181,13 @@ def _main_source_text(
     if source.information_source == "constraints":
         low, high = source.range
         ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
-        return f"limited by the constraints{ends} ({source.constraints:.0%})"
+        return f"limited by the constraints{ends} ({100 * source.constraints:.0f} %)"
     if source.information_source == "combination":
         name = (
             combination_name(identifiability.base, source.combinations[0], coefficients) if source.combinations else ""
         )
         return f"determined by the data only in a combination: {name}"
-    return "prior only" if source.prior > 0.9 else f"mostly prior ({source.prior:.0%})"
+    return "prior only" if source.prior > 0.9 else f"mostly prior ({100 * source.prior:.0f} %)"
 
 
 def repeatability_report(

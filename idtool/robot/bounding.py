@@ -40,7 +40,7 @@ def bounding_ellipsoids(robot: Robot, margin: float = 0.05) -> tuple[dict[str, E
             growth = 1 + margin
             ellipsoids[link] = replace(tight, semi_axes=(growth * x, growth * y, growth * z))
         elif not geometry.unreadable:
-            reasons[link] = "the URDF gives it no collision or visual"
+            reasons[link] = "the link has no collision or visual geometry in the URDF"
         else:
             more = f" (and {len(geometry.unreadable) - 1} more)" if len(geometry.unreadable) > 1 else ""
             reasons[link] = f"{geometry.unreadable[0]}{more}"

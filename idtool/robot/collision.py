@@ -85,7 +85,9 @@ class SelfCollision:
             parts_of.setdefault(part.link, []).append(i)
             body_of[part.link] = part.frame.body
         if len(parts_of) > _MAX_LINKS:
-            raise ModelError(model.robot.path, f"has more than {_MAX_LINKS} links with geometry to check for collision")
+            raise ModelError(
+                model.robot.path, f"has more than {_MAX_LINKS} links with geometry, too many to check for collision"
+            )
 
         adjacent = {frozenset((joint.parent, joint.child)) for joint in model.robot.joints.values()}
         pairs: list[LinkPair] = []

@@ -121,7 +121,11 @@ def link_vertices(robot: Robot, link: str, file: str | None = None) -> Array:
             raise ModelError(f"{robot.path}: link {link}", f"{error}; give another file") from None
     geometry = link_geometry(robot, link)
     if geometry.unreadable or not geometry.parts_read:
-        why = geometry.unreadable[0] if geometry.unreadable else "the URDF gives it no collision or visual"
+        why = (
+            geometry.unreadable[0]
+            if geometry.unreadable
+            else "the URDF has no collision or visual geometry for the link"
+        )
         raise ModelError(f"{robot.path}: link {link}", f"its geometry cannot be read: {why}; give a file or dimensions")
     return geometry.points
 

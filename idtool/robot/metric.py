@@ -133,7 +133,7 @@ def nearest_realizable(pi: ArrayLike, reference: ArrayLike, Q: ArrayLike | None 
     """
     pi, reference = np.asarray(pi, dtype=float), np.asarray(reference, dtype=float)
     if not np.isfinite(pi).all():
-        raise ValueError("parameters that are not finite have no nearest body")
+        raise ValueError("the parameters must be finite to compute the nearest body")
     F = _cholesky(reference)
     F_inverse = np.linalg.inv(F)
     X = F_inverse @ pseudo_inertia(pi) @ F_inverse.swapaxes(-1, -2)
@@ -160,7 +160,7 @@ def _cholesky(reference: Array) -> Array:
         F = np.zeros_like(J)
     pivots = np.square(np.diagonal(F, axis1=-2, axis2=-1))
     if not (pivots > _SINGULAR * np.diagonal(J, axis1=-2, axis2=-1)).all():
-        raise ValueError("a pseudo-inertia that is not positive definite measures nothing")
+        raise ValueError("the metric needs a positive definite pseudo-inertia")
     return F
 
 

@@ -122,7 +122,8 @@ class _Builder:
         for body in bodies[:links]:
             if not body.pi[0] > 0:
                 message = "no mass in the URDF, so it has no prior"
-                advice = "give it an inertial; otherwise parameters that the data do not determine are meaningless"
+                meaningless = "its parameters that the data do not determine are meaningless"
+                advice = f"add an inertial to the link; otherwise {meaningless}"
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         gravity = np.asarray(self.config.gravity)
         return RobotModel(self.robot, self.joints, bodies, gravity, tuple(self.notices))
@@ -136,7 +137,9 @@ class _Builder:
                         f"joints: {name}", f"is not an actuated joint of the URDF; {suggestion(name, actuated)}"
                     )
                 if name not in self.logged:
-                    raise ConfigError(f"joints: {name}", f"is not in every log; they have {join_names(self.logged)}")
+                    raise ConfigError(
+                        f"joints: {name}", f"is not in every log; these joints are: {join_names(self.logged)}"
+                    )
             chosen = list(dict.fromkeys(self.config.joints))
         else:
             chosen = [name for name in actuated if name in self.logged]
@@ -151,7 +154,7 @@ class _Builder:
         strangers = [name for name in self.logged if name not in self.robot.joints]
         if strangers:
             message = f"joints in the log but not in the URDF are ignored: {join_names(strangers)}"
-            advice = "if they belong to this robot, compare the names"
+            advice = "if these joints belong to this robot, correct their names"
             self.notices.append(Notice("unknown_joints", "note", None, message, advice))
         locked = [name for name in actuated if name not in chosen]
         if locked:
@@ -202,7 +205,7 @@ class _Builder:
             leader = self.robot.joints.get(joint.mimic.joint)
             if leader is None or leader.name in visited:
                 where = f"{self.robot.path}: joint {joint.name}"
-                what = f"mimics {joint.mimic.joint}, which does not exist or mimics this joint in turn"
+                what = f"mimics {joint.mimic.joint}, which does not exist or itself mimics this joint"
                 raise ModelError(where, what)
             visited.add(leader.name)
             joint = leader

@@ -247,7 +247,7 @@ def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
     """
     pi = np.asarray(pi, dtype=float)
     if not np.isfinite(pi).all() or pi[0] <= 0:
-        raise ValueError(f"no ellipsoid shows this body: {unrealizable_reasons(pi)[0]}")
+        raise ValueError(f"this body has no standard-deviation ellipsoid: {unrealizable_reasons(pi)[0]}")
     body = _MassDistribution.from_parameters(pi)
     semi_axes = np.sqrt(np.maximum(body.mu, 0))
     shortest = max(_MIN_AXIS_RATIO * semi_axes.max(), _MIN_SEMI_AXIS)

@@ -141,7 +141,7 @@ def _section(draft: Draft, key: str) -> ConfigSection | None:
     if part.value == draft.given[key]:
         return replace(part, comments=(f"Given in {draft.origin}; idtool init finds the same value.", *part.comments))
     if key == "log" and draft.log_summary.topic is not None:
-        topic = "topic: the one with most of the URDF's joints and signals (logs)."
+        topic = "topic: the topic with most of the URDF's joints and signals (logs)."
         return replace(_given_section(draft, key, topic), value={**draft.given[key], **part.value})
     return _given_section(draft, key)
 
@@ -154,7 +154,8 @@ def _header(draft: Draft) -> list[str]:
     logs = join_names([path.name for path in draft.paths])
     return [
         f"First configuration for {draft.robot.path.name}, written by idtool init from {logs}. SI units.",
-        "Comments describe the keys and, in brackets, the sources of their values. Fill in what is commented out.",
+        "Comments describe the keys and, in brackets, the sources of their values. Sections that are commented out are "
+        "templates: complete them if they apply to the robot.",
     ]
 
 
@@ -168,7 +169,7 @@ def _findings(draft: Draft) -> list[str]:
     if draft.locked:
         lines.append(f"joints assumed to stand still: {join_names(draft.locked)}")
     if summary.topic is not None:
-        lines.append(f"topic {summary.topic}, among {join_names(summary.topics)}")
+        lines.append(f"topic {summary.topic}, out of {join_names(summary.topics)}")
     if "filter" not in draft.given:
         lines.append(f"motion below {summary.motion_hz:.2g} Hz, so filter.cutoff_hz is {summary.cutoff_hz:g}")
     if draft.bounds.ellipsoids:
@@ -202,13 +203,15 @@ def _todo_items(draft: Draft) -> list[TodoItem]:
     items = []
     if draft.without_gains:
         items.append(
-            TodoItem("controller", f"kp and kd of {join_names(draft.without_gains)}: no torque was logged", True)
+            TodoItem(
+                "controller", f"kp and kd of {join_names(draft.without_gains)}, because no torque was logged", True
+            )
         )
     elif draft.no_trials_reason:
         items.append(TodoItem("friction, effects", f"nothing was tried, because {draft.no_trials_reason}"))
     if without_torque := draft.log_summary.without_torque:
         named = join_names([f"tau_{name} (not in {log})" for name, log in without_torque.items()])
-        items.append(TodoItem("log.columns", f"column of the torque, or log the command instead: {named}"))
+        items.append(TodoItem("log.columns", f"give the column of the torque, or log the command instead: {named}"))
     if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.ellipsoids:
         items += _unbounded(draft)
     if "rotors" not in draft.given:

@@ -53,18 +53,20 @@ def _wrongly_locked(logs: Sequence[LoadedLog], joints: Sequence[str], locked: Se
     """Locked joints that move, and identified joints that do not."""
     moving = [name for name in locked if any(log.moves(name) for log in logs)]
     if moving:
-        message = f"locked joints move in the logs, which disturbs the torque of the others: {join_names(moving)}"
+        message = (
+            f"these locked joints move in the logs, which affects the torque of the other joints: {join_names(moving)}"
+        )
         yield Notice("moving_joints_held_still", "warning", None, message)
     still = [name for name in joints if not any(log.moves(name) for log in logs)]
     if still:
-        message = f"joints do not move in the logs, so they cannot be identified: {join_names(still)}"
+        message = f"these joints do not move in the logs, so they cannot be identified: {join_names(still)}"
         yield Notice("joint_at_rest", "warning", None, message)
 
 
 def _constant_torque(logs: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Notice]:
     for log in logs:
         if names := [name for name in log.constant_torque if name in joints]:
-            what = "the torque never changes while the joint moves; it is treated as not logged"
+            what = "the torque never changes while the joint moves, so it is treated as if it were not logged"
             name = log.log.path.name
             yield Notice("torque_from_command", "note", name, f"{what}: {join_names(names)}")
 

@@ -19,18 +19,22 @@ def rotors(draft: Draft) -> ConfigSection:
     known = {name: ratio for name, ratio in draft.ratios.items() if name in draft.joints}
     told = [f"{name}: {ratio:g}" for name, ratio in known.items() if abs(ratio) != 1]
     comments = [
-        "Rotors of geared motors: bodies that spin at gear_ratio times the speed of a joint. Fill in where null.",
-        f"gear_ratio: {', '.join(told) or 'none'} (URDF, <transmission>); inertial: about the centre of mass.",
+        "Rotors of geared motors: bodies that spin at gear_ratio times the speed of a joint. Replace every null by a "
+        "value.",
+        f"Gear ratios in the URDF (<transmission>): {', '.join(told) or 'none'}. The inertia is about the centre of "
+        "mass.",
     ]
     if len(told) < len(known):
         one = join_names([name for name, ratio in known.items() if abs(ratio) == 1])
-        comments.append(f"A ratio of 1 was ignored, because URDFs contain it if the ratio is unknown: {one}.")
+        comments.append(f"A gear ratio of 1 was ignored, because it usually means that the ratio is unknown: {one}.")
     if draft.rotors:
         comments.append(
             "A rotor with the name of a URDF link on a fixed joint is that link, with its origin and inertia (URDF)."
         )
     replaced = join_names([effect for effect, kind in effect_types().items() if kind.is_rotor_inertia])
-    comments.append(f"A rotor replaces the {replaced} of its joint under effects: remove that entry.")
+    comments.append(
+        f"A rotor replaces the {replaced} of its joint. If you add a rotor, remove that entry under effects."
+    )
     template = {}
     for name in draft.joints:
         link, ratio = draft.rotors.get(name), known.get(name, 1.0)
@@ -83,7 +87,11 @@ def _nothing_kept(found: TrialResults) -> str:
     no_trials_reason = [name for effect, name in names.items() if effect not in was_tried]
     if not tried:
         return "none was tried"
-    shows = f"{tried[0]} has no effect" if len(tried) == 1 else f"neither {' nor '.join(tried)} has an effect"
+    shows = (
+        f"{tried[0]} does not reduce the error"
+        if len(tried) == 1
+        else f"neither {' nor '.join(tried)} reduces the error"
+    )
     others = "".join(f"; {name} was not tried" for name in no_trials_reason)
     return f"found by trial: {shows}{others}"
 
@@ -101,7 +109,8 @@ def bounding_ellipsoids(draft: Draft) -> ConfigSection:
     ]
     if not bounds.ellipsoids:
         comments = [
-            "For each link, an ellipsoid in its frame that contains all its mass; m, rad. None was found (URDF)."
+            "For each link, an ellipsoid in its frame that contains all its mass; m, rad. The URDF has no usable "
+            "geometry."
         ]
     if not bounds.missing:
         return ConfigSection("bounding_ellipsoids", tuple(comments), dict(bounds.ellipsoids))
@@ -131,11 +140,11 @@ def controller(draft: Draft) -> ConfigSection | None:
         return None
     units = f"kp {draft.unit('stiffness', names)}, kd {draft.unit('damping', names)}"
     what = f"The joint controller, from which the torque is computed because none was logged: {units} at the joint"
-    late = ("delay: time from command to torque, s; auto: idtool fit determines it (default).",)
+    late = ("delay: time from command to torque, s; auto (default): idtool fit determines it.",)
     given, delay = draft.given.get("controller"), {"delay": "auto"}
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
-        remark = "Without these gains, nothing can be fitted: fill in kp and kd where null."
+        remark = "Without these gains, nothing can be fitted: replace every null of kp and kd by a value."
         return ConfigSection("controller", (f"{what}.", *late), None, (remark,), template)
     said = f"{what} (given in {draft.origin})."
     if "delay" in given:
@@ -148,10 +157,14 @@ def known(draft: Draft) -> ConfigSection:
     robot = draft.robot
     links = [robot.joints[name].child for name in draft.joints]
     what = (
-        "Masses that were measured otherwise, kg; with a standard error they are soft constraints. Fill in where null."
+        "Masses that were measured by other means, kg; with a standard error they are soft constraints. Replace every "
+        "null by a value."
     )
     masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
     prior = f"Masses in the URDF: {join_names(masses) or 'none'}."
-    whole = "total_mass: mass of all moving parts, rotors included; easy to measure, and rarely determined by torque."
+    whole = (
+        "total_mass: mass of all moving parts, including rotors; it is easy to measure, and the torque rarely "
+        "determines it."
+    )
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
     return ConfigSection("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})

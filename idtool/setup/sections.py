@@ -12,12 +12,15 @@ from idtool.setup.loaded_logs import MAX_SAMPLES
 from idtool.setup.records import ConfigSection, Trial
 from idtool.setup.trials import HOLDOUT, term_type, trial_of
 
-HELD_OUT = f"the last {HOLDOUT:.0%} of each log (of its first {MAX_SAMPLES} samples, where there are more)"
+HELD_OUT = f"the last {100 * HOLDOUT:.0f} % of each log (of its first {MAX_SAMPLES} samples if it is longer)"
 
 
 def joints(draft: Draft) -> ConfigSection:
     """The section ``joints``: the joints that are identified."""
-    what = "Joints that are identified: actuated, in every log, moving, with a torque or a command (URDF, logs)."
+    what = (
+        "Joints that are identified: actuated joints that are in every log, move, and have a torque or a command "
+        "(URDF, logs)."
+    )
     return ConfigSection("joints", (what,), list(draft.log_summary.identifiable))
 
 
@@ -29,7 +32,7 @@ def locked_joints(draft: Draft) -> ConfigSection:
     if not draft.locked:
         return ConfigSection("locked_joints", (f"{what} (default: none).",), {})
     if reasons:
-        what += ": the median in the logs (logs), otherwise 0 or the limit that is closest to it (URDF)"
+        what += ": the median in the logs (logs), otherwise 0 or the position limit closest to 0 (URDF)"
     why = [f"{why}: {join_names([n for n in reasons if reasons[n] == why])}" for why in sorted(set(reasons.values()))]
     if given:
         why.append(f"given in {draft.origin}: {join_names(given)}")
@@ -50,14 +53,14 @@ def log(draft: Draft) -> ConfigSection:
     value = None
     if seen.topic is not None:
         comments.append(
-            f"topic: among {join_names(seen.topics)}, the one with most of the URDF's joints and signals (logs)."
+            f"topic: the topic with most of the URDF's joints and signals, out of {join_names(seen.topics)} (logs)."
         )
         value = {"topic": seen.topic}
     first = draft.joints[0]
     unit = draft.unit("torque", draft.joints)
     remark = (
-        f"scale: {unit} per logged unit, if the log is not in {unit}, e.g. torque constant × gear ratio; columns: "
-        "names of the columns in the file."
+        f"scale: {unit} per logged unit, if the log is not in {unit}, for example torque constant × gear ratio; "
+        "columns: names of the columns in the file."
     )
     template = {"scale": {"tau": {first: None}}, "columns": {f"tau_{first}": None}}
     return ConfigSection("log", tuple(comments), value, (remark,), template)
@@ -65,7 +68,7 @@ def log(draft: Draft) -> ConfigSection:
 
 def velocity(draft: Draft) -> ConfigSection:
     """The section ``velocity``: the default, and its outcome on these logs as a comment."""
-    what = "Joint velocity: measured, differentiated (from q), or auto (the less noisy reliable one)"
+    what = "Joint velocity: measured, differentiated (from q), or auto: the less noisy of the two if both are reliable"
     found = draft.trial_results
     if found is None:
         return ConfigSection("velocity", (f"{what} (default).",), "auto")
@@ -83,8 +86,8 @@ def low_pass(draft: Draft) -> ConfigSection:
     seen = draft.log_summary
     what = (
         "One zero-phase low-pass for all signals. cutoff_hz: the motion lies below "
-        f"{seen.motion_hz:.2g} Hz (logs); the cut-off is {seen.bands:g} times this frequency, but at least 5 Hz and at "
-        "most 40 Hz or a fifth of the sampling rate. kind and order (default)."
+        f"{seen.motion_hz:.2g} Hz (logs); the cut-off is {seen.bands:g} times this frequency, but at least 5 Hz, and "
+        "not above 40 Hz or a fifth of the sampling rate. kind and order have their default values."
     )
     if seen.commanded:
         what += (

@@ -205,9 +205,9 @@ def _notices(
             message = message.format(maximum=search.shown(search.maximum))
             yield Notice("implausible_trial", "warning", None, message)
     left, grown = (np.sqrt(last.held_out / np.maximum(x, _TINY)).tolist() for x in (evaluator.torque(), base.held_out))
-    odd = [f"{name} {x:.0%}" for name, x in zip(joints, left, strict=True) if x > _ODD]
+    odd = [f"{name} {100 * x:.0f} %" for name, x in zip(joints, left, strict=True) if x > _ODD]
     if odd:
-        message = f"unexplained fraction of the held-out torque (rms): {join_names(odd)}"
+        message = f"a large fraction of the held-out torque (rms) is unexplained: {join_names(odd)}"
         advice = "check its sign and unit (log.scale), and that the joints have the same names in log and URDF"
         yield Notice("unexplained_torque", "warning", None, message, advice)
     worse = [name for name, x in zip(joints, grown, strict=True) if x > 1 + _WORTH]

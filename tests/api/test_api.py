@@ -190,7 +190,7 @@ def test_examples_in_the_docstrings_are_true(beside: Path) -> None:
 
 def test_the_short_example_of_the_python_page_runs(beside: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = CHECKOUT / "docs" / "pages" / "python.md"
-    section = page.read_text().partition("## In short\n")[2].partition("\n## ")[0]
+    section = page.read_text().partition("## Quick start\n")[2].partition("\n## ")[0]
     (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     exec(compile(code, page.name, "exec"), {})  # noqa: S102
     assert {path.name for path in (beside / "out").iterdir()} == {

@@ -256,7 +256,7 @@ def test_what_is_refused(tmp_path: Path, options: list[str], naming: str) -> Non
 def test_logs_that_do_not_say_what_drives_them(tmp_path: Path, config: Path) -> None:
     trajectory(tmp_path / "wave.csv")
     refuse(
-        tmp_path, "simulate", LEG, "wave.csv", "--config", config, naming="with --track, the controller follows its q"
+        tmp_path, "simulate", LEG, "wave.csv", "--config", config, naming="use --track to let the controller follow q"
     )
     done = idtool("simulate", LEG, "wave.csv", "--closed-loop", "--config", config, folder=tmp_path)
     assert (done.code, done.out) == (2, "")

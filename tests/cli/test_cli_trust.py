@@ -215,7 +215,7 @@ def test_the_table_of_many_logs_is_no_wider_than_that_of_few(folder: Path) -> No
     logs = [cut(folder, f"a_run_with_a_long_name_{i}.csv", 500 * i, 500 * (i + 1)) for i in range(9)]
     done = idtool("fit", LEG, *logs, "--config", CONFIG, "--out", folder / "many", "--no-simulation")
     assert (done.code, done.err) == (0, "")
-    _, head, *rows = done.out[done.out.index("Least repeatable between the logs") :].splitlines()
+    _, head, *rows = done.out[done.out.index("Parameters that differ most between the logs") :].splitlines()
     assert head.split() == ["parameter", "smallest", "in", "largest", "in", "times", "expected", "beyond", "chance"]
     assert "…" not in "".join(rows[:4]).replace("+ …", "")
     assert any(f"{log.name} " in rows[0] for log in logs)

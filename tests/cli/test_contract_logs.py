@@ -192,12 +192,13 @@ def test_a_joint_that_is_left_out_although_it_moves_is_said(tmp_path: Path, tabl
     for rows in (table, column_set(table, "q_abad", lambda i: shaking[i])):
         (tmp_path / "log.csv").write_text(csv_text(rows))
         warnings = fitted(tmp_path / "out", tmp_path / "leg.urdf", tmp_path / "log.csv")["warnings"]
-        said.append([warning for warning in warnings if warning.startswith("assumed to stand still")])
+        said.append([warning for warning in warnings if warning.startswith("these joints are assumed to stand")])
     ((moving,), still) = said
     assert moving.startswith(
-        f"assumed to stand still, but they move in the log: abad (moves by {travel:.3g} rad, assumed to be at 0.1); "
+        "these joints are assumed to stand still, but move in the log: "
+        f"abad (moves by {travel:.3g} rad, assumed position 0.1); "
     )
-    assert moving.endswith("biases the parameters; add them to joints, or log them at rest")
+    assert moving.endswith("biases the parameters; add them to joints, or keep them at rest while you log")
     assert still == []
 
 

@@ -48,7 +48,7 @@ def test_a_clean_log_raises_no_finding(rate: float, joints: int) -> None:
 
 def test_a_log_without_noise_raises_no_warning() -> None:
     assert {(f.severity, f.message.split(":")[0]) for f in inspect(clean_signals(noise=0.0)).findings} == {
-        ("note", "tau looks commanded")
+        ("note", "tau seems to be commanded")
     }
 
 
@@ -75,20 +75,20 @@ DEFECTS: dict[str, Defect] = {
     "v in degrees": (scale("v", 180 / np.pi), "problem", "hip", "v is 57."),
     "v's sign turned": (scale("v", -1.0), "problem", "hip", "v is -1 times the derivative of q"),
     "v a little off": (scale("v", 1.1), "warning", "hip", "v is 1.1 times the derivative of q"),
-    "v of another joint": (another_joints_velocity, "problem", "hip", "of v's power in the motion's band"),
+    "v of another joint": (another_joints_velocity, "problem", "hip", "of the power of v in the band of the motion"),
     "v not filled": (constant("v"), "problem", "hip", "v is 0 throughout while q moves"),
-    "v coarse": (rounded("v", 0.3), "warning", "hip", "v comes in steps of 0.3"),
+    "v coarse": (rounded("v", 0.3), "warning", "hip", "v has a resolution of 0.3"),
     "v saturated": (clipped("v", 2.0), "warning", "hip", "v stays at its extremes, -2 and 2"),
     "tau missing": (drop("tau"), "problem", "hip", "tau is missing"),
     "tau from a controller": (position_controlled, "note", "hip", "tau is missing, but qcmd is available"),
     "tau not filled": (constant("tau"), "problem", "hip", "tau is 0 throughout while q moves"),
     "tau not filled, with a sign": (constant("tau", -0.0), "problem", "hip", "tau is 0 throughout while q moves"),
-    "tau coarse": (rounded("tau", 0.3), "warning", "hip", "tau comes in steps of 0.3"),
+    "tau coarse": (rounded("tau", 0.3), "warning", "hip", "tau has a resolution of 0.3"),
     "tau saturated": (clipped("tau", 1.5), "warning", "hip", "tau stays at its extremes, -1.5 and 1.5"),
     "tau held": (held_samples("tau", 4), "warning", "hip", "of the samples of tau repeat the previous one"),
     "tau not finite": (not_finite, "warning", "hip", "10 samples of tau are not finite"),
-    "q coarse": (rounded("q", 2 * np.pi / 1000), "warning", "hip", "q comes in steps of 0.00628"),
-    "q held": (held_samples("q", 2), "warning", "hip", "50.0% of the samples of q repeat"),
+    "q coarse": (rounded("q", 2 * np.pi / 1000), "warning", "hip", "q has a resolution of 0.00628"),
+    "q held": (held_samples("q", 2), "warning", "hip", "50.0 % of the samples of q repeat"),
     "q frozen": (
         frozen("q"),
         "warning",
@@ -114,8 +114,8 @@ DEFECTS: dict[str, Defect] = {
     "duplicate stamps": (duplicates, "note", None, "15 stamps equal to the previous one"),
     "late stamps": (late_stamps, "warning", None, "the time between stamps varies by 0.16 samples rms"),
     "samples off their stamps": (hidden_jitter, "warning", None, "stamps by 0.25 samples rms"),
-    "rows repeated": (repeated_rows(8), "warning", None, "12.5% of the samples repeat"),
-    "samples skipped": (skipped_samples, "warning", None, "2.9% of the steps are two or more sample periods long"),
+    "rows repeated": (repeated_rows(8), "warning", None, "12.5 % of the samples repeat"),
+    "samples skipped": (skipped_samples, "warning", None, "2.9 % of the steps are two or more sample periods long"),
 }
 
 
@@ -251,7 +251,7 @@ def test_many_short_segments() -> None:
     assert (first.severity, first.subject) == ("problem", None)
     assert (
         first.message
-        == "gaps and missing values divide the log into 2000 segments: 100% of it is in segments shorter than 0.5 s"
+        == "gaps and missing values divide the log into 2000 segments: 100 % of it is in segments shorter than 0.5 s"
     )
     assert "hardly any usable data remain for the fit" in first.advice
 

@@ -97,10 +97,13 @@ REFUSED: dict[str, tuple[list[Channel], str]] = {
     ),
     "no message": ([described()], "topic /robot_description has no messages; give a URDF before the log"),
     "an empty message": ([described("")], "topic /robot_description has no messages"),
-    "two": ([described(TEXT, OTHER)], "topic /robot_description has another robot description than topic /robot_descr"),
+    "two": (
+        [described(TEXT, OTHER)],
+        "topic /robot_description contains a different robot description from topic",
+    ),
     "two topics": (
         [described(TEXT), described(OTHER, topic="/arm/robot_description")],
-        "topic /arm/robot_description has another robot description than topic /robot_description; give the URDF",
+        "topic /arm/robot_description contains a different robot description from topic /robot_description; give",
     ),
     "no CDR": ([replace(described(TEXT), payloads=[b"<robot/>"])], "a message of /robot_description is not plain CDR"),
     "cut CDR": ([replace(described(TEXT), payloads=[b"\0\1\0\0\xff\0\0\0<robot/>"])], "ends after 16 bytes"),
@@ -136,9 +139,8 @@ def test_what_is_refused(tmp_path: Path, case: str) -> None:
 def test_two_bags_of_different_robots(tmp_path: Path) -> None:
     first = recorded(tmp_path, described(TEXT))
     second = recorded(tmp_path, described(OTHER), name="run2.mcap")
-    said = (
-        "run2.mcap: topic /robot_description has another robot description than topic /robot_description of run1.mcap"
-    )
+    different = "contains a different robot description from"
+    said = f"run2.mcap: topic /robot_description {different} topic /robot_description of run1.mcap"
     with pytest.raises(LogError, match=said):
         read_robot_and_logs(first, [second])
 

@@ -60,7 +60,8 @@ def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     signals = signals_of(swinging(t, v=swing(t - lag, 1)), velocity="measured")
     np.testing.assert_allclose(signals.lag, lag, atol=0.05 * DT)
     assert any(
-        f"up to {abs(lag) * 1e3:.1f} ms late; the lag is corrected" in warning for warning in sentences(signals.notices)
+        f"lags by up to {abs(lag) * 1e3:.1f} ms; idtool corrects it" in warning
+        for warning in sentences(signals.notices)
     )
     used = joined(signals, lambda m: m.t)
     truth = swing(used, 1).T
@@ -126,7 +127,8 @@ def test_where_stamps_jitter_much_the_measured_velocity_is_used_and_said(rng: np
     signals = signals_of(log)
     assert not signals.velocity_from_position.any()
     assert any(
-        "jitter by" in warning and "measured velocity is used" in warning for warning in sentences(signals.notices)
+        "have a jitter of" in warning and "measured velocity is used" in warning
+        for warning in sentences(signals.notices)
     )
 
 

@@ -45,7 +45,7 @@ REGIONS: list[tuple[Hidden, str, list[float]]] = [
     (noisy(lambda t, q, v, tau: t < 4), "at the start of the log, up to {} s", [4.0]),
     (noisy(lambda t, q, v, tau: t > 12), "at the end of the log, from {} s", [12.0]),
     (noisy(lambda t, q, v, tau: np.abs(t - 6) < 1), "in one part of the log", []),
-    (noisy(lambda t, q, v, tau: t > 0), "all along", []),
+    (noisy(lambda t, q, v, tau: t > 0), "in the whole log", []),
     (torque_on_joint(0, after_reversals), "in the first {} rad after reversals", [0.05]),
     (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(2 * np.pi * 6.3 * t)), "at {} Hz", [6.3]),
     (torque_on_joint(0, lambda t, q, v, tau: 0.4 * np.sin(28 * q + 1)), "at {} periods per turn", [28.0]),

@@ -50,5 +50,5 @@ def test_every_key_has_a_meaning(reference: ModuleType) -> None:
 def test_every_command_has_a_section() -> None:
     headings = set(re.findall(r"^## (.*)$", (DOCS / "pages" / "json.md").read_text(), re.M))
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    others = {"The regression", "ellipsoids --check", "Types"}
+    others = {"The regression test", "ellipsoids --check", "Types"}
     assert headings == {FILES.get(name, name) for name in commands} | others

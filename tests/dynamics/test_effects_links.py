@@ -247,7 +247,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "the base": (
         on_link("payload", "base", **LOAD),
-        "payload: link base is not moved by any joint; name a link that is",
+        "payload: link base is not moved by any joint; name a moving link",
     ),
     "a parameter missing": (
         on_link("payload", "tool", mass=1, com=[0, 0, 0]),

@@ -133,7 +133,7 @@ def test_friction_that_is_rounded_off_in_speed_is_no_disagreement(tmp_path: Path
     """It is fitted along, and the model is as it was."""
     found = diagnosed(tmp_path, 0.0, ROUNDING)
     assert (found.verdict, found.steps, found.last) == ("no_disagreement", (), found.first)
-    notes = [note for note in sentences(found.notices) if "changes its sign over a range of speeds" in note]
+    notes = [note for note in sentences(found.notices) if "changes its sign gradually around zero speed" in note]
     assert [note.split(":")[0] for note in sorted(notes)] == ["elbow", "shoulder"]
 
 

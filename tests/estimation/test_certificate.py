@@ -196,7 +196,7 @@ def test_a_solve_cut_short_is_refused_and_names_a_body(
     """Where refining does not help either."""
     monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: None)
     s, tau = random_data(tmp_path, 2)
-    with pytest.raises(SolverError, match=r"link\d: .*: not solved well enough: relative duality gap \d"):
+    with pytest.raises(SolverError, match=r"link\d: .*: not solved accurately enough: relative duality gap \d"):
         solve(stated(s, tau, kind), max_iter=3)
 
 
@@ -213,7 +213,7 @@ def test_what_the_solver_says_is_not_believed(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("idtool.estimation.problem.estimate.solve_conic", spoilt)
     monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: Refined(solution, 0.0))
     assert honest.status == "optimal"
-    with pytest.raises(SolverError, match="not solved well enough"):
+    with pytest.raises(SolverError, match="not solved accurately enough"):
         solve(problem)
 
 

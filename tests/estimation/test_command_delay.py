@@ -156,7 +156,7 @@ def test_a_given_delay_that_the_data_contradict_is_a_warning() -> None:
     log = noisy(run(7.5 * MS), seed=1)
     wrong = fit(experiment_of(log, controller={"delay": 3 * MS}), silent, analyze_uncertainty=True)
     (said,) = (note for note in sentences(wrong.notices) if note.startswith("controller.delay"))
-    assert said.startswith("controller.delay: 3 ms is given, but the data say 7.")
+    assert said.startswith("controller.delay: 3 ms is given, but the value fitted to the data is 7.")
     assert "and changes mean viscous friction from 1." in said
     report = fit_report(wrong).to_json()["controller"]
     assert (report["delay"], report["given"], report["contradicted"]) == (3 * MS, 3 * MS, True)

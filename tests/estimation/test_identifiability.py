@@ -193,8 +193,10 @@ def test_the_words(robot_of: Robots) -> None:
     less = InformationShares("prior", 0.1, 0.2, 0.7, (None, 3.0), (), ())
     open_ended = InformationShares("constraints", 0.1, 0.6, 0.3, (None, 3.0), ((10, 0.5), (0, -0.4), (1, 0.3)), ())
     asked = replace(asked, answer=replace(asked.answer, sources=(less, open_ended, *asked.answer.sources[2:])))
-    assert asked.text("l1", "m") == "l1 mass: mostly prior (70%)"
-    assert asked.text("l1", "mc_x") == "l1 m·c_x: limited by the constraints (60%); correlated with l2 mass and l1 mass"
+    assert asked.text("l1", "m") == "l1 mass: mostly prior (70 %)"
+    assert (
+        asked.text("l1", "mc_x") == "l1 m·c_x: limited by the constraints (60 %); correlated with l2 mass and l1 mass"
+    )
 
 
 def forked(robot_of: Robots, **config: Any) -> Synthetic:
@@ -245,10 +247,8 @@ def test_an_ellipsoid_pins_the_static_moment_of_a_known_mass(robot_of: Robots) -
     assert asked.of("l2", "mc_y").information_source == "constraints"
     words = asked.text("l2", "mc_y")
     low, high = asked.of("l2", "mc_y").range
-    assert (
-        words
-        == f"l2 m·c_y: limited by the constraints, {low:.3g} to {high:.3g} ({asked.of('l2', 'mc_y').constraints:.0%})"
-    )
+    share = f"{100 * asked.of('l2', 'mc_y').constraints:.0f} %"
+    assert words == f"l2 m·c_y: limited by the constraints, {low:.3g} to {high:.3g} ({share})"
 
 
 def test_a_mass_known_exactly_can_be_no_other(robot_of: Robots) -> None:

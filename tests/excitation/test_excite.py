@@ -236,7 +236,7 @@ def test_an_arm_too_weak_to_hold_itself_is_refused(tmp_path: Path) -> None:
     )
     done = idtool("excite", path, folder=tmp_path)
     assert done.code == 2
-    assert "at the start, gravity alone requires more torque than allowed" in done.err
+    assert "at the start, gravity alone requires more torque than the limits allow" in done.err
 
 
 def test_json_and_table_say_the_same(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_units_are_those_of_the_joint(
     report = report_of(sliding(found, effect, joint, dict.fromkeys(parameters, 0.5)))
     assert report["units"]["knee"] == "N"
     assert tuple(report["steps"][0]["units"].values()) == units
-    assert "N·m and N together" in report["summary"]
+    assert "mixed N·m and N" in report["summary"]
 
 
 def sliding(found: Diagnosis, effect: str, joint: str | None, parameters: dict[str, Any]) -> Diagnosis:
@@ -202,7 +202,7 @@ def test_rollouts_that_got_worse_while_torque_got_better(
     diagnosis = replace(found, steps=(step,), before=levels[0], after=levels[1])
     report = report_of(diagnosis)
     assert report["steps"][0]["evidence"]["rollout_worse"] == report["rollout_worse"] == worse
-    red = "\x1b[1;31m   with it, the torque is predicted better, but the simulation is worse: abad 0.0300 → "
+    red = "\x1b[1;31m   with this effect, the torque is predicted better, but the simulation is worse: abad 0.0300 → "
     assert (red in said(diagnosis, color=True)) == bool(worse)
     assert any("Do not simulate" in text for text in report["next"]) == bool(worse)
 

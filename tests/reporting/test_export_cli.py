@@ -45,9 +45,9 @@ def test_the_file_is_written_beside_the_fit_and_what_is_in_it_is_said(out: Path,
     assert after.keys() - before.keys() == {FILES[to]}
     assert before == {name: after[name] for name in before}
     assert f"written: leg_idtool/{FILES[to]}\n" in done.out
-    assert "carried: viscous_friction of abad, hip, knee\n" in done.out
-    assert "not carried: rotor of abad_rotor, hip_rotor, knee_rotor: its unbalance" in done.out
-    assert ("not carried: coulomb_friction" in done.out) == (to == "drake")
+    assert "exported: viscous_friction of abad, hip, knee\n" in done.out
+    assert "not exported: rotor of abad_rotor, hip_rotor, knee_rotor: its unbalance" in done.out
+    assert ("not exported: coulomb_friction" in done.out) == (to == "drake")
 
 
 def test_json(out: Path) -> None:

@@ -149,7 +149,7 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
     assert step[3:5] == ["stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"]
     assert step[5:] == ["0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"]
     words = {row[0]: row[1] for row in page.rows if len(row) == 2}
-    assert words["residual found on"] == "all joints"  # the last of equal heads: of the delay
+    assert words["location of the residual"] == "all joints"  # the last of equal heads: of the delay
     assert "64.0 ± 3.0 % of the residual's power" in page.plain
     assert "1.250 to 2.500 s, 4.000 to 4.500 s" in page.plain
     assert ["backlash", "hip", "10.0 ± 3.0 %", "2", "within two standard errors of zero"] in page.rows

@@ -132,7 +132,7 @@ def test_units_are_those_of_the_joints(fitted: Fit, report: dict[str, Any]) -> N
     assert [figure.titles[0] for figure in page.figures_of(TORQUE)] == ["torque [N·m]", "torque [N]"]
     for head, units in (("held out", ("N·m", "N")), ("model", ("rad", "m"))):
         names = (SCRIPT, SLIDE, "overall")
-        wanted = dict(zip(names, (*units, f"{units[0]} and {units[1]} together"), strict=True))
+        wanted = dict(zip(names, (*units, f"mixed {units[0]} and {units[1]}"), strict=True))
         assert {name: page.table(head)[name]["unit"] for name in names} == wanted
     assert [figure.titles[0] for figure in page.figures_of(POSITION)] == ["angle [rad]", "position [m]"]
 
@@ -191,7 +191,7 @@ def test_what_is_known_otherwise_is_beside_what_was_identified(fitted: Fit, repo
     assert [SCRIPT, "0.63400", "0.0050", "0.63120"] in page.rows
     assert ["total mass", "2.3100", "exact", "2.3100"] in page.rows
     report["known"] = []
-    assert "Known by other means" not in Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text
+    assert "Known values" not in Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).text
 
 
 def test_the_regularization_is_named(fitted: Fit, report: dict[str, Any]) -> None:

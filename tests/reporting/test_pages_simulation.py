@@ -84,8 +84,8 @@ def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
     start = page.rows.index(heads)
     errors = ["0.1000", "0.2000", "0.9000", "0.2000", "0.4000", "1.800"]
     assert page.rows[start + 1 :][:2] == [["j0", "rad", *errors], ["j1", "m", *errors]]
-    assert page.rows[start + 3][:2] == ["overall", "rad and m together"]
-    assert page.rows[start + 4] == ["after 10 ms", "rad and m together", "0.001000", "0.002000", "0.009000", "", "", ""]
+    assert page.rows[start + 3][:2] == ["overall", "mixed rad and m"]
+    assert page.rows[start + 4] == ["after 10 ms", "mixed rad and m", "0.001000", "0.002000", "0.009000", "", "", ""]
     assert "Simulated position, RMS error, rad or m: open loop, 0.5 s at a time" in page.plain
 
 

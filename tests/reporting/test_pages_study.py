@@ -131,7 +131,7 @@ def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
         "ellipsoid, full, semi, none. On average, the held-out" in text
     )
     assert "error is lower than that with none from the same samples: with ellipsoid by 51.05 ± 0.98 % (at" in text
-    assert "(at most, with 1 sample: 80.00 ± 0.40 %), with full by" in text
+    assert "(largest difference, with 1 sample: 80.00 ± 0.40 %), with full by" in text
     assert "clearly" not in text
     assert "With 100 samples or more, the errors of all sets are within 5 %" in text
 
@@ -162,10 +162,11 @@ def test_sets_alike_are_seldom_called_clearly_different(rng: np.random.Generator
 def test_each_set_is_said_to_be_better_worse_or_neither(report: dict[str, Any], rng: np.random.Generator) -> None:
     report["learning"] = drawn(rng, {**GAINS, "points": [-0.5] * 4 + [0.0] * 4})
     page = page_of(report)
-    share, most = r"\d+\.\d ± \d\.\d %", r"\(at most, with \d+ samples?: [^)]+\)"
+    share, most = r"\d+\.\d ± \d\.\d %", r"\(largest difference, with \d+ samples?: [^)]+\)"
     assert re.search(
         f": with ellipsoid by {share} {most}, with full by {share} {most}. "
-        rf"Clearly worse than none: points, by {share}. Not clearly better than none: semi \(-?{share}\). Many",
+        f"The error of points is clearly larger than that of the set “none”, by {share}. "
+        rf"These sets are not clearly better than the set “none”: semi \(-?{share}\). Many",
         page.plain,
     )
     assert page.levels[0] == "note"
@@ -256,9 +257,11 @@ def test_the_first_to_converge_online_is_named(report: dict[str, Any]) -> None:
     assert "The parameter error first fell below 10 % with ellipsoid, after 1.15 s; with full after 4.61 s." in text
     assert "It did not fall below 10 % within the data with none." in text
     report["adaptation"]["time_to_10_percent"]["full"] = 1.151
-    assert "fell below 10 % with full and ellipsoid, after 1.15 s." in page_of(report).plain
+    assert "falls below 10 % earliest with full and ellipsoid, after 1.15 s." in page_of(report).plain
     report["adaptation"]["time_to_10_percent"] = dict.fromkeys(("none", "full", "ellipsoid"))
-    assert "The parameter error did not fall below 10 % within the data with any set" in page_of(report).plain
+    assert (
+        "The parameter error does not fall below 10 % before the end of the data with any set" in page_of(report).plain
+    )
 
 
 def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:

@@ -104,8 +104,8 @@ def test_joints_of_two_kinds_have_two_units(noisy: dict[str, Array]) -> None:
     mixed = validated(evaluation, units={"j0": "N·m", "j1": "N", "j2": "N·m"})
     titles = [figure.titles[0] for figure in mixed.figures_of(TORQUE)]
     assert titles == ["torque [N·m]", "torque [N]", "torque [N·m]"]
-    assert "N·m and N together" in mixed.text
-    assert "N·m and N together" not in validated(evaluation).text
+    assert "mixed N·m and N" in mixed.text
+    assert "mixed N·m and N" not in validated(evaluation).text
 
 
 def test_bounds_pass_or_fail(noisy: dict[str, Array]) -> None:

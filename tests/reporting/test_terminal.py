@@ -166,8 +166,8 @@ def test_export_names_every_part_in_full() -> None:
     report = partial(ExportReport, {"file": "m.xml", "carried": carried, "not_carried": lost})
     text = said(lambda terminal: show_export(terminal, report))
     assert text.splitlines() == [
-        f"carried: rotor of {', '.join(names)}",
-        f"not carried: friction of {', '.join(names)}: there is none, up to 0.8 N·m",
+        f"exported: rotor of {', '.join(names)}",
+        f"not exported: friction of {', '.join(names)}: there is none, up to 0.8 N·m",
         "written: m.xml",
     ]
 
@@ -191,14 +191,14 @@ def simulated(position: float | None, at: dict[float, float | None], kind: str =
 
 
 def test_a_model_worse_than_none_is_said_to_be_and_from_when_on() -> None:
-    worse = "Simulated for 1 s at a time, the model is farther from the data than "
+    worse = "Simulated for 1 s at a time, the model has a larger error than "
     stays = "a robot that keeps its position"
-    assert "farther" not in simulated(0.9, {0.01: 0.1, 0.1: 1.1})
+    assert "larger error" not in simulated(0.9, {0.01: 0.1, 0.1: 1.1})
     short = simulated(1.5, {0.01: 0.1, 0.05: 0.2, 0.1: 1.1, 0.5: 0.9})
-    assert f"{worse}{stays}; it is closer up to 50 ms after a restart: do not trust" in short
+    assert f"{worse}{stays}; its error is smaller up to 50 ms after a restart: do not trust" in short
     assert f"{worse}{stays}: do not trust its rollouts." in simulated(1.5, {0.01: 1.1, 0.05: 0.2})
     assert f"{worse}a robot that follows its command exactly: do not" in simulated(1.5, {}, "closed_loop")
-    assert f"{worse}{stays}; it is closer up to 10 ms" in simulated(None, {0.01: 0.1, 0.05: None})
+    assert f"{worse}{stays}; its error is smaller up to 10 ms" in simulated(None, {0.01: 0.1, 0.05: None})
 
 
 @pytest.fixture(scope="module")

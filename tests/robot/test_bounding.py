@@ -68,7 +68,7 @@ def test_links_without_mass_are_left_out_and_those_without_geometry_said(robot_o
     )
     assert list(ellipsoids) == ["whole"]
     assert list(reasons) == ["bare", "lost"]
-    assert reasons["bare"] == "the URDF gives it no collision or visual"
+    assert reasons["bare"] == "the link has no collision or visual geometry in the URDF"
     assert reasons["lost"].startswith("line 1: mesh package://p/lost.stl is not found")
 
 

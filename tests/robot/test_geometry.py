@@ -111,7 +111,7 @@ def test_a_link_without_geometry_has_no_points(robot_of: Read) -> None:
     found = link_geometry(robot_of(urdf()), "base")
     assert found.points.shape == (0, 3)
     assert found.parts_read == found.unreadable == ()
-    with pytest.raises(ModelError, match=r"link base: .* gives it no collision or visual"):
+    with pytest.raises(ModelError, match=r"link base: .* has no collision or visual geometry for the link"):
         link_vertices(robot_of(urdf()), "base")
 
 

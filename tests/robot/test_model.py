@@ -130,7 +130,7 @@ def test_a_mimic_joint_of_a_locked_joint_is_locked_where_that_puts_it(build: Bui
 @pytest.mark.parametrize(("first", "second"), [("nobody", "j1"), ("j2", "j2"), ("j3", "j2")])
 def test_a_mimic_joint_that_leads_nowhere(build: Build, first: str, second: str) -> None:
     text = chain(link(1), link(2, f'<mimic joint="{first}"/>'), link(3, f'<mimic joint="{second}"/>'))
-    with pytest.raises(ModelError, match="does not exist or mimics this joint in turn"):
+    with pytest.raises(ModelError, match="does not exist or itself mimics this joint"):
         build(text, ["j1"])
 
 

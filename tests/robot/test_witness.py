@@ -353,5 +353,5 @@ def test_what_has_no_thickness_is_drawn_thin(second_moments: Array, semi_axes: t
 
 @pytest.mark.parametrize("bad", [np.zeros(10), np.full(10, np.inf), -np.ones(10)])
 def test_what_has_no_mass_has_no_deviation_ellipsoid(bad: Array) -> None:
-    with pytest.raises(ValueError, match="no ellipsoid shows this body"):
+    with pytest.raises(ValueError, match="this body has no standard-deviation ellipsoid"):
         deviation_ellipsoid(bad)

@@ -50,7 +50,7 @@ def test_of_torque_with_the_wrong_sign_nothing_is_believed(tmp_path: Path) -> No
     assert report["config"]["effects"] == []
     assert not any(trial["kept"] for trial in report["trials"])
     assert any(
-        "unexplained fraction of the held-out torque (rms): " in warning and "check its sign" in warning
+        "a large fraction of the held-out torque (rms) is unexplained: " in warning and "check its sign" in warning
         for warning in report["warnings"]
     )
 

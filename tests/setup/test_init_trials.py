@@ -117,7 +117,7 @@ def test_nothing_is_kept_of_a_joint_whose_torque_stays_unexplained() -> None:
     found, _ = tried(errors, offsets=True)
     assert joints(found, OFFSET) == ("hip",)
     assert any(
-        "fraction of the held-out torque (rms): knee 95%; check its sign and unit" in warning
+        "fraction of the held-out torque (rms) is unexplained: knee 95 %; check its sign and unit" in warning
         for warning in texts(found.notices)
     )
 

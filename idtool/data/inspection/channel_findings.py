@@ -75,7 +75,7 @@ def _stale_or_clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator
     figures = joint.signals[signal]
     repeats = figures.stale or 0.0
     stuck = figures.stuck > MAX_STUCK_SHARE
-    share = f"{repeats:.1%} of the samples of {signal} repeat the previous one while it changes"
+    share = f"{100 * repeats:.1f} % of the samples of {signal} repeat the previous one while it changes"
     meaning = "the channel is read too rarely, which delays it by half its update period; check the bus"
     if repeats > (MAX_STALE_SHARE_IF_STUCK if stuck else MAX_STALE_SHARE):
         yield Notice("stale", "warning", name, share, meaning)
@@ -88,7 +88,9 @@ def _stale_or_clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator
 def _clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A channel at its extremes. Whether the drive or the sensor cut the torque off is for the model to tell."""
     figures = joint.signals[signal]
-    extremes = f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {figures.stuck:.1%} of the samples"
+    extremes = (
+        f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {100 * figures.stuck:.1f} % of the samples"
+    )
     if signal == "tau":
         meaning = "larger values were cut off, which biases the fit; reduce the excitation, or raise the limit"
         yield Notice("torque_at_extremes", "warning", name, f"tau stays at {extremes}", meaning)
@@ -116,8 +118,9 @@ def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterato
         instead = {
             "q": "a fit uses the logged v where it is less noisy; otherwise",
             "v": "a fit differentiates q where that is less noisy; otherwise",
-        }.get(signal, "excite more, or")
-        rounding = f"{signal} comes in steps of {step:.3g}, which make {noise:.0%} of noise in the {disturbed}"
+        }.get(signal, "use a larger excitation, or")
+        consequence = f"a noise of {100 * noise:.0f} % (rms) in the {disturbed}"
+        rounding = f"{signal} has a resolution of {step:.3g}, which causes {consequence}"
         yield Notice(
             "coarse_channel",
             "warning",

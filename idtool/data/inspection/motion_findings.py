@@ -36,18 +36,21 @@ def motion_findings(name: str, joint: InspectedJoint, frozen: FrozenStretches | 
         yield Notice("joint_at_rest", "warning", name, "the joint does not move", meaning)
         return
     if joint.standstill > MAX_STANDSTILL:
-        share = f"the joint is at rest {joint.standstill:.0%} of the time"
-        meaning = "samples at rest determine gravity only to within static friction, and little else"
+        share = f"the joint is at rest {100 * joint.standstill:.0f} % of the time"
+        meaning = (
+            "samples at rest determine hardly anything except gravity, and gravity only to within the static friction"
+        )
         yield Notice("often_at_rest", "note", name, share, meaning)
     yield from _jumps(name, joint, frozen)
     if joint.band_hz is not None and joint.band_hz > MAX_RELATIVE_BAND / dt:
-        band = f"99 % of the velocity's power reaches up to {joint.band_hz:.3g} Hz, at {1 / dt:.4g} samples a second"
+        rate = f"the sampling rate is only {1 / dt:.4g} Hz"
+        band = f"99 % of the velocity's power lies below {joint.band_hz:.3g} Hz, but {rate}"
         meaning = "accelerations at these frequencies are unreliable: log faster, or lower `filter.cutoff_hz`"
         yield Notice("motion_too_fast", "warning", name, band, meaning)
     q = joint.signals["q"]
     if q.maximum - q.minimum > MAX_TRAVEL:
         travel = f"q spans {q.maximum - q.minimum:.4g}"
-        meaning = "it is a wheel, or q is in degrees; for degrees, set `log.scale` of q to 0.0174533"
+        meaning = "the joint is a wheel, or q is in degrees; for degrees, set `log.scale` of q to 0.0174533"
         yield Notice("many_turns", "note", name, travel, meaning)
 
 
@@ -66,5 +69,5 @@ def _jumps(name: str, joint: InspectedJoint, frozen: FrozenStretches | None) -> 
 def commanded_torque(name: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A torque that looks commanded."""
     if joint.torque and joint.torque.kind == "commanded":
-        meaning = "it does not include what the drive does with the command: expect a `time_delay` and a `torque_gain`"
-        yield Notice("torque_commanded", "note", name, f"tau looks commanded: {joint.torque.reason}", meaning)
+        meaning = "the true torque can differ from the command: expect a `time_delay` and a `torque_gain`"
+        yield Notice("torque_commanded", "note", name, f"tau seems to be commanded: {joint.torque.reason}", meaning)

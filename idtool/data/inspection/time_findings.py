@@ -21,7 +21,7 @@ MAX_LOST_SHARE = 0.01  # share of the time: less is the ordinary end of a part, 
 MIN_SHORT_SHARE = 0.05  # share of samples in segments too short for a filter to settle in
 MAX_SHORT_SHARE = 0.5  # the same, from which on hardly anything remains
 
-_DIFFERENTIATED = "q differentiated from sample to sample is noisy, so a fit uses the logged v where that is less noisy"
+_DIFFERENTIATED = "the numerical derivative of q is noisy, so a fit uses the logged v if it is less noisy"
 
 
 def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
@@ -31,13 +31,13 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """
     unevenness = _unevenness(dt, stamps)
     if stamps.step_jitter > MAX_JITTER:
-        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} samples rms"
+        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} sample periods rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
     elif unevenness > MAX_JITTER:
         deviation = (
             "according to the motion, the actual sampling times deviate from the evenly spaced stamps by "
-            f"{unevenness:.2g} samples rms"
+            f"{unevenness:.2g} sample periods rms"
         )
         advice = f"the stamps were rounded or generated; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
@@ -52,9 +52,8 @@ def skipped_samples(dt: float, stamps: Stamps) -> Iterator[Notice]:
         return
     lost_share = stamps.sampling.skipped - stamps.repeated
     if lost_share > MIN_SHARE:
-        share = (
-            f"according to the motion, {stamps.sampling.skipped:.1%} of the steps are two or more sample periods long"
-        )
+        skipped = f"{100 * stamps.sampling.skipped:.1f} % of the steps"
+        share = f"according to the motion, {skipped} are two or more sample periods long"
         meaning = f"samples were lost without a gap in the stamps; {_DIFFERENTIATED}; log the sensor's own time"
         if lost_share > MAX_SKIPPED_SHARE and stamps.step_jitter <= MAX_JITTER:
             yield Notice("dropped_samples", "warning", None, share, meaning)
@@ -72,8 +71,8 @@ def _unevenness(dt: float, stamps: Stamps) -> float:
 def repeated_rows(stamps: Stamps) -> Iterator[Notice]:
     """Rows that repeat the one before in every joint."""
     if stamps.repeated > MIN_SHARE:
-        share = f"{stamps.repeated:.1%} of the samples repeat the previous one in every joint"
-        meaning = f"the log ran faster than its source; {_DIFFERENTIATED}; log at the source's rate"
+        share = f"{100 * stamps.repeated:.1f} % of the samples repeat the previous one in every joint"
+        meaning = f"the log was sampled faster than its source; {_DIFFERENTIATED}; log at the source's rate"
         if stamps.repeated > MAX_REPEATED_SHARE:
             yield Notice("stale", "warning", None, share, meaning)
         else:
@@ -100,14 +99,14 @@ def short_segments(segments: int, stamps: Stamps) -> Iterator[Notice]:
     if segments < 2 or stamps.short < MIN_SHORT_SHARE:
         return
     extent = (
-        f"gaps and missing values divide the log into {segments} segments: {stamps.short:.0%} of it is in segments "
-        "shorter than 0.5 s"
+        f"gaps and missing values divide the log into {segments} segments: {100 * stamps.short:.0f} % of it is in "
+        "segments shorter than 0.5 s"
     )
     too_short = stamps.short > MAX_SHORT_SHARE
     severity: Severity = "problem" if too_short else "warning"
-    rest = "hardly any usable data remain for the fit" if too_short else "a fit may have to leave them out"
+    rest = "hardly any usable data remain for the fit" if too_short else "a fit may have to omit these segments"
     advice = "fill in single missing values, or log without gaps"
-    meaning = f"these are shorter than the settling time of a filter, so {rest}: {advice}"
+    meaning = f"these segments are shorter than the settling time of a filter, so {rest}: {advice}"
     if stamps.gaps:
         yield Notice("dropped_samples", severity, None, extent, meaning)
     else:

@@ -48,23 +48,26 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         return TorqueSource("commanded", law)
     if (tau.stale or 0.0) > _MAX_STALE_SHARE:
         return TorqueSource(
-            "unknown", f"{tau.stale:.0%} of its values repeat the previous one: the sensor or the controller is slow"
+            "unknown",
+            f"{100 * tau.stale:.0f} % of its values repeat the previous one: the sensor or the controller is slow",
         )
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
-        return TorqueSource("commanded", "it has no noise, so it must be computed")
+        return TorqueSource("commanded", "it has no noise, so it is probably computed")
     if tau.step is not None and tau.noise < _ROUNDING_NOISE * tau.step:
-        return TorqueSource("unknown", f"it has no noise beyond its resolution of {tau.step:.3g}")
+        return TorqueSource("unknown", f"its noise is smaller than its resolution of {tau.step:.3g}")
     changes = np.concatenate([np.diff(x, 2) for x in runs["tau"]])
     fast_change = 1.4826 * float(np.median(np.abs(changes))) / np.sqrt(6)
     if fast_change > _MAX_FAST_CHANGE * tau.noise:
         return TorqueSource("unknown", "it changes too fast between samples for its noise to be estimated")
     share = _shared_noise(runs)
     if share > _MIN_SHARED_NOISE:
-        return TorqueSource("commanded", f"{share:.0%} of its noise comes from q and v, as under feedback control")
+        return TorqueSource(
+            "commanded", f"{100 * share:.0f} % of its noise comes from q and v, as under feedback control"
+        )
     if share < _MAX_SHARED_NOISE:
         return TorqueSource("measured", f"it has its own noise, {tau.noise:.2g} rms")
-    return TorqueSource("unknown", f"{share:.0%} of its noise comes from q and v")
+    return TorqueSource("unknown", f"{100 * share:.0f} % of its noise comes from q and v")
 
 
 def _control_law(runs: Runs, tau: Signal) -> str | None:
@@ -83,8 +86,8 @@ def _control_law(runs: Runs, tau: Signal) -> str | None:
         rounding = 0.4 * (tau.step or 0.0) / torque.std()
         if residual < max(_MAX_LAW_RESIDUAL, min(rounding, 20 * _MAX_LAW_RESIDUAL)):
             terms = " ".join(f"{gain:+.4g} {name}" for gain, name in zip(gains, names, strict=True))
-            late = f", {delay} samples late" if delay else ""
-            return f"it equals {terms} + constant within {residual:.1g} of its deviation{late}"
+            late = f" with a delay of {delay} sample period{'s' if delay > 1 else ''}" if delay else ""
+            return f"it equals {terms} + constant{late}, to within {residual:.1g} of its standard deviation"
     return None
 
 

@@ -48,7 +48,7 @@ def exchanged_velocities(log: JointLog, joints: Mapping[str, InspectedJoint]) ->
 
 def exchanged_velocity(name: str, other: str) -> Notice:
     """The finding that the velocity of a joint stands under the name of another."""
-    evidence = f"v of {other} is the derivative of q of {name}, and its own v is not"
+    evidence = f"v of {other} is the derivative of q of {name}, but v of {name} is not"
     return Notice("wrong_joint_order", "problem", name, evidence, "correct the columns in `log.columns`")
 
 
@@ -69,7 +69,9 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
         Nominal sample time [s].
     """
     if v.agreement < 1 - MAX_DISAGREEMENT or v.gain is None or v.lag_ms is None or v.lag_error_ms is None:
-        share = f"only {v.agreement:.0%} of v's power in the motion's band is that of the derivative of q"
+        share = (
+            f"the derivative of q explains only {100 * v.agreement:.0f} % of the power of v in the band of the motion"
+        )
         meaning = "v belongs to another joint or is wrong: set `velocity: differentiated`"
         severity: Severity = "problem" if v.agreement < MIN_AGREEMENT else "warning"
         yield Notice("velocity_unrelated", severity, name, share, meaning)

@@ -80,7 +80,7 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: 
     if not columns:
         raise LogError(
             path,
-            f"is not a log: its first line has no joint signal, but {join_names(header)}; name the columns t, "
+            f"is not a log: its first line has no joint signal (columns: {join_names(header)}); name the columns t, "
             "q_<joint>, v_<joint>, tau_<joint>, or map them in log.columns",
         )
     if time is None:
@@ -163,4 +163,4 @@ def _conflict_message(first: str, second: str, key: JointSignal) -> str:
     if first.startswith("/") and second.startswith("/"):
         return f"{both} are of different topics; set log.topic to the one to read"
     name = printable("_".join(key))
-    return f"{both} are both {name}; set log.columns: {{{name}: <one of them>}}"
+    return f"{both} both match {name}; set log.columns: {{{name}: <one of them>}}"

@@ -67,8 +67,8 @@ def find_robot_description(paths: Sequence[Path]) -> RobotDescription:
                 source = f"topic {printable(first.topic)}"
                 if first.path != path:
                     source += f" of {first.path.name}"
-                message = f"topic {printable(other.topic)} has another robot description than {source}"
-                raise LogError(path, f"{message}; give the URDF to use before the logs")
+                message = f"topic {printable(other.topic)} contains a different robot description from {source}"
+                raise LogError(path, f"{message}; give the URDF explicitly, before the logs")
     if first is None:
         raise LogError(paths[0], f"{topics.missing_message()}; give a URDF before the log")
     return first

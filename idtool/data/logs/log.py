@@ -121,7 +121,7 @@ def make_log(
         raise LogError(path, "no two consecutive samples are complete; check for missing values")
     if invalid.any():
         message = f"{int(invalid.sum())} samples have values that are not finite; they were left out"
-        advice = "if they are many, run idtool inspect"
+        advice = "if there are many of them, run idtool inspect"
         notices += (Notice("not_finite", "note", None, message, advice),)
     if unit := suspected_unit(dt, segments, present):
         notices += (time_unit_notice(dt, unit, present),)

@@ -106,7 +106,7 @@ def write(file: BinaryIO, log: JointLog) -> None:
     from mcap.writer import Writer
 
     if not (np.abs(log.t) < 2**31 - 1).all():
-        raise ValueError("its times do not fit a header stamp, which has 32 bits for the seconds")
+        raise ValueError("its times are too large for a header stamp, which has 32 bits for the seconds")
     writer = Writer(file)
     writer.start(profile="ros2", library="idtool")
     schema = writer.register_schema(TYPE, "ros2msg", DEFINITION.encode())

@@ -96,6 +96,6 @@ def time_unit_notice(dt: float, unit: str, signals: Mapping[str, Array]) -> Noti
     signals
         The log's signals by name.
     """
-    evidence = f"are in {unit}, judging by v" if "v" in signals else f"look like {unit}"
+    evidence = f"are in {unit}, according to v" if "v" in signals else f"seem to be in {unit}"
     message = f"samples are {dt:.3g} s apart; the times {evidence}"
     return Notice("wrong_unit", "problem", None, message, "write them in seconds")

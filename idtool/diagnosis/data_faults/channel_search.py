@@ -220,9 +220,7 @@ class ChannelSearch:
             is_far = 0 < limit_range < np.inf and high - low > max(_FAR_BEYOND * limit_range, np.pi)
             if j not in known and (is_far or spoils_torque):
                 in_urdf = f"in the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
-                message = (
-                    f"q ranges from {low:.4g} to {high:.4g}, but {in_urdf}, as if it were in degrees, mm or counts"
-                )
+                message = f"q ranges from {low:.4g} to {high:.4g}, but {in_urdf}; it may be in degrees, mm or counts"
                 yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
     def _velocity_faults(self) -> Iterator[Notice]:
@@ -231,10 +229,10 @@ class ChannelSearch:
         for j, joint in enumerate(self.joints):
             gain = self.gains.get(joint.name, 1.0)
             if gain < 0 and ("wrong_sign", j) not in corrected:
-                ratio = f"v is {gain:.3g} times the derivative of q, which agrees with tau"
+                ratio = f"v is {gain:.3g} times the derivative of q, and q agrees with tau"
                 yield Notice("wrong_sign", "problem", joint.name, ratio, "set the `log.scale` of v to -1")
             if is_another_unit(gain) and ("wrong_unit", j) not in corrected:
-                ratio = f"v is {abs(gain):.4g} times the derivative of q in size"
+                ratio = f"the magnitude of v is {abs(gain):.4g} times that of the derivative of q"
                 advice = f"set the `log.scale` of v to {1 / gain:.4g}"
                 yield Notice("wrong_unit", "problem", joint.name, ratio, advice)
 

@@ -57,7 +57,7 @@ def wrong_torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Not
     if all_too_large and _has_placeholder_masses(fit):
         return
     factor = float(np.exp(np.median(logs)))
-    ratio = f"tau is {factor:.3g} times the {'weight' if weight else 'inertia'} of the URDF's bodies"
+    ratio = f"tau is {factor:.3g} times the {'gravity' if weight else 'inertial'} torque of the URDF's bodies"
     cause = "if tau is a motor torque or a current, or is in another unit such as mN·m,"
     advice = f"{cause} set its `log.scale`; otherwise the URDF's masses are wrong"
     yield Notice("wrong_unit", "problem", None, f"{ratio} at {join_names(list(factors))}", advice)
@@ -134,7 +134,9 @@ def clipped_torque(fit: ChannelFit, j: int, joint: InspectedJoint) -> Iterator[N
     missing, error = _missing_torque(total)
     level = max(abs(tau.minimum), abs(tau.maximum))
     if missing > max(_MIN_SIGNIFICANCE * error, _MIN_EXCESS * level):
-        extremes = f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {tau.stuck:.1%} of the samples"
+        extremes = (
+            f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {100 * tau.stuck:.1f} % of the samples"
+        )
         beyond = f"where the motion requires {missing:.2g} more on average"
         name = fit.equation.joints[j]
         yield Notice("clipped", "problem", name, f"{extremes}, {beyond}", "reduce the excitation, or raise the limit")

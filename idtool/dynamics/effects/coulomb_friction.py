@@ -16,7 +16,7 @@ class CoulombFriction(DryFriction):
 
     id = "coulomb_friction"
     label = "Coulomb friction"
-    description = "friction opposes the motion with equal force at every speed"
+    description = "a friction of the same size at every speed opposes the motion"
     excitation_hint = "slow motion in both directions"
     coefficient_name = "coulomb"
     is_commonplace = True

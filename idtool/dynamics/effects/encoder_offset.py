@@ -24,8 +24,10 @@ class EncoderOffset(FixedJointEffect):
 
     id = "encoder_offset"
     is_countable = True
-    description = "the encoder's zero differs from the joint's"
-    excitation_hint = "standstill over the whole travel, the base turned over or tilted by a known angle"
+    description = "the zero position of the encoder differs from that of the joint"
+    excitation_hint = (
+        "standstill at positions over the whole travel, also with the base turned over or tilted by a known angle"
+    )
     nonlinear_parameters = (NonlinearParameter("offset", ("rad", "m")),)
 
     @classmethod

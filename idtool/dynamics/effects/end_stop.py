@@ -29,8 +29,8 @@ class EndStop(JointTerm):
 
     id = "end_stop"
     is_countable = True
-    description = "a stop pushes back beyond a position"
-    excitation_hint = "slow motion into the region and out of it"
+    description = "an elastic end stop acts beyond a position"
+    excitation_hint = "slow motion into the end stop and out of it"
     generalizes = ("parallel_spring", "torque_offset")
     coefficient_name = "stiffness"
     units = ("N·m/rad", "N/m")

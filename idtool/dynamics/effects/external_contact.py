@@ -49,8 +49,8 @@ class ExternalContact(LinkEffect):
     """
 
     id = "external_contact"
-    description = "something pushes against the link"
-    excitation_hint = "the same motion without contact"
+    description = "an external force or moment acts on the link"
+    excitation_hint = "the same motion with and without contact"
     acts_in_bursts = True
     parameter_names = ("windows", "wrench")
 
@@ -66,8 +66,8 @@ class ExternalContact(LinkEffect):
         windows = read_rows(entry, "windows", 2)
         wrench = read_vector(entry, "wrench", 6)
         if (np.diff(windows.ravel()) < _RAMP).any():
-            problem = f"windows must be in ascending order, with at least {_RAMP:g} s in each and between two"
-            advice = "sort them, and merge those that touch"
+            problem = f"windows must be in ascending order, at least {_RAMP:g} s long and at least {_RAMP:g} s apart"
+            advice = "sort them, and merge windows that touch"
             raise ConfigError(entry_location(entry), f"{problem}; {advice}")
         return cls(model, str(entry.link), frame, windows, wrench)
 

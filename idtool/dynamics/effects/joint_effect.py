@@ -185,7 +185,7 @@ def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Ro
         index = read_joint_index(entry, entry.parameters[name], model, name)
         if index == joint:
             own = printable(model.names[joint])
-            raise ConfigError(entry_location(entry), f"{name} {own} is the joint itself; name another joint")
+            raise ConfigError(entry_location(entry), f"{name} must not be the joint {own} itself; name another joint")
         return float(index)
 
     maximum = parameter.optional_maximum

@@ -82,12 +82,14 @@ def _link_frame(entry: EffectEntry, link: str, model: RobotModel) -> Frame:
     ancestor = link
     while ancestor not in frames:
         if ancestor not in parent_joints:
-            what = f"link {printable(link)} is not moved by any joint; name a link that is"
+            what = f"link {printable(link)} is not moved by any joint; name a moving link"
             raise ConfigError(entry_location(entry), what)
         joint = parent_joints[ancestor]
         if joint.kind != "fixed":
             reason = f"is carried by joint {printable(joint.name)}, which is locked"
-            raise ConfigError(entry_location(entry), f"link {printable(link)} {reason}; name the link before it")
+            raise ConfigError(
+                entry_location(entry), f"link {printable(link)} {reason}; name the parent link of this joint"
+            )
         R, p = joint.R @ R, joint.p + joint.R @ p
         ancestor = joint.parent
     return frames[ancestor].compose(R, p)

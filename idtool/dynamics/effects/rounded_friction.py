@@ -23,7 +23,7 @@ class RoundedFriction(JointTerm):
     """c tanh(v / velocity), beside Coulomb friction, c sign(v): the data decide the share of each."""
 
     id = "rounded_friction"
-    description = "friction changes its sign over a range of speeds"
+    description = "friction changes its sign gradually around zero speed"
     excitation_hint = "slow reversals"
     requires = ("coulomb_friction",)
     coefficient_name = "coulomb"

@@ -25,8 +25,8 @@ class StribeckFriction(DryFriction):
 
     id = "stribeck_friction"
     label = "Stribeck friction"
-    description = "friction rises at low speed"
-    excitation_hint = "slow sweeps at several speeds, also below the speed at which friction rises"
+    description = "friction increases towards low speed"
+    excitation_hint = "slow sweeps at several speeds, some of them below the Stribeck velocity"
     generalizes = ("coulomb_friction",)
     requires = ("coulomb_friction", "presliding_hysteresis")
     coefficient_name = "stribeck"

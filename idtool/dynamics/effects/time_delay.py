@@ -48,12 +48,12 @@ class TimeDelay(FixedEffect):
 
     id = "time_delay"
     is_countable = True
-    description = "the torque is recorded later than the position (negative: earlier)"
+    description = "the torque is recorded with a delay relative to the position (earlier if the delay is negative)"
     excitation_hint = "quick motion with sharp changes of torque"
     init_trial = InitSearch(
         name="a delay",
         heading="torque delay",
-        comment="the torque is logged {value} later than the position (negative: earlier)",
+        comment="the torque is logged {value} later than the position (earlier if negative)",
         needs_measured_torque=True,  # a controller's torque is its own, in time with its command
         parameter="delay",
         step=0.05,  # the error is a parabola within
@@ -76,7 +76,9 @@ class TimeDelay(FixedEffect):
     @override
     def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
         if entry.link is not None:
-            raise ConfigError(entry_location(entry), "acts on a joint, or on all without one; give no link")
+            raise ConfigError(
+                entry_location(entry), "acts on one joint, or on all joints if `joint` is omitted; remove `link`"
+            )
         check_parameter_names(entry, ("delay",))
         joint = None if entry.joint is None else read_joint_index(entry, entry.joint, model)
         delay = read_number(entry, "delay")

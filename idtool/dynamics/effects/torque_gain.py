@@ -25,7 +25,7 @@ class TorqueGain(TorqueSensorEffect):
     id = "torque_gain"
     is_countable = True
     description = "the measured torque is a multiple of the true one"
-    excitation_hint = "a known mass on the last link, logged with and without"
+    excitation_hint = "the same motion with and without a known mass on the last link"
     nonlinear_parameters = (NonlinearParameter("gain", positive=True),)
 
     @classmethod

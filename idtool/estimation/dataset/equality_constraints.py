@@ -131,7 +131,10 @@ def with_equal_bounds(model: RobotModel, equalities: EqualityConstraints) -> Rob
             overruled.append(own.name)
     notices = model.notices
     if overruled:
-        message = f"copies have the bounds of their originals, not those configured: {join_names(overruled)}"
+        message = (
+            "these copies get the bounds of their originals instead of their own from the configuration: "
+            f"{join_names(overruled)}"
+        )
         notices = (*notices, Notice("copies_bounds_overruled", "warning", None, message))
     return replace(model, bodies=tuple(bodies), notices=notices)
 
@@ -172,7 +175,7 @@ def _copies(mirrors: Sequence[Mirror], names: list[str], kind: str) -> dict[int,
                     f"mirror: {given}", f"is not a moving {kind} of the model; {suggestion(given, names)}"
                 )
         if name in entries:
-            raise ConfigError(f"mirror: {name}", "is a copy of two others; keep one entry")
+            raise ConfigError(f"mirror: {name}", "is given as a copy of two others; keep one entry")
         entries[name] = entry
 
     copies = {}

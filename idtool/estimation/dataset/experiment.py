@@ -88,17 +88,17 @@ class Experiment:
         duplicates = {Path(source.path).name for source in sources if hashes.count(source.sha256) > 1}
         if duplicates:
             names = ", ".join(sorted(duplicates))
-            message = f"{names}: the same log more than once; standard errors are too small"
+            message = f"{names}: the same log is given more than once; standard errors are too small"
             notices.append(Notice("duplicate_log", "warning", None, message))
         fitted = {run.signals.log.path.resolve() for run in self.runs if run.train}
         validated = {run.signals.log.path.resolve() for run in self.runs if not run.train}
         for path in sorted(fitted & validated):
-            message = "used for both fitting and validation, so its error says little about prediction"
+            message = "the log is used for both fitting and validation, so its error says little about prediction"
             notices.append(Notice("validated_on_training_log", "warning", path.name, message))
         controller = self.config.controller
         by_command = any(run.signals.controller.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            message = "auto, but this command does not fit it, so 0 is used; idtool fit determines it"
+            message = "the delay is auto, but this command does not fit it, so 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
@@ -118,13 +118,13 @@ class Experiment:
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
                 unit = "m" if joint.kind == "prismatic" else "rad"
                 place = self.config.locked_joints.get(joint.name, 0.0)
-                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, assumed to be at {place:g})")
+                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, assumed position {place:g})")
         if moved:
             message = (
-                f"assumed to stand still, but they move in the log: {', '.join(moved)}; the effect of their motion "
-                "on the other joints' torque is not in the model and biases the parameters"
+                f"these joints are assumed to stand still, but move in the log: {', '.join(moved)}; the effect of "
+                "their motion on the other joints' torque is not in the model and biases the parameters"
             )
-            advice = "add them to joints, or log them at rest"
+            advice = "add them to joints, or keep them at rest while you log"
             yield Notice("moving_joints_held_still", "warning", None, message, advice)
 
     @property
@@ -209,7 +209,7 @@ class Experiment:
             what = f"no part without gaps is long enough for the filter; the longest has {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
         if still:
-            what = "hardly moves in the part to fit"
+            what = "hardly moves in the part of the logs that is used for the fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
                 what += f", or only where one of the effects ({join_names(effects)}) is not defined"
             what += "; log a motion, or lock it by leaving it out of joints"

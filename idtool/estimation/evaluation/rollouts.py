@@ -258,7 +258,7 @@ def simulation_notices(rollouts: RolloutEvaluation | None, model: str) -> list[N
     for name in (model, "prior"):
         which = "the prior" if name == "prior" else "the model"
         if name in rollouts.failed:
-            message = f"no simulation of {which}: {rollouts.failed[name]}"
+            message = f"{which} was not simulated: {rollouts.failed[name]}"
             advice = "fit with constraints: full or tighter; add missing inertias to the links and rotors of the prior"
             notices.append(Notice("simulation_failed", "warning", None, message, advice))
         elif diverged := rollouts.diverged.get(name):

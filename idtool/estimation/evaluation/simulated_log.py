@@ -64,7 +64,7 @@ def as_logged(log: JointLog) -> JointLog:
         If nothing in it moves a joint.
     """
     if not {"tau", "qcmd"} & log.signals.keys():
-        raise LogError(log.path, "has neither torque nor command; with --track, the controller follows its q")
+        raise LogError(log.path, "contains neither torque nor command; use --track to let the controller follow q")
     return log
 
 
@@ -77,7 +77,7 @@ def under_controller(log: JointLog) -> JointLog:
         If there is no command.
     """
     if "qcmd" not in log.signals:
-        raise LogError(log.path, "has no command; --closed-loop needs qcmd_<joint>, or --track to follow q itself")
+        raise LogError(log.path, "contains no command; --closed-loop needs qcmd_<joint>; use --track to follow q")
     return replace(log, signals={name: x for name, x in log.signals.items() if name != "tau"})
 
 

@@ -278,7 +278,7 @@ def unfinished_note(certificate: Certificate) -> str:
         return ""
     far = "an unknown fraction" if error is None else f"{error:.1g}"
     return (
-        "the cost is optimal, but some parameters are not: those determined only by the prior may be off "
+        "the cost is optimal, but some parameters are not exact: those that only the prior determines may be off "
         f"by {far} of their body's mass and size"
     )
 
@@ -300,7 +300,7 @@ def _refine_and_check(problem: Problem, solution: Solution, name: str, started: 
     solution = replace(solution, x=_with_exact_constraints(problem, solution.x))
     if not np.isfinite(problem.cost(problem.S @ solution.x)):
         _, where = violation(problem, solution.x)
-        raise _unsolved_error(problem, where, name, f"no body found ({solution.status})")
+        raise _unsolved_error(problem, where, name, f"no admissible parameters were found ({solution.status})")
     certificate = _certify_solution(problem, solution, SOLVER_INTERIOR, name, started)
     if refined := refine(problem, solution):
         refined_solution = replace(refined.solution, x=_with_exact_constraints(problem, refined.solution.x))
@@ -323,7 +323,10 @@ def _unsolved_error(problem: Problem, where: str, name: str, reason: str) -> Sol
     """The error that a solver found no good enough solution."""
     by = "" if name == "clarabel" else f" by {name}"
     labels = f" of {join_names(problem.equality_labels)}" if problem.equality_labels else ""
-    return SolverError(where or "solver", f"not solved well enough{by}: {reason}; check units and magnitudes{labels}")
+    return SolverError(
+        where or "solver",
+        f"the problem was not solved accurately enough{by}: {reason}; check units and magnitudes{labels}",
+    )
 
 
 def _certify_solution(problem: Problem, solution: Solution, margin: float, name: str, started: float) -> Certificate:

@@ -111,7 +111,7 @@ def _placeholder_notice(reasons: Mapping[str, str], densities: Sequence[float], 
     lowest, highest = f"{min(densities):.0f}", f"{max(densities):.0f}"
     density = lowest if lowest == highest else f"{lowest} to {highest}"
     message = (
-        f"the URDF's inertia is a placeholder for {join_names(list(reasons))} ({first_reason}): the prior is a uniform "
+        f"the URDF's inertia of {join_names(list(reasons))} is a placeholder ({first_reason}): the prior is a uniform "
         f"density of {density} kg/m³, {source}"
     )
     return Notice("placeholder_inertia", "warning", None, message)
@@ -296,12 +296,12 @@ def _density(
     mass_of_others = sum(float(body.pi[0]) for i, body in enumerate(model.bodies) if i not in unit_densities)
     total = config.known.total_mass
     if total is not None and total.value > mass_of_others:
-        return (total.value - mass_of_others) / volume, "from known.total_mass"
-    advice = "; measure the robot's mass and give it as known.total_mass"
+        return (total.value - mass_of_others) / volume, "computed from known.total_mass"
+    advice = "; weigh the robot and set known.total_mass"
     density = _density_from_torque(equation, reduction, unit_densities, len(model.bodies))
     if not density > 0:
         return _DEFAULT_DENSITY, f"which is assumed{advice}"
-    return float(np.clip(density, *_DENSITY_RANGE)), f"from the torque{advice}"
+    return float(np.clip(density, *_DENSITY_RANGE)), f"estimated from the torque{advice}"
 
 
 def _density_from_torque(

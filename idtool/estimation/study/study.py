@@ -168,7 +168,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)
     unsolved = [f"{name} {curve.unsolved}" for name, curve in curves.items() if curve.unsolved]
     if unsolved:
-        message = f"draws that the solver could not solve: {', '.join(unsolved)}"
+        message = f"some random draws could not be solved: {', '.join(unsolved)}"
         notices.append(Notice("draws_not_solved", "warning", None, message))
     rows = weighted_rows(equation, total, noise)[:, :-1]
     online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)

@@ -207,14 +207,14 @@ def _at_least_spectral(uncertainty: Uncertainty, independent: Mapping[str, float
 def _cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[Notice]:
     if robust.bootstrap is None:
         seconds = sum(len(log) * log.seconds for log in data)
-        few = f"{seconds:.2g} s of data are fewer than the {FEWEST_CLUSTERS} blocks that standard errors need"
-        message = f"{few}: they are computed from the residual's spectrum alone"
+        few = f"{seconds:.2g} s of data are too short for the {FEWEST_CLUSTERS} blocks that standard errors need"
+        message = f"{few}: the standard errors are computed from the residual's spectrum alone"
         return [Notice("few_blocks", "warning", None, message, "log for longer")]
     notices = []
     if robust.correlated_beyond_clusters:
         long = f"the residual is correlated over more than the {robust.cluster_seconds:.2g} s"
         message = f"{long} of the longest possible block: standard errors may be too small"
-        advice = "log for longer, or model what is missing"
+        advice = "log for longer, or add missing effects to the model (idtool diagnose)"
         notices.append(Notice("correlated_residual", "warning", None, message, advice))
     ratio = robust.bootstrap_ratio
     if ratio is not None and not 1 / _AGREEMENT < ratio < _AGREEMENT:
@@ -230,7 +230,9 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     notices = []
     if logs.duplicates:
         advice = f"leave out {join_names(logs.duplicates)}"
-        notices.append(Notice("duplicate_data", "warning", None, "duplicate data make intervals too short", advice))
+        notices.append(
+            Notice("duplicate_data", "warning", None, "duplicate data make the intervals too narrow", advice)
+        )
     if logs.agrees.all():
         return notices
     count = int(np.count_nonzero(~logs.agrees))
@@ -241,7 +243,7 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
             *notices,
             Notice("logs_disagree", "warning", None, f"{differ}; the log that differs from the others is {outlier}"),
         ]
-    message = f"{differ}: their intervals from all logs together are too short"
+    message = f"{differ}: the intervals of these parameters from all logs together are too narrow"
     return [*notices, Notice("logs_disagree", "warning", None, message)]
 
 
@@ -279,5 +281,5 @@ def _prediction_notices(torque_errors: Prediction, joints: Sequence[str]) -> lis
     unknown = [name for name, share in shares if share > _UNKNOWN_SHARE]
     if not unknown:
         return []
-    what = "differs from the fitted logs, in directions that their data do not determine"
-    return [Notice("new_motion_held_out", "warning", None, f"held-out motion of {join_names(unknown)} {what}")]
+    what = "excites directions that the fitted logs do not determine"
+    return [Notice("new_motion_held_out", "warning", None, f"the held-out motion of {join_names(unknown)} {what}")]

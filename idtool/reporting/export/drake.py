@@ -188,17 +188,21 @@ def _list_parts(
     for joint in robot.joints.values():
         if joint.name in model.names and not joint.effort > 0:
             not_carried.append(
-                Part("actuator", joint.name, "has an effort limit of 0, so Drake ignores it and its rotors")
+                Part("actuator", joint.name, "the effort limit is 0, so Drake ignores the actuator and its rotors")
             )
         if joint.mimic is not None and joint.child in links:
             not_carried.append(Part("mimic", joint.name, "Drake supports it only in a discrete plant"))
     if tuple(identified.gravity) != _DRAKE_GRAVITY:
         values = ", ".join(f"{x:.6g}" for x in identified.gravity)
         not_carried.append(
-            Part("gravity", robot.root, f"is a property of Drake's plant; set its gravity vector to [{values}]")
+            Part(
+                "gravity",
+                robot.root,
+                f"gravity is a property of Drake's plant; set the plant's gravity vector to [{values}]",
+            )
         )
     if robot.root != "world":
-        not_carried.append(Part("fixed_base", robot.root, "is free in Drake; weld it to the world"))
+        not_carried.append(Part("fixed_base", robot.root, "the base is free in Drake; weld it to the world"))
     return carried, not_carried
 
 

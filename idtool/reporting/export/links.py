@@ -56,7 +56,9 @@ def _add_body(scene: Scene, joint: UrdfJoint) -> None:
     if name == _WORLD:
         while name in scene.identified.robot.links:
             name += "_"
-        scene.not_carried.append(Part("name", joint.child, f"is a reserved name in MuJoCo; the body is called {name}"))
+        scene.not_carried.append(
+            Part("name", joint.child, f"this name is reserved in MuJoCo; the body is called {name}")
+        )
     scene.bodies[joint.child] = etree.SubElement(
         scene.bodies[joint.parent], "body", name=name, pos=text(p), quat=quaternion(R)
     )

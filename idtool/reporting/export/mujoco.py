@@ -104,7 +104,7 @@ def _header_lines(scene: Scene, has_rotor_bodies: bool) -> list[str]:
             "Before a simulation, set the positions and velocities of the rotors consistently with their joints."
         )
     if scene.not_carried:
-        lines += ["Not carried:", *(f"  {part}" for part in scene.not_carried)]
+        lines += ["Not exported:", *(f"  {part}" for part in scene.not_carried)]
     return lines
 
 
@@ -113,7 +113,7 @@ def _controller_lines(scene: Scene) -> list[str]:
     controller = scene.identified.config.controller
     if controller is None:
         return []
-    lines = ["The controller that drove the robot: ctrl = kp (qcmd - q) + kd (vcmd - v),"]
+    lines = ["Controller of the robot: ctrl = kp (qcmd - q) + kd (vcmd - v),"]
     delay = controller.known_delay
     unknown = "with a delay that was not identified (controller.delay: auto)."
     lines.append(f"with a command that is delayed by {delay.value!r} s." if delay else unknown)

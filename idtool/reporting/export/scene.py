@@ -104,7 +104,7 @@ class Scene:
                 Part(
                     "inertial",
                     name,
-                    "MuJoCo does not accept a body without mass, so it has a mass of",
+                    "MuJoCo does not accept a body without mass, so the body gets the smallest accepted mass",
                     MUJOCO_MINIMUM,
                     "kg",
                 )

@@ -76,7 +76,7 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
     shown_if = {_STEPS: bool(report.steps), _SIMULATION: simulation is not None}
     sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     return render(
-        f"{Path(report.urdf).stem}: what the model lacks",
+        f"{Path(report.urdf).stem}: diagnosis",
         with_robot(sections, robot),
         ["solids.js", "robot.js"],
         robot,

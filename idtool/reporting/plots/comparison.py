@@ -43,7 +43,7 @@ def advantage_figure(report: StudyReport) -> Figure:
         upper = -100 * np.expm1(-advantage - deviation)
         curves += banded_curve(name, learning.counts, y, lower, upper, _color(name, learning.curves))
     panel = Panel("error reduction [%]", curves, level=0)
-    return figure(f"Reduction of the held-out error relative to {first}", _SAMPLES, [panel], x_log=True)
+    return figure(f"Reduction of the held-out error relative to the set “{first}”", _SAMPLES, [panel], x_log=True)
 
 
 def violation_figure(report: StudyReport) -> Figure:

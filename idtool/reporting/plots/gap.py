@@ -101,4 +101,4 @@ def _step_label(i: int, model: str) -> str:
 
 
 def _unit_text(unit: str) -> str:
-    return unit.replace(" together", "")
+    return unit.removeprefix("mixed ")

@@ -14,7 +14,7 @@ from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, cur
 from idtool.reporting.plots.log_series import JointSeries, LogFigures, LogSeries, log_figures, log_series
 from idtool.reporting.results.rollouts import Simulation
 
-BASELINES = {"open_loop": "keeps its position", "closed_loop": "q = qcmd"}
+BASELINES = {"open_loop": "hold", "closed_loop": "q = qcmd"}
 _MAX_VALUES = 40_000  # that all curves hold together: some 300 kB of text
 _MAX_VALUES_ALONE = 80_000  # where there are no other figures
 _MARGIN = 0.5  # of the measured range, by which a curve that leaves it is shown to either side

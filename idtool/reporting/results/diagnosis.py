@@ -59,7 +59,9 @@ class CandidateReport(Record):
     effect: str = field("Its id, see [Effects](effects.md).")
     joint: str | None = field("The joint it acts on; null if it has none.")
     link: str | None = field("The link it acts on; null if it has none.")
-    score: float | None = field("Fraction of the residual that it explains on data to which it was not fitted.")
+    score: float | None = field(
+        "Fraction of the squared residual that the effect explains on data to which it was not fitted."
+    )
     standard_error: float | None = field("Standard error of the score.")
     parameters: int = field("Number of parameters.")
     reason: str = field("Why it was not chosen.")
@@ -68,11 +70,13 @@ class CandidateReport(Record):
 class Evidence(Record):
     """Evidence for a step."""
 
-    score: float | None = field("Fraction of the residual that it explains on data to which it was not fitted.")
+    score: float | None = field(
+        "Fraction of the squared residual that the effect explains on data to which it was not fitted."
+    )
     standard_error: float | None = field("Standard error of the score.")
     significance: float | None = field("Gain in standard errors.")
     pair: bool = field("Whether the data cannot distinguish it from the first alternative.")
-    separate: str = field("Experiment that would distinguish the two; empty without a pair.")
+    separate: str = field("Experiment that would distinguish the two effects; empty without a pair.")
     simulation_before: ByJointOrNone | None = field("Position error of the rollouts before the step [rad or m].")
     simulation_after: ByJointOrNone | None = field("Position error of the rollouts after the step.")
     rollout_worse: tuple[str, ...] = field(

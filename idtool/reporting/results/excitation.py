@@ -28,9 +28,9 @@ class MotionPart(Record):
 class Criteria(Record):
     """All criteria of a motion; null if a combination is not determined."""
 
-    d: float | None = field("D-optimality: mean logarithm of the relative standard errors.")
-    a: float | None = field("A-optimality: mean relative standard error.")
-    e: float | None = field("E-optimality: standard error of the worst combination.")
+    d: float | None = field("D-optimality: geometric mean of the relative standard errors.")
+    a: float | None = field("A-optimality: root mean square of the relative standard errors.")
+    e: float | None = field("E-optimality: relative standard error of the worst combination.")
     condition: float | None = field("Condition number.")
 
 
@@ -75,10 +75,10 @@ class JointLimitsReport(Record):
 class LimitUtilization(Record):
     """Largest fraction of each limit that the motion uses."""
 
-    position: float = field("Of the position range.")
-    velocity: float = field("Of the velocity.")
-    acceleration: float = field("Of the acceleration.")
-    effort: float = field("Of the effort.")
+    position: float = field("Fraction of half the position range, measured from its middle.")
+    velocity: float = field("Fraction of the velocity limit.")
+    acceleration: float = field("Fraction of the acceleration limit.")
+    effort: float = field("Fraction of the effort limit.")
 
 
 class Clearance(Record):
@@ -103,7 +103,7 @@ class ExcitationCurves(Record):
     """The motion and its predicted torque, for plots."""
 
     t: Vector = field("Time [s].")
-    joints: Annotated[ReadOnly[JointCurves], Keys("joint")] = field("By joint.")
+    joints: Annotated[ReadOnly[JointCurves], Keys("joint")] = field("Curves by joint.")
 
 
 class ExcitationReport(ReproducibleResult):

@@ -195,9 +195,10 @@ class ControllerDelay(Record):
 class UncertaintyReport(Record):
     """How standard errors were computed, and the standard error of the predicted torque."""
 
-    confidence: float = field("Confidence of the intervals, 0.95.")
+    confidence: float = field("Confidence level of the intervals: 0.95.")
     blocks: int = field(
-        "Number of time blocks for the standard errors; 0: too few, independent samples are counted instead."
+        "Number of time blocks for the standard errors; 0 if there are too few blocks, so that the standard errors are "
+        "computed from the number of independent samples."
     )
     block_seconds: float = field("Length of a block [s].")
     correlated_beyond_blocks: bool = field(
@@ -269,7 +270,7 @@ class RepeatedParameter(Record):
     value: tuple[float | None, ...] = field("Value by log; null if the log does not determine it.")
     standard_error: tuple[float | None, ...] = field("Standard error by log.")
     ratio: float | None = field("Scatter divided by the scatter expected from the standard errors.")
-    agrees: bool = field("Whether chance explains the scatter.")
+    agrees: bool = field("Whether the scatter can be explained by chance.")
 
 
 class RepeatabilityReport(Record):
@@ -279,7 +280,7 @@ class RepeatabilityReport(Record):
     agree: bool = field("Whether all combinations agree.")
     odd_one_out: str | None = field("The log that differs from all others, if there is one.")
     cross_rms: tuple[tuple[float, ...], ...] = field(
-        "RMS error of the model of one log (row) on another (column), in units of the noise."
+        "RMS error of the model fitted to one log (row) on another log (column), in units of the noise."
     )
     parameters: tuple[RepeatedParameter, ...] = field("All combinations.")
 
@@ -304,8 +305,8 @@ class AutomaticWeight(Record):
     best: float | None = field("Weight with the smallest error on the blocks left out; null if the logs are too short.")
     standard_error: float | None = field("Standard error of the squared error at that weight.")
     chosen: PathPointReport = field("The fit with the chosen weight.")
-    weaker: PathPointReport = field("The fit with a tenth of it.")
-    stronger: PathPointReport = field("The fit with ten times it.")
+    weaker: PathPointReport = field("The fit with a tenth of the chosen weight.")
+    stronger: PathPointReport = field("The fit with ten times the chosen weight.")
     path: tuple[PathPointReport, ...] = field("The fits with all weights that were tried.")
 
 

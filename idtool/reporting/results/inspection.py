@@ -10,7 +10,7 @@ from idtool.reporting.results.base import Keys, ReadOnly, Record, Result, field
 class GapReport(Record):
     """A gap in the stamps."""
 
-    start: float = field("Start, from the first stamp [s].")
+    start: float = field("Start of the gap, measured from the first stamp [s].")
     lost: float = field("Time that was lost [s].")
 
 
@@ -18,8 +18,8 @@ class SamplingReport(Record):
     """Actual sampling times, estimated from q and v."""
 
     skipped: float = field("Fraction of steps that are two or more sample periods long.")
-    jitter_ms: float | None = field("Standard deviation of the sampling times from an even spacing [ms].")
-    stamp_error_ms: float | None = field("Standard deviation of the sampling times from the stamps [ms].")
+    jitter_ms: float | None = field("RMS deviation of the sampling times from an even spacing [ms].")
+    stamp_error_ms: float | None = field("RMS difference between the sampling times and the stamps [ms].")
 
 
 class StampsReport(Record):
@@ -28,7 +28,7 @@ class StampsReport(Record):
     step_jitter: float | None = field("Standard deviation of the steps between stamps, in sample periods.")
     jitter_rms_ms: float | None = field("RMS deviation from evenly spaced stamps [ms].")
     jitter_max_ms: float | None = field("Largest deviation from evenly spaced stamps [ms].")
-    step_ms: float | None = field("Step of which all stamps are multiples [ms]; null: none.")
+    step_ms: float | None = field("Step of which all stamps are multiples [ms]; null if there is none.")
     duplicates: int = field("Number of stamps equal to the previous one.")
     backward: int = field("Number of stamps earlier than the previous one.")
     gaps: int = field("Number of gaps.")
@@ -49,7 +49,7 @@ class SignalReport(Record):
     step: float | None = field("Quantization step; null if the signal is continuous.")
     noise: float | None = field("Standard deviation of the white noise.")
     stale: float | None = field("Fraction of samples that repeat the previous one while the signal changes.")
-    stuck: float = field("Fraction of samples at the smallest or largest value, as on an end stop.")
+    stuck: float = field("Fraction of samples at the smallest or largest value, as in a clipped signal.")
 
 
 class VelocityReport(Record):
@@ -66,7 +66,7 @@ class TorqueSourceReport(Record):
     """Whether the torque seems to be measured or commanded."""
 
     kind: Literal["measured", "commanded", "unknown"] = field("`measured`, `commanded` or `unknown`.")
-    reason: str = field("Why.")
+    reason: str = field("Reason for this assessment.")
 
 
 class JointReport(Record):

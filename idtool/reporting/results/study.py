@@ -34,7 +34,9 @@ class SetReport(Record):
     iterations: int = field("Iterations of the solver.")
     lmi: str = field("Inequalities for one body.")
     violations: int = field("Number of bodies that are not realizable.")
-    worst_margin: float = field("Smallest eigenvalue of the worst body, in units of its mass and size.")
+    worst_margin: float = field(
+        "Smallest eigenvalue of the pseudo-inertia of the worst body, in units of its mass and size."
+    )
     masses: Annotated[ReadOnly[float], Keys("body")] = field("Identified masses [kg].")
 
 
@@ -67,7 +69,7 @@ class Advantage(Record):
 class LearningCurves(Record):
     """Errors as functions of the number of samples."""
 
-    counts: tuple[int, ...] = field("Sample counts.")
+    counts: tuple[int, ...] = field("Numbers of samples.")
     draws: int = field("Draws for each count.")
     unit_overall: str = field("Unit of the curves.")
     curves: Annotated[ReadOnly[LearningCurve], Keys("set")] = field("RMS validation error over all joints.")

@@ -57,7 +57,7 @@ class FinalBodiesSection(Section[AdaptationReport]):
         columns = [
             name_column("body"),
             Column("mass", "kg"),
-            Column("settled to 5 % after", "s", page_only=True),
+            Column("within 5 % of the final value after", "s", page_only=True),
             Column("centre of mass", "m", page_only=True),
             Column("realizable"),
             Column("constraint set", kind="name", page_only=True),

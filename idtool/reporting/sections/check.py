@@ -20,7 +20,7 @@ class LinksSection(Section[CheckReport]):
         columns = [name_column("link"), Column("mass", "kg"), Column("realizable")]
         if is_repaired:
             columns += [
-                Column("repaired", "kg"),
+                Column("repaired mass", "kg"),
                 Column("change", help="Largest change of the inertia, relative to its largest entry", attached=True),
             ]
         rows = []

@@ -31,7 +31,7 @@ _EXPLAINED = "Percentage of the squared residual that the effect removes on data
 class StepsSection(Section[DiagnosisReport]):
     """The effects that were added to the model, in order."""
 
-    title = "What the model lacks, step by step"
+    title = "Effects that the model lacks, step by step"
 
     @override
     def table(self, report: DiagnosisReport) -> Table | None:
@@ -48,7 +48,7 @@ class StepsSection(Section[DiagnosisReport]):
             Column(f"simulation error, {common_unit(position_units(report.units))}"),
             Column("residual explained", help=_EXPLAINED),
             Column("gain / se", help="Gain divided by its standard error", attached=True),
-            Column("or", kind="words", help="Effect that the data cannot distinguish from it"),
+            Column("alternative", kind="words", help="Effect that the data cannot distinguish from this one"),
         ]
         rows = []
         for i, step in steps:
@@ -73,7 +73,7 @@ class StepsSection(Section[DiagnosisReport]):
 class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
     """Errors by joint, before, after and at the noise floor."""
 
-    title = "Errors, step by step"
+    title = "Errors before and after"
     template = "diagnosis_gap.html"
     parts = (StepsSection(),)
 
@@ -132,7 +132,7 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
 def _rollout_cell(report: DiagnosisReport, error: float | None, name: str) -> Cell:
     """The rollouts' error in the end, marked where it is worse than before."""
     if name in report.rollout_worse:
-        return Cell(f"{number(error)} worse", error, "bad")
+        return Cell(f"{number(error)} (worse)", error, "bad")
     return number_cell(error, 3)
 
 

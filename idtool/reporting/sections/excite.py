@@ -33,7 +33,7 @@ class ExpectedErrorsSection(Section[ExcitationReport]):
             Column("unit", kind="name", attached=True),
         ]
         if is_logged:
-            columns.append(Column("± se so far", help="Standard error with the existing logs only"))
+            columns.append(Column("± se, existing logs", help="Standard error with the existing logs only"))
         rows = []
         for p in report.base_parameters:
             row = [Cell(p.name + (" *" if p.favoured else "")), number_cell(p.prior), number_cell(p.standard_error)]
@@ -90,7 +90,7 @@ class CriteriaSection(Section[ExcitationReport]):
 
     @override
     def table(self, report: ExcitationReport) -> Table:
-        columns = [name_column("of"), Column("D"), Column("A"), Column("E"), Column("condition")]
+        columns = [name_column("motion"), Column("D"), Column("A"), Column("E"), Column("condition")]
         rows = []
         for name, criteria in report.criteria.items():
             values = (criteria.d, criteria.a, criteria.e, criteria.condition)
@@ -100,6 +100,6 @@ class CriteriaSection(Section[ExcitationReport]):
     @override
     def text(self, report: ExcitationReport) -> str:
         return (
-            "D: geometric mean of the relative standard errors; A: their mean; E: the largest one; condition: "
-            "condition number."
+            "D: geometric mean of the relative standard errors; A: their root mean square; E: the largest of them; "
+            "condition: condition number."
         )

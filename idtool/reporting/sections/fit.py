@@ -46,7 +46,7 @@ class TorqueErrorsSection(Section[FitReport]):
             Column("prior", help="The original URDF, on the held-out data"),
             Column("train", help="The identified model, on the data that it was fitted to"),
             Column("held out", help="The identified model, on the held-out data"),
-            Column("of torque", help="Error divided by the measured torque's standard deviation", page_only=True),
+            Column("error / torque", help="Error divided by the measured torque's standard deviation", page_only=True),
             Column("prior, as logged", page_only=True),
             Column("train, as logged", page_only=True),
             Column("held out, as logged", page_only=True),
@@ -67,7 +67,7 @@ class TorqueErrorsSection(Section[FitReport]):
         return (
             "Root mean square of predicted minus measured torque, both filtered by the same zero-phase low-pass. As "
             "logged: relative to the unfiltered torque, so noise above the band counts as error too. Prior: the "
-            "original URDF, on the held-out data. Of torque: the error divided by the standard deviation of the "
+            "original URDF, on the held-out data. Error / torque: the error divided by the standard deviation of the "
             "measured torque."
         )
 
@@ -75,14 +75,14 @@ class TorqueErrorsSection(Section[FitReport]):
 class KnownValuesSection(Section[FitReport | DiagnosisReport]):
     """Quantities known by other means, and their identified values."""
 
-    title = "Known by other means"
+    title = "Known values"
 
     @override
     def table(self, report: FitReport | DiagnosisReport) -> Table | None:
         if not report.known:
             return None
         columns = [
-            Column("what", kind="words"),
+            Column("quantity", kind="words"),
             Column("known"),
             error_column(),
             Column("identified"),
@@ -198,9 +198,9 @@ class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
-            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine it only in a "
-            "sum with the inertia of bodies that turn with it. Where prior or constraints move the value, the interval "
-            "contains both the value and the estimate from the data alone."
+            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine this value "
+            "only in a sum with the inertia of bodies that turn with the rotor. If prior or constraints change the "
+            "value, the interval contains both the value and the estimate from the data alone."
         )
 
 
@@ -236,7 +236,7 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
             "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error; –: the data do not determine "
-            "the value. A value of –: not part of the model."
+            "the value. A value of – means that the term is not part of the model."
         )
 
 

@@ -27,14 +27,14 @@ class JointsSection(Section[InspectionReport]):
         columns = [
             name_column("joint"),
             Column("signals", kind="words"),
-            Column("from"),
-            Column("to", attached=True),
+            Column("q min"),
+            Column("q max", attached=True),
             Column("v rms"),
             Column("tau rms"),
             Column("band", "Hz"),
             Column("at rest"),
             Column("v lag", "ms"),
-            Column("tau", kind="words", help="Whether the torque seems to be measured or commanded"),
+            Column("tau source", kind="words", help="Whether the torque seems to be measured or commanded"),
         ]
         rows = []
         for name, joint in report.joints.items():

@@ -72,7 +72,7 @@ class SimulationErrorsSection(Section[Simulation]):
 
 def baseline_name(simulation: Simulation) -> str:
     """The motion that a model is compared with, as a column's heading."""
-    return "q = qcmd" if simulation.kind == "closed_loop" else "stays"
+    return "q = qcmd" if simulation.kind == "closed_loop" else "hold"
 
 
 def restarts_text(simulation: Simulation) -> str:

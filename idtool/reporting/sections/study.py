@@ -144,7 +144,7 @@ class OnlineSection(Section[StudyReport]):
 
     @override
     def table(self, report: StudyReport) -> Table:
-        columns = [name_column("set"), Column("time", "s", help="After which the error stays below 10 %")]
+        columns = [name_column("set"), Column("time", "s", help="Time after which the error remains below 10 %")]
         rows = []
         for name, seconds in report.adaptation.time_to_10_percent.items():
             rows.append([Cell(name), Cell("not reached") if seconds is None else number_cell(seconds)])

@@ -55,7 +55,7 @@ class TorqueStandardErrorsSection(Section[FitReport]):
             Column("independent samples"),
             Column("rms"),
             Column("largest"),
-            Column("unknown"),
+            Column("undetermined"),
         ]
         rows = []
         for joint in report.joints:
@@ -75,7 +75,7 @@ class TorqueStandardErrorsSection(Section[FitReport]):
         return (
             "Independent samples: the number of independent samples that would contain the same information as the "
             f"correlated ones. {data}. The standard errors contain only the errors of the parameters, not effects that "
-            "the model lacks. Unknown: percentage of the samples whose torque the fitted data do not determine."
+            "the model lacks. Undetermined: percentage of the samples whose torque the fitted data do not determine."
         )
 
 
@@ -93,7 +93,7 @@ class BaseParametersSection(Section[FitReport]):
             return None
         pulled = [p for p in base.parameters if p.pull is not None and p.pull > MAX_PULL]
         groups: dict[str, list[BaseParameter]] = {
-            "away from the data": sorted(pulled, key=lambda p: -(p.pull or 0.0)),
+            "changed by prior or constraints": sorted(pulled, key=lambda p: -(p.pull or 0.0)),
             "not determined": [p for p in base.parameters if p.pull is None],
             "from the data": [p for p in base.parameters if p.pull is not None and p.pull <= MAX_PULL],
         }
@@ -108,7 +108,7 @@ class BaseParametersSection(Section[FitReport]):
         ]
         rows = []
         for group, parameters in groups.items():
-            emphasis: Emphasis | None = "note" if group == "away from the data" else None
+            emphasis: Emphasis | None = "note" if group == "changed by prior or constraints" else None
             for p in parameters:
                 pull = Cell(NO_VALUE) if p.pull is None else Cell(f"{p.pull:.1f}", p.pull, emphasis)
                 values = error_cells(p.value, p.standard_error)
@@ -121,8 +121,9 @@ class BaseParametersSection(Section[FitReport]):
     def text(self, report: FitReport) -> str:
         return (
             "± se: one standard error; –: these logs do not determine the value. Pull: distance between the value and "
-            "the estimate from the data alone, in standard errors, due to prior and constraints; away from the data: "
-            f"more than {MAX_PULL:g}. The interval contains both. …: smaller terms; report.json lists all of them."
+            "the estimate from the data alone, in standard errors, due to prior and constraints; changed by prior or "
+            f"constraints: a pull of more than {MAX_PULL:g}. The interval contains both values. …: smaller terms; "
+            "report.json lists all of them."
         )
 
 
@@ -150,7 +151,7 @@ class CrossValidationSection(Section[FitReport]):
 
     @override
     def text(self, report: FitReport) -> str:
-        return "Red and bold: more than 1.5 times the error of the model that was fitted to this log."
+        return "Red and bold: more than 1.5 times the error of the model that was fitted to the log of the column."
 
 
 class RepeatabilitySection(Section[FitReport]):
@@ -173,7 +174,7 @@ class RepeatabilitySection(Section[FitReport]):
         if is_long:
             columns += [Column("smallest"), Column("in", kind="name", attached=True)]
             columns += [Column("largest"), Column("in", kind="name", attached=True)]
-        columns += [Column("times expected"), Column("beyond chance", attached=True)]
+        columns += [Column("scatter / expected"), Column("significant", attached=True)]
         rows = []
         for p in compared_parameters(repeatability)[:MAX_COMPARED]:
             row = [Cell(p.name), Cell(p.unit)]
@@ -184,13 +185,15 @@ class RepeatabilitySection(Section[FitReport]):
             emphasis: Emphasis | None = None if p.agrees else "bad"
             row += [number_cell(p.ratio, emphasis=emphasis), Cell("" if p.agrees else "yes", None, emphasis)]
             rows.append(row)
-        return Table("Least repeatable between the logs", columns, rows, max_terminal_rows=_MAX_TERMINAL_ROWS)
+        return Table(
+            "Parameters that differ most between the logs", columns, rows, max_terminal_rows=_MAX_TERMINAL_ROWS
+        )
 
 
 class BiasSection(Section[FitReport]):
     """Estimates by least squares and by instruments: those that differ first."""
 
-    title = "Least squares and instruments"
+    title = "Least squares and instrumental variables"
     template = "bias.html"
 
     @override
@@ -201,8 +204,8 @@ class BiasSection(Section[FitReport]):
             Column("base parameter", kind="words"),
             Column("unit", kind="name"),
             Column("least squares"),
-            Column("instruments"),
-            Column("difference", help="Estimate by instruments minus estimate by least squares"),
+            Column("instrumental variables"),
+            Column("difference", help="Instrumental-variables estimate minus least-squares estimate"),
             error_column(),
             Column("differs"),
         ]

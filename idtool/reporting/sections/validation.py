@@ -32,7 +32,7 @@ class ModelErrorsSection(Section[ValidationReport]):
         columns = [name_column("joint"), *units, Column("model")]
         if has_prior:
             columns.append(Column("prior"))
-        columns.append(Column("of torque", help="Error divided by the measured torque's standard deviation"))
+        columns.append(Column("error / torque", help="Error divided by the measured torque's standard deviation"))
         columns.append(Column("as logged", help="Error of the model relative to the unfiltered torque"))
         if has_prior:
             columns.append(Column("prior, as logged", page_only=True))
@@ -57,15 +57,15 @@ class ModelErrorsSection(Section[ValidationReport]):
     def text(self, report: ValidationReport) -> str:
         return (
             "Root mean square of predicted minus measured torque, both filtered by the same zero-phase low-pass. As "
-            "logged: relative to the unfiltered torque, so noise above the band counts as error too. Of torque: the "
-            "model's error divided by the standard deviation of the measured torque."
+            "logged: relative to the unfiltered torque, so noise above the band counts as error too. Error / torque: "
+            "the model's error divided by the standard deviation of the measured torque."
         )
 
 
 class RegressionCasesSection(Section[RegressionReport]):
     """Every case of the regression against its bound."""
 
-    title = "Regression"
+    title = "Regression test"
 
     @override
     def table(self, report: RegressionReport) -> Table:
@@ -81,7 +81,7 @@ class RegressionCasesSection(Section[RegressionReport]):
         for case in report.cases:
             errors = [number_cell(case.prior), number_cell(case.rms), number_cell(case.bound)]
             rows.append([Cell(case.case), Cell(case.joint), *errors, result_cell(case.ok)])
-        return Table("Regression: RMS torque error in the band, N·m or N", columns, rows, key_columns=2)
+        return Table("Regression test: RMS torque error in the band, N·m or N", columns, rows, key_columns=2)
 
 
 def result_cell(ok: bool) -> Cell:

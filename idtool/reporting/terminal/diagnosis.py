@@ -71,7 +71,7 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[
         rival = step.alternatives[0]
         terminal.say(
             f"   these data cannot distinguish it from {rival.effect} on {owner_name(rival)}: it explains "
-            f"{score_text(evidence.score, evidence.standard_error)} of the residual, {rival.effect} "
+            f"{score_text(evidence.score, evidence.standard_error)} of the residual, and {rival.effect} explains "
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )
@@ -80,7 +80,7 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[
         before, after = evidence.simulation_before, evidence.simulation_after
         errors = [f"{name} {change_text(before, after, name)} {lengths[name]}" for name in worse]
         terminal.say(
-            f"   with it, the torque is predicted better, but the simulation is worse: {', '.join(errors)}",
+            f"   with this effect, the torque is predicted better, but the simulation is worse: {', '.join(errors)}",
             STYLE["problem"],
         )
 

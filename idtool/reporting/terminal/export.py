@@ -10,7 +10,7 @@ def show_export(terminal: Terminal, report: ExportReport) -> None:
     """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line."""
     for what in dict.fromkeys(part.what for part in report.carried):
         names = dict.fromkeys(part.of for part in report.carried if part.what == what)
-        terminal.say(f"carried: {what} of {', '.join(names)}")
+        terminal.say(f"exported: {what} of {', '.join(names)}")
     groups: dict[tuple[str, str], list[ExportedPart]] = {}
     for part in report.not_carried:
         groups.setdefault((part.what, part.detail), []).append(part)
@@ -18,6 +18,6 @@ def show_export(terminal: Terminal, report: ExportReport) -> None:
         sizes = [(abs(part.value), part.unit) for part in parts if part.value is not None]
         bound = "up to " if len(sizes) > 1 else ""
         size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes else ""
-        terminal.say(f"not carried: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
+        terminal.say(f"not exported: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
     terminal.say(f"written: {report.file}")
     terminal.notices(report.notices)

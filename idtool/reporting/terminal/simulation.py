@@ -27,11 +27,12 @@ def _warning(simulation: Simulation) -> str | None:
     baseline = "a robot that keeps its position"
     if simulation.kind == "closed_loop":
         baseline = "a robot that follows its command exactly"
-    drift = f"Simulated for {restarts_text(simulation)}, the model is farther from the data than {baseline}"
+    drift = f"Simulated for {restarts_text(simulation)}, the model has a larger error than {baseline}"
     better = itertools.takewhile(lambda horizon: _is_better(horizon.position, horizon.baseline), simulation.horizon)
     if seconds := [horizon.seconds for horizon in better]:
         long = f"{1000 * seconds[-1]:g} ms"
-        return f"{drift}; it is closer up to {long} after a restart: do not trust its rollouts for longer than that."
+        better_until = f"its error is smaller up to {long} after a restart"
+        return f"{drift}; {better_until}: do not trust its rollouts for longer than that."
     return f"{drift}: do not trust its rollouts."
 
 

@@ -62,7 +62,7 @@ class Regularization(ConfigRecord):
             If it is still to be chosen from the data.
         """
         if self.is_automatic:
-            raise ValueError("the weight auto is chosen by regularization_path before a problem is stated")
+            raise ValueError("the weight is auto; choose a number with regularization_path before you build a problem")
         return 0.0 if self.weight == "auto" else self.weight
 
     def with_weight(self, weight: float) -> Self:
@@ -78,9 +78,9 @@ class Regularization(ConfigRecord):
     @model_validator(mode="after")
     def _check_units(self) -> Self:
         if self.units == "si" and self.kind in ("entropic", "pullback"):
-            raise ValueError(f"units: si is for kind euclidean; {self.kind} does not depend on units")
+            raise ValueError(f"units: si is only for kind: euclidean; {self.kind} does not depend on units")
         if self.units == "si" and self.weight == "auto":
-            raise ValueError("units: si needs a number for the weight; auto is for relative units")
+            raise ValueError("units: si needs a number for the weight; auto is only for relative units")
         return self
 
 
@@ -115,7 +115,7 @@ class Mirror(ConfigRecord):
     @model_validator(mode="after")
     def _check_copy(self) -> Self:
         if (self.body is None) == (self.joint is None):
-            raise ValueError("give either body or joint, and of")
+            raise ValueError("give `of`, and either `body` or `joint`")
         if self.joint is not None and self.plane is not None:
             raise ValueError("plane is only for bodies, not for joints")
         if self.of in (self.body, self.joint):

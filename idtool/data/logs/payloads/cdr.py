@@ -84,7 +84,7 @@ def _representation(message: bytes) -> tuple[str, int]:
 
 
 def _truncation_error(message: bytes) -> ValueError:
-    return ValueError(f"ends after {len(message)} bytes, within its fields")
+    return ValueError(f"is incomplete: it ends within a field, after {len(message)} bytes")
 
 
 class _Cursor:
