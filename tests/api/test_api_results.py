@@ -126,7 +126,7 @@ def test_a_result_may_be_sent_to_another_process(result: idtool.FitResult) -> No
 def test_a_fit_at_the_prompt(result: idtool.FitResult) -> None:
     lines = repr(result).splitlines()
     assert lines[0] == "FitResult leg.urdf: RMS torque error [N·m] below 40 Hz, on held-out data"
-    assert lines[1].split() == ["joint", "identified", "given", "viscous", "coulomb"]
+    assert lines[1].split() == ["joint", "identified", "prior", "viscous", "coulomb"]
     hip = result.friction["hip"]
     shown = (result.rms.validation or {})["hip"], (result.rms.prior_validation or {})["hip"], hip.viscous, hip.coulomb
     assert lines[3].split() == ["hip", *(f"{x:.4g}" for x in shown)]
@@ -138,7 +138,7 @@ def test_a_fit_at_the_prompt(result: idtool.FitResult) -> None:
 def test_without_held_out_data_the_fits_own_error_is_shown(out: Path) -> None:
     result = idtool.fit(LEG, out / "log.csv", holdout=0.0, quick=True)
     assert result.rms.validation is result.rms.prior_validation is None
-    assert "on what was fitted" in repr(result)
+    assert "on the fitted data" in repr(result)
     assert "warning: no data were held out" in repr(result)
     assert len(result.plot().data) == 4 * len(JOINTS)
 
@@ -150,7 +150,7 @@ def test_the_identified_model_is_the_one_in_the_files(
     folder = out / "fit"
     assert result.model.urdf == (folder / "identified.urdf").read_text()
     assert result.model.settings.model_dump() == read_config(folder / "model.yaml").model_dump()
-    assert repr(result.model).startswith("Model leg.urdf with what was identified\n  joints: abad, hip, knee\n")
+    assert repr(result.model).startswith("Model leg.urdf with the identified parameters\n  joints: abad, hip, knee\n")
     by_files = ["validate", folder / "identified.urdf", out / "log.csv", "--prior", LEG, "--max-rms", "hip=0.1"]
     done = run(*by_files, "--json", "--quiet", "--out", out / "validation")
     assert done.code == 1
@@ -161,7 +161,7 @@ def test_the_identified_model_is_the_one_in_the_files(
     assert (dict(found.ok), found.rms.model, found.rms.prior) == ({"hip": False}, *done.json["rms"].values())
     assert found.simulation is not None
     assert found.simulation.model_dump(mode="json") == done.json["simulation"]
-    assert "0.1000 missed" in repr(found)
+    assert "0.1000 (not met)" in repr(found)
     assert {path.name for path in found.save(out / "api")} == VALIDATION_FILES
     assert f"idtool.validate(&#39;{LEG}, identified&#39;" in (out / "api" / "validation.html").read_text()
 

@@ -90,7 +90,7 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "mirror: of two": (
         "mirror",
         [{"body": "hip_rotor", "of": "knee_rotor"}, {"body": "hip_rotor", "of": "abad_rotor"}],
-        "mirror: hip_rotor: is a copy of two others; keep one entry",
+        "mirror: hip_rotor: is given as a copy of two others; keep one entry",
     ),
     "mirror: an unknown body": (
         "mirror",
@@ -110,7 +110,7 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "SI units with an entropic prior": (
         "regularization",
         {"kind": "entropic", "units": "si"},
-        "regularization: units: si is for kind euclidean",
+        "regularization: units: si is only for kind: euclidean",
     ),
     "shapes: an unknown kind": (
         "bounding_shapes",
@@ -163,7 +163,7 @@ KEYS: dict[str, tuple[str, Any, str]] = {
     "an ellipsoid too small for its link": (
         "bounding_ellipsoids.thigh_link",
         [{"center": [1e6, 0, 0], "semi_axes": [1e-6, 1e-6, 1e-6]}],
-        "thigh_link: mass within its bounding ellipsoid: not solved well enough",
+        "thigh_link: mass within its bounding ellipsoid: the problem was not solved accurately enough",
     ),
     "joints: an unknown joint": (
         "joints",

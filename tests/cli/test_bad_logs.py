@@ -63,7 +63,7 @@ CSV: dict[str, tuple[bytes | list[Row], str]] = {
     "a time of nan": (column_set(TABLE, "t", lambda i: "nan"), "time does not advance"),
     "no time": (columns_kept(TABLE, lambda name: name != "t"), "no time column"),
     "two columns of one name": ([[*HEADER[:-1], "q_hip"], *SAMPLES], "two columns q_hip"),
-    "two columns of one signal": ([[*HEADER[:-1], "hip.position"], *SAMPLES], "are both q_hip"),
+    "two columns of one signal": ([[*HEADER[:-1], "hip.position"], *SAMPLES], "both match q_hip"),
     "no positions": (lacking("q_"), "no joint positions"),
     "no position of one joint": (lacking("q_hip"), "joint hip has no position"),
     "no torque and no command": (lacking("tau_"), "joint abad has neither torque nor position command"),
@@ -122,7 +122,7 @@ MCAP: dict[str, tuple[Callable[[Path], Any], str]] = {
     "one message": (lambda path: write_mcap(path, ros2(moving(1))), "at least two"),
     "joints of another robot": (
         lambda path: write_mcap(path, ros2(states(3000, ("a", "b")))),
-        "joints: abad: is not in every log; they have a, b",
+        "joints: abad: is not in every log; these joints are: a, b",
     ),
     "noise in place of a motion": (lambda path: write_mcap(path, ros2(moving())), "log.mcap: "),
     "cut off in its first bytes": (lambda path: path.write_bytes(TRAIN.read_bytes()[:5]), "log.mcap: "),

@@ -260,7 +260,7 @@ def test_logs_that_do_not_say_what_drives_them(tmp_path: Path, config: Path) -> 
     )
     done = idtool("simulate", LEG, "wave.csv", "--closed-loop", "--config", config, folder=tmp_path)
     assert (done.code, done.out) == (2, "")
-    assert "wave.csv: has no command" in done.err
+    assert "wave.csv: contains no command" in done.err
 
 
 def test_a_model_that_cannot_move_loses_nothing(tmp_path: Path) -> None:

@@ -204,7 +204,7 @@ def test_a_log_given_twice_is_named(folder: Path, logs: tuple[Path, Path]) -> No
     copy = folder / "copy.csv"
     copy.write_bytes(logs[0].read_bytes())
     report = asked(folder / "twice", *logs, copy, "--config", CONFIG)
-    assert "duplicate data make intervals too short; leave out copy.csv" in report["warnings"]
+    assert "duplicate data make the intervals too narrow; leave out copy.csv" in report["warnings"]
 
 
 def test_different_logs_are_no_copies(report: dict[str, Any]) -> None:
@@ -216,7 +216,7 @@ def test_the_table_of_many_logs_is_no_wider_than_that_of_few(folder: Path) -> No
     done = idtool("fit", LEG, *logs, "--config", CONFIG, "--out", folder / "many", "--no-simulation")
     assert (done.code, done.err) == (0, "")
     _, head, *rows = done.out[done.out.index("Parameters that differ most between the logs") :].splitlines()
-    assert head.split() == ["parameter", "smallest", "in", "largest", "in", "times", "expected", "beyond", "chance"]
+    assert head.split() == ["parameter", "smallest", "in", "largest", "in", "scatter", "/", "expected", "significant"]
     assert "…" not in "".join(rows[:4]).replace("+ …", "")
     assert any(f"{log.name} " in rows[0] for log in logs)
 

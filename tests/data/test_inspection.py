@@ -112,8 +112,8 @@ DEFECTS: dict[str, Defect] = {
     "long gap": (long_gap, "warning", None, "1 gap, 2 s in total; the longest is 2 s, 14.999 s after the start"),
     "clock set back": (backward, "warning", None, "1 stamp earlier than the previous one"),
     "duplicate stamps": (duplicates, "note", None, "15 stamps equal to the previous one"),
-    "late stamps": (late_stamps, "warning", None, "the time between stamps varies by 0.16 samples rms"),
-    "samples off their stamps": (hidden_jitter, "warning", None, "stamps by 0.25 samples rms"),
+    "late stamps": (late_stamps, "warning", None, "the time between stamps varies by 0.16 sample periods rms"),
+    "samples off their stamps": (hidden_jitter, "warning", None, "stamps by 0.25 sample periods rms"),
     "rows repeated": (repeated_rows(8), "warning", None, "12.5 % of the samples repeat"),
     "samples skipped": (skipped_samples, "warning", None, "2.9 % of the steps are two or more sample periods long"),
 }
@@ -207,7 +207,7 @@ def test_a_control_law_is_told_from_a_measurement() -> None:
     sources = [joints[name].torque for name in JOINTS]
     assert [source.kind for source in sources if source] == ["commanded", "measured", "commanded"]
     assert "-20 q -1 v +20 qcmd" in (sources[0].reason if sources[0] else "")
-    assert "1 samples late" in (sources[2].reason if sources[2] else "")
+    assert "with a delay of 1 sample period," in (sources[2].reason if sources[2] else "")
 
 
 def test_a_clipped_command_is_still_a_command() -> None:
@@ -238,7 +238,7 @@ def test_a_torque_whose_rounding_hides_its_noise_is_unknown(step: float) -> None
 def test_motion_too_fast_for_its_sampling_is_named() -> None:
     findings = inspect(clean_signals(seconds=120.0, rate=25.0)).findings
     assert [f.subject for f in findings] == list(JOINTS)
-    assert all("99 % of the velocity's power reaches up to 6" in f.message for f in findings)
+    assert all("99 % of the velocity's power lies below 6" in f.message for f in findings)
 
 
 def test_many_short_segments() -> None:
@@ -302,7 +302,7 @@ def test_a_velocity_is_not_blamed_for_the_unit_of_the_times(per_second: float) -
     inspection = inspect(s)
     (finding,) = inspection.findings
     assert (finding.severity, data_fault(finding), finding.subject) == ("problem", "wrong_unit", None)
-    assert ("in ms, judging by v" if per_second == 1e3 else "in us, judging by v") in finding.message
+    assert ("in ms, according to v" if per_second == 1e3 else "in us, according to v") in finding.message
     assert inspection.reading == ()
 
 

@@ -167,7 +167,7 @@ def test_rows_of_two_topics_that_take_turns(written: Written) -> None:
     log = read_log(written("t,/a/hip/effort,/b/hip/position,/b/hip/velocity\n" + rows, "log.csv"))
     assert list(log.signals) == ["q", "v"]
     assert log.t.tolist() == [i + 0.5 for i in range(10)]
-    assert sentences(log.notices)[0].endswith("kept the 10 samples of hip, ignored 10 samples, tau_hip")
+    assert sentences(log.notices)[0].endswith("kept: 10 samples of hip; ignored: 10 samples, tau_hip")
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_seconds_stay(written: Written, start: float) -> None:
     rows = "".join(f"{start + i!r},{i}\n" for i in range(50))
     log = read_log(written("t,q_hip\n" + rows, "log.csv"))
     assert log.t.tolist() == [start + i for i in range(50)]
-    assert sentences(log.notices) == ("samples are 1 s apart; the times look like ms",)
+    assert sentences(log.notices) == ("samples are 1 s apart; the times seem to be in ms",)
 
 
 def test_many_pieces(written: Written, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
@@ -252,7 +252,7 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
         ("t,v_hip\n0,1\n1,2\n", "no joint positions found"),
         ("t,q_hip,q_hip\n0,1,2\n", "has two columns q_hip; rename or remove one"),
         ("t,t,q_hip\n0,1,2\n", "has 2 columns t; rename all but one"),
-        ("t,q_hip,hip.position\n0,1,2\n", "columns q_hip and hip.position are both q_hip; set log.columns"),
+        ("t,q_hip,hip.position\n0,1,2\n", "columns q_hip and hip.position both match q_hip; set log.columns"),
         ("t,q_hip\n0,1\n1\n2,3\n", "line 3 has 1 cells, but the first line 2"),
         ("t,q_hip\n0,1\n1,2,3\n2,3\n", "line 3 has 3 cells, but the first line 2"),
         ("t,x,q_hip\n0,1,1\n1,2\n2,2,3\n", "line 3 has 2 cells, but the first line 3"),

@@ -174,7 +174,7 @@ def test_sources_that_take_turns(tmp_path: Path) -> None:
     log = read_log(write_mcap(tmp_path / "log", ros2(both), chunk_size=3000))
     check_log(log, arm)
     assert sentences(log.notices)[0].endswith(
-        "kept the 100 samples of abad, hip, knee, ignored 20 samples, q_finger, v_finger, tau_finger"
+        "kept: 100 samples of abad, hip, knee; ignored: 20 samples, q_finger, v_finger, tau_finger"
     )
 
 
@@ -188,7 +188,7 @@ def test_a_source_that_speaks_seldom(tmp_path: Path) -> None:
     ]
     log = read_log(write_mcap(tmp_path / "log", ros2(items)))
     check_log(log, [replace(s, effort=()) for s in arm])
-    assert sentences(log.notices)[0].endswith("ignored q_finger, v_finger")
+    assert sentences(log.notices)[0].endswith("ignored: q_finger, v_finger")
 
 
 def test_two_publishers_of_one_topic(tmp_path: Path) -> None:
@@ -230,10 +230,10 @@ def test_messages_without_joints_are_no_samples(tmp_path: Path) -> None:
         (b"", "no joint positions"),
         (b"\0\1", "message 3 of /joint_states is not plain CDR: it begins with 00 01"),
         (b"\0\2\0\0" + bytes(40), "is not plain CDR"),
-        (b"\0\1\0\0" + bytes(8), "ends after 12 bytes"),
+        (b"\0\1\0\0" + bytes(8), "ends within a field, after 12 bytes"),
         (b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0" + bytes(3) + b"\xff\xff\xff\xff", "is too short for 4294967295 names"),
         (b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0" + bytes(3) + b"\1\0\0\0\2\0\0\0\xff\0", "not UTF-8"),
-        (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff", "ends after 16 bytes"),
+        (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff", "ends within a field, after 16 bytes"),
     ],
 )
 def test_payloads_that_cannot_be_read(tmp_path: Path, payload: bytes, said: str) -> None:

@@ -149,7 +149,7 @@ def test_json_mixed_shapes(tmp_path: Path) -> None:
     ]
     log = read_log(write_mcap(tmp_path / "log", json_channel(items)))
     check_log(log, items[1::2])
-    assert sentences(log.notices)[0].endswith("kept the 30 samples of hip, knee, ignored 30 samples")
+    assert sentences(log.notices)[0].endswith("kept: 30 samples of hip, knee; ignored: 30 samples")
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,10 @@ REFUSED: dict[str, tuple[list[Channel], str]] = {
         "topic /arm/robot_description contains a different robot description from topic /robot_description; give",
     ),
     "no CDR": ([replace(described(TEXT), payloads=[b"<robot/>"])], "a message of /robot_description is not plain CDR"),
-    "cut CDR": ([replace(described(TEXT), payloads=[b"\0\1\0\0\xff\0\0\0<robot/>"])], "ends after 16 bytes"),
+    "cut CDR": (
+        [replace(described(TEXT), payloads=[b"\0\1\0\0\xff\0\0\0<robot/>"])],
+        "ends within a field, after 16 bytes",
+    ),
     "no JSON": (
         [replace(described(TEXT, encoding="json"), payloads=[b"<robot/>"])],
         "has no text in a field called data",

@@ -261,7 +261,7 @@ def test_what_to_do_next(found: Diagnosis) -> None:
     assert first.startswith("First correct the data")
     wanted = "To distinguish Stribeck friction on hip from load-dependent friction on hip: slow strokes of the hip"
     assert second.startswith(wanted)
-    assert third.startswith("The remaining residual on knee is not caused by any known effect")
+    assert third.startswith("The remaining residual on knee is not explained by any known effect")
 
 
 def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:
@@ -353,7 +353,7 @@ def test_the_commands_options(tmp_path: Path, asked: list[Asked]) -> None:
             ["--effects", "torque_ripple,stribek"],
             "--effects: stribek is not an effect; did you mean stribeck_friction?",
         ),
-        (["--effects", ""], "--effects: nothing is not an effect; available: "),
+        (["--effects", ""], "--effects: an empty name is not an effect; available: "),
         (["--effects", "unknown"], "--effects: unknown is not an effect; "),
         (["--assume", "endstop:knee"], "--assume: endstop is not an effect; did you mean end_stop?"),
         (["--assume", "end_stop:kne"], "--assume: kne is not a joint of the model; did you mean knee?"),

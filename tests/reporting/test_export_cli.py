@@ -77,7 +77,7 @@ def test_rotors_as_bodies_carry_everything(out: Path) -> None:
     assert (done.code, done.json["not_carried"]) == (0, [])
     assert mujoco.MjModel.from_xml_path(done.json["file"]).nv == 6
     reflected = idtool("export", out, "--to", "mujoco")
-    assert "note: --rotor-bodies" in reflected.out
+    assert "note: use --rotor-bodies" in reflected.out
 
 
 def refused(out: Path, *arguments: object) -> str:

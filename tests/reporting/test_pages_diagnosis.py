@@ -103,7 +103,7 @@ def test_a_doubt_stands_at_its_step(found: Diagnosis) -> None:
     first, second = found.steps
     page = page_of(replace(found, steps=(first, replace(second, doubt="too heavy to be true"))))
     assert page.levels[:3] == ["good", "note", "note"]
-    assert "In doubt. Too heavy to be true." in page.plain
+    assert "Doubtful. Too heavy to be true." in page.plain
 
 
 def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
@@ -113,7 +113,8 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     assert page.levels[:4] == ["good", "note", "note", "bad"]
     assert "Do not simulate with this model." in page.plain
     assert (
-        "With it, the torque is predicted better, but the simulation is worse: abad, hip, knee, overall." in page.plain
+        "With this effect, the torque is predicted better, but the simulation is worse for abad, hip, knee, overall."
+        in page.plain
     )
     assert page.tags.count(("td", {"class": "bad"})) == 1 + len(JOINTS) + 1  # of the step, and of all joints
     assert ("td", {"class": "bad"}) not in page_of(found).tags
@@ -201,7 +202,7 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     wanted = found.first.simulation.traces[0].curves["identified"]
     np.testing.assert_allclose(*(np.sort(x.reshape(3, -1, 2)) for x in (drawn, wanted)), atol=1e-3)
     assert "Prior: the original model, fitted without these effects." in page.text
-    hip = page.table("stays")["hip"]
+    hip = page.table("hold")["hip"]
     for column, fitted in (("model", found.last), ("prior", found.first)):
         assert fitted.simulation is not None
         assert hip[column] == four_digits(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])

@@ -79,7 +79,7 @@ def test_a_joint_at_rest_has_a_range() -> None:
 
 def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion))
-    models = ["model", "prior", "stays"]
+    models = ["model", "prior", "hold"]
     heads = ["joint", "unit", *models, *(f"velocity, {name} [unit/s]" for name in models)]
     start = page.rows.index(heads)
     errors = ["0.1000", "0.2000", "0.9000", "0.2000", "0.4000", "1.800"]
@@ -92,23 +92,23 @@ def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
 def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion))
     assert "in 10 of 12 windows, spread over the logs. Each window is 0.5 s long" in page.plain
-    assert "keeps its position" in page.plain
+    assert "Hold: the error of a robot" in page.plain
     (figure,) = page.figures_of("Position error against time since the restart")
     assert figure.x == [0.01, 0.05, 0.1, 0.5]
-    assert figure.titles == ["RMS error [rad and m together]", "time since the restart [s]"]
+    assert figure.titles == ["RMS error [mixed rad and m]", "time since the restart [s]"]
     assert figure.layout["xaxis"]["type"] == figure.layout["yaxis"]["type"] == "log"
     assert {name: figure.y(name) for name in figure.names} == {
         "model": [0.001, 0.005, 0.01, 0.05],
         "prior": [0.002, 0.01, 0.02, 0.1],
-        "keeps its position": [0.009, 0.045, 0.09, 0.45],
+        "hold": [0.009, 0.045, 0.09, 0.45],
     }
 
 
 def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion, closed=True))
     assert (
-        "under the joint controller, with the logged command and the controller's delay, over 5.00 s. It is never "
-        "restarted" in page.plain
+        "under the joint controller, with the logged command and the controller's delay, over 5.00 s. "
+        "The simulation is never restarted" in page.plain
     )
     assert "q = qcmd" in page.plain
     assert page.figures_of("Position error") == []
@@ -117,12 +117,12 @@ def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
 @pytest.mark.parametrize(
     ("own", "level", "said"),
     [
-        (0.1, "good", "0.100 rad and m together RMS"),
+        (0.1, "good", "0.100 mixed rad and m RMS"),
         (0.3, "note", "that of the prior 0.200"),  # worse than the prior
         (
             1.5,
             "note",
-            "so the simulation drifts: 0.0150 rad and m together after 0.01 s",
+            "so the simulation drifts: 0.0150 mixed rad and m after 0.01 s",
         ),  # worse than what does not move
         (float("nan"), "note", "diverges"),
     ],
@@ -153,7 +153,7 @@ def test_without_a_prior_nothing_is_said_of_one(motion: dict[str, Array]) -> Non
     boxes = [attrs["data-curve"] for _, attrs in page.tags if "data-curve" in attrs]
     assert boxes == ["prior"]  # of the torques
     assert page.figures_of(POSITION)[0].names == ["measured", "simulated"]
-    assert page.figures_of("Position error")[0].names == ["model", "keeps its position"]
+    assert page.figures_of("Position error")[0].names == ["model", "hold"]
 
 
 @pytest.mark.parametrize("asked", [True, False])

@@ -18,7 +18,7 @@ JOINTS = (SCRIPT, SLIDE, "knee")
 BODIES = (BODY, "thigh", "shank", "r1", "r2", "r3")
 
 
-LEARNING, ADVANTAGE = "Fig. 5: held-out error", "Reduction of the held-out error relative to none"
+LEARNING, ADVANTAGE = "Fig. 5: held-out error", "Reduction of the held-out error relative to the set “none”"
 VIOLATION, ONLINE = "Worst violation of realizability", "Remark 5: parameter error of the online estimate"
 
 
@@ -130,7 +130,10 @@ def test_the_tightest_is_best_with_few_samples(report: dict[str, Any]) -> None:
         "Constraint sets fitted to fewer than 100 samples, in order of their held-out error: "
         "ellipsoid, full, semi, none. On average, the held-out" in text
     )
-    assert "error is lower than that with none from the same samples: with ellipsoid by 51.05 ± 0.98 % (at" in text
+    assert (
+        "error is lower than that of the set “none” fitted to the same samples: with ellipsoid by 51.05 ± 0.98 % ("
+        in text
+    )
     assert "(largest difference, with 1 sample: 80.00 ± 0.40 %), with full by" in text
     assert "clearly" not in text
     assert "With 100 samples or more, the errors of all sets are within 5 %" in text
@@ -222,7 +225,9 @@ def test_a_set_without_pairs_is_not_compared(report: dict[str, Any]) -> None:
     draws["none"][:2, 0] = np.nan
     report["learning"] = of_draws(draws)
     page = page_of(report)
-    assert "in order of their held-out error: not known. Not compared, because too few draws" in page.plain
+    assert (
+        "in order of their held-out error: not known. These sets are not compared, because too few draws" in page.plain
+    )
     assert "for one of the sample counts: none, full, semi." in page.plain
     assert page.levels[0] == "note"
 
@@ -241,8 +246,8 @@ def test_sets_whose_bodies_cannot_exist_are_named(report: dict[str, Any]) -> Non
     text = page_of(report).plain
     assert "not realizable: none 2 of 6, semi 1 of 6." in text
     assert (
-        "Fitted to 30 samples, the median violation of realizability by the worst body is: none 0.027, semi 0.010"
-        in text
+        "In the fits to 30 samples, the median over the draws of the worst body's violation of realizability is: "
+        "none 0.027, semi 0.010" in text
     )
     for name in ("none", "semi"):
         report["sets"][name]["violations"] = 0
@@ -254,8 +259,8 @@ def test_sets_whose_bodies_cannot_exist_are_named(report: dict[str, Any]) -> Non
 
 def test_the_first_to_converge_online_is_named(report: dict[str, Any]) -> None:
     text = page_of(report).plain
-    assert "The parameter error first fell below 10 % with ellipsoid, after 1.15 s; with full after 4.61 s." in text
-    assert "It did not fall below 10 % within the data with none." in text
+    assert "The parameter error falls below 10 % earliest with ellipsoid, after 1.15 s; with full after 4.61 s." in text
+    assert "It does not fall below 10 % before the end of the data with none." in text
     report["adaptation"]["time_to_10_percent"]["full"] = 1.151
     assert "falls below 10 % earliest with full and ellipsoid, after 1.15 s." in page_of(report).plain
     report["adaptation"]["time_to_10_percent"] = dict.fromkeys(("none", "full", "ellipsoid"))
@@ -271,7 +276,7 @@ def test_what_was_not_solved_breaks_a_line(report: dict[str, Any]) -> None:
     assert page.table("semi", ["samples"])["1"]["none"] == "–"
     assert page.figures_of(VIOLATION)[0].y("none") == [None] * 10
     assert page.figures_of(LEARNING)[0].y("none")[:2] == [None, 5.5]
-    assert "by the worst body is: semi 0.010" in page.plain
+    assert "worst body's violation of realizability is: semi 0.010" in page.plain
 
 
 def test_charts_hold_the_reports_figures(report: dict[str, Any]) -> None:

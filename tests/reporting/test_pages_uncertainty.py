@@ -133,12 +133,12 @@ def test_base_parameters_that_are_held_come_first(report: dict[str, Any]) -> Non
     page = page_of(report)
     start = page.rows.index(["base parameter", "unit", "value", "± se", "95 % interval", "pull", "estimate"])
     assert page.rows[start + 1 :][:4] == [
-        ["knee coulomb", "N·m", "1.23", "0.10", "1.00 to 1.40", "7.2", "away from the data"],
-        ["knee viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "4.0", "away from the data"],
+        ["knee coulomb", "N·m", "1.23", "0.10", "1.00 to 1.40", "7.2", "changed by prior or constraints"],
+        ["knee viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "4.0", "changed by prior or constraints"],
         ["hip coulomb", "N·m", "1.234", "–", "–", "–", "not determined"],
         ["hip viscous", "N·m", "1.23", "0.10", "1.00 to 1.40", "0.0", "from the data"],
     ]
-    assert "2 away from the data, 1 not determined, 1 from the data" in page.plain
+    assert "2 changed by prior or constraints, 1 not determined, 1 from the data" in page.plain
     assert "These logs determine 3 of the 4. Prior or constraints keep 2 of them" in page.plain
     assert "32 blocks of 0.250 s" in page.plain
     assert "they are 1.07 times as large." in page.plain
@@ -245,7 +245,7 @@ def test_both_estimates_stand_side_by_side(report: dict[str, Any]) -> None:
     ]
     assert "1 of 3 base parameters differ between the two" in page.plain
     assert "simulated under the logged command" in page.plain
-    assert "The fit itself uses instruments; the instruments were computed 2 times." in page.plain
+    assert "The fit itself uses instrumental variables; the instruments were computed 2 times." in page.plain
 
 
 def test_what_was_not_asked_has_no_section(report: dict[str, Any]) -> None:

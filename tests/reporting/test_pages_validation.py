@@ -112,7 +112,7 @@ def test_bounds_pass_or_fail(noisy: dict[str, Array]) -> None:
     page = validated(evaluation_of(noisy))
     results = {name: (row["bound"], row["result"]) for name, row in page.table("bound").items()}
     assert results == {"j0": ("0.5", "ok"), "j1": ("–", ""), "j2": ("–", ""), "overall": ("0.3", "NOT MET")}
-    assert "Not met: overall." in page.text
+    assert "These bounds are not met: overall." in page.text
     assert page.levels == ["good", "bad"]
 
 

@@ -78,7 +78,7 @@ def test_a_model_that_cannot_be_simulated_has_no_report_but_a_note() -> None:
     rollouts = rollouts_of(FLAT, failed={"model": "leg.urdf: cannot be simulated"})
     assert reported(rollouts) is None
     assert sentences(simulation_notices(rollouts, "model")) == (
-        "no simulation of the model: leg.urdf: cannot be simulated",
+        "the model was not simulated: leg.urdf: cannot be simulated",
     )
 
 
@@ -90,7 +90,7 @@ def test_a_prior_that_cannot_be_simulated_is_null_and_a_note() -> None:
     assert report["prior"] is report["prior_lost"] is report["horizon"][0]["prior"] is None
     assert sentences(simulation_notices(rollouts, "model")) == (
         "2 of 10 simulations of the model diverged and were stopped",
-        "no simulation of the prior: why",
+        "the prior was not simulated: why",
     )
 
 
@@ -155,7 +155,7 @@ def test_a_fit_that_cannot_be_simulated_is_written_all_the_same(tmp_path: Any) -
     arguments = [LEG, tmp_path / "log.csv", "--validate", tmp_path / "log.csv", "--config", config]
     report = fitted(tmp_path, *arguments, simulated=True)
     assert report["simulation"] is None
-    assert [w for w in report["warnings"] if w.startswith("no simulation of the model: ")]
+    assert [w for w in report["warnings"] if w.startswith("the model was not simulated: ")]
     assert (tmp_path / "report.html").is_file()
 
 

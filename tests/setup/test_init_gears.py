@@ -48,8 +48,8 @@ def test_ratio_of_1_stands_where_nothing_is_known_and_is_not_taken_over(tmp_path
     more = transmission("turn", "1") + transmission("lift", "6.5")
     report = init(robot(tmp_path, ARM.replace("</robot>", more + "</robot>")), as_csv(tmp_path / "run.csv", arm(3.0)))
     text = Path(report["file"]).read_text()
-    assert "gear_ratio: lift: 6.5 (URDF" in text
-    assert "A ratio of 1 was ignored, because URDFs contain it if the ratio is unknown: turn." in text
+    assert "Gear ratios in the URDF (<transmission>): lift: 6.5. " in text
+    assert "A gear ratio of 1 was ignored, because it usually means that the ratio is unknown: turn." in text
     assert {name: rotor.gear_ratio for name, rotor in filled(text, 0.5).rotors.items()} == {
         "turn_rotor": 0.5,
         "lift_rotor": 6.5,

@@ -55,7 +55,7 @@ def test_torque_that_never_changes_is_none_where_there_is_a_command(tmp_path: Pa
     assert (seen.joints, seen.commanded) == (JOINTS, ("lift",))
     assert not seen.logs[0].has("tau", "lift")  # so that trials take the controller's
     assert seen.logs[0].has("tau", "turn")
-    assert any("treated as not logged: lift" in warning for warning in sentences(seen.notices))
+    assert any("treated as if it were not logged: lift" in warning for warning in sentences(seen.notices))
 
 
 def test_torque_that_never_changes_is_that_of_a_passive_joint_where_it_is_asked_for(tmp_path: Path) -> None:
@@ -72,7 +72,9 @@ def test_joint_that_moves_without_torque_is_not_held_still_without_a_word(tmp_pa
     assert seen.joints == ("turn", "roll")
     assert seen.locked["lift"].reason == "has neither torque nor position command in run.csv"
     assert seen.without_torque == {"lift": "run.csv"}
-    assert "locked joints move in the logs, which disturbs the torque of the others: lift" in sentences(seen.notices)
+    assert "these locked joints move in the logs, which affects the torque of the other joints: lift" in sentences(
+        seen.notices
+    )
 
 
 def test_joints_that_stand_still_are_no_reason_for_a_word(tmp_path: Path) -> None:
@@ -103,7 +105,7 @@ def test_joints_given_as_held_still_are(tmp_path: Path) -> None:
     seen = told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), locked_joints={"lift": 0.2})
     assert seen.joints == ("turn", "roll")
     assert seen.locked["lift"].reason == "locked in the configuration"
-    assert any(warning.startswith("locked joints move") for warning in sentences(seen.notices))
+    assert any(warning.startswith("these locked joints move") for warning in sentences(seen.notices))
     with pytest.raises(ConfigError, match="is not an actuated joint of the URDF"):
         told(tmp_path, csv(tmp_path, moved(), "q", "v", "tau"), joints=["left"])
 

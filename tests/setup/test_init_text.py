@@ -37,7 +37,7 @@ def test_every_template_loads_once_it_is_filled_in(tmp_path: Path) -> None:
     assert config.rotors["roll_rotor"].parent == "upper"
     assert config.known.total_mass is not None
     assert set(config.bounding_ellipsoids) == {"turret", "upper", "fore", "tool", "lift_rotor"}
-    assert "lift: -6.5 (URDF, <transmission>)" in Path(report["file"]).read_text()
+    assert "(<transmission>): lift: -6.5. " in Path(report["file"]).read_text()
 
 
 def test_template_of_a_rotor_stands_where_the_urdf_has_the_joint(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_bodies_with_geometry_are_bounded_and_of_others_it_is_said_what_is_missi
     (left,) = (left["what"] for left in report["left"] if left["key"] == "bounding_ellipsoids")
     assert left.startswith("ellipsoids of upper, tool; meshes of upper could not be read (upper: line ")
     assert where in left
-    assert "# tool: the URDF gives it no collision or visual" in written
+    assert "# tool: the link has no collision or visual geometry in the URDF" in written
     assert set(filled(written).bounding_ellipsoids) == {"turret", "upper", "fore", "tool"}
 
 

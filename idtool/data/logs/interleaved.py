@@ -50,8 +50,8 @@ def make_log_of_complete_samples(
     if not rows.all():
         removed.insert(0, f"{(~rows).sum()} samples")
     message = (
-        "no two consecutive samples contain all signals, because several sources seem to write alternately; "
-        f"the {rows.sum()} samples of {join_names(kept_joints)} were kept, {join_names(removed)} were ignored"
+        "no two consecutive samples contain all signals, because several sources seem to write alternately; kept: "
+        f"{rows.sum()} samples of {join_names(kept_joints)}; ignored: {join_names(removed)}"
     )
     advice = "log position and torque in the same message"
     notices += (Notice("interleaved_signals", "warning", None, message, advice),)
