@@ -84,7 +84,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
             if prior:
                 row.append(four_digits(prior[name]))
             share = self.nrms.get(name)
-            row.append("" if share is None else f"{100 * share:.1f}%")
+            row.append("" if share is None else f"{100 * share:.1f} %")
             if self.bound:
                 row.append(self._bound_text(name))
             rows.append(row)

@@ -105,7 +105,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "itself as source": (
         entry("transmission_coupling", "shoulder", **COUPLING),
-        "transmission_coupling: source shoulder is the joint itself; name another",
+        "transmission_coupling: source must not be the joint shoulder itself; name another",
     ),
 }
 

@@ -288,7 +288,7 @@ def test_links_behind_a_joint_that_is_held_still(tmp_path: Path) -> None:
     tool = experiment(urdf, csv, load(), locked_joints={"end": 0.4}).equation.effects[-1]
     assert tool.frame.body == 2  # type: ignore[attr-defined]
     config_with(tmp_path / "arm.yaml", effects=[on_link("payload", "flange", **LOAD)])
-    said = "payload: link flange is carried by joint end, which is locked; name the link before it"
+    said = "payload: link flange is carried by joint end, which is locked; name the parent link of this joint"
     refuse(tmp_path, "fit", urdf, csv, "--out", "out", naming=said)
 
 

@@ -168,7 +168,8 @@ def test_a_displacement_that_no_motion_of_the_log_tells_is_refused(tmp_path: Pat
     urdf, csv = written(tmp_path, hysteretic, noise=NOISE)
     given = entry("presliding_hysteresis", "lift", amplitude=AMPLITUDE, displacement=1e3)
     config_with(tmp_path / "arm.yaml", effects=[given])
-    said = "joint lift hardly moves in the part to fit, or only where one of the effects (presliding_hysteresis) is not"
+    part = "the part of the logs that is used for the fit"
+    said = f"joint lift hardly moves in {part}, or only where one of the effects (presliding_hysteresis) is not"
     refuse(tmp_path, "fit", urdf, csv, "--out", "out", naming=said)
 
 

@@ -218,7 +218,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "a word": (entry("encoder_offset", offset="left"), "encoder_offset: offset is not a number"),
     "no joint": (entry("encoder_offset", None, offset=1), "encoder_offset: acts on a joint"),
     "an unknown joint": (entry("time_delay", "lit", delay=0.01), "lit is not a moving joint; did you mean lift?"),
-    "a link": ({**entry("time_delay", None, delay=0.01), "link": "fore"}, "time_delay: acts on a joint, or on all"),
+    "a link": (
+        {**entry("time_delay", None, delay=0.01), "link": "fore"},
+        "time_delay: acts on one joint, or on",
+    ),
     "milliseconds": (entry("time_delay", delay=5), "a delay of 5 s is too long; give at most 1 s"),
 }
 

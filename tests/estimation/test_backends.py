@@ -81,7 +81,7 @@ def test_a_first_order_method_that_stops_short_is_refused(robot_of: Robots, monk
     problem = problem_of(data(robot_of))
     monkeypatch.setattr("idtool.estimation.problem.backends._SETTINGS", {"SCS": {"max_iters": 20}})
     monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: None)
-    with pytest.raises(SolverError, match=r"not solved well enough by cvxpy \(SCS\): relative duality gap \d"):
+    with pytest.raises(SolverError, match=r"not solved accurately enough by cvxpy \(SCS\): relative duality gap \d"):
         solve_with_backend(problem, "SCS")
 
 

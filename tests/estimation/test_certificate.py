@@ -196,7 +196,9 @@ def test_a_solve_cut_short_is_refused_and_names_a_body(
     """Where refining does not help either."""
     monkeypatch.setattr("idtool.estimation.problem.estimate.refine", lambda problem, solution: None)
     s, tau = random_data(tmp_path, 2)
-    with pytest.raises(SolverError, match=r"link\d: .*: not solved accurately enough: relative duality gap \d"):
+    with pytest.raises(
+        SolverError, match=r"link\d: .*: the problem was not solved accurately enough: relative duality gap \d"
+    ):
         solve(stated(s, tau, kind), max_iter=3)
 
 

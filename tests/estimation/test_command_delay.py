@@ -183,7 +183,7 @@ def test_commands_that_stand_still_tell_nothing() -> None:
     steady = {name: np.broadcast_to(x[:1], x.shape).copy() for name, x in log.signals.items() if "cmd" in name}
     found = found_in(replace(log, signals={**log.signals, **steady}))
     assert (found.value, found.standard_error, found.text) == (0.0, None, None)
-    assert sentences(found.notices) == ("controller.delay: the commands do not determine it; 0 is used",)
+    assert sentences(found.notices) == ("controller.delay: the commands do not determine the delay; 0 is used",)
 
 
 def test_measured_torque_has_no_delay_of_a_command() -> None:
@@ -217,7 +217,10 @@ def test_without_a_fit_a_delay_of_auto_is_none_and_said(tmp_path: Path) -> None:
     logged = idtool.Log.from_arrays("run", log.t, log.joints, **log.signals)
     model = idtool.Model(URDF, tmp_path / "leg.yaml")
     result = idtool.validate(model, logged, simulation=False)
-    assert any(note.startswith("controller.delay: auto, but this command does not fit it") for note in result.warnings)
+    assert any(
+        note.startswith("controller.delay: the delay is auto, but this command does not fit it")
+        for note in result.warnings
+    )
     identified = idtool.fit(model, logged, quick=True).model
     assert not any("auto" in note for note in idtool.validate(identified, logged, simulation=False).warnings)
 

@@ -159,7 +159,7 @@ def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     ("sizes", "said"),
     [
         ([], "no part without gaps is long enough for the filter"),
-        ([5], "joint hip hardly moves in the part to fit; log a motion"),
+        ([5], "joint hip hardly moves in the part of the logs that is used for the fit; log a motion"),
     ],
     ids=["no samples", "samples that do not count"],
 )

@@ -145,6 +145,5 @@ def test_bounds_that_a_copy_loses_are_said(robot_of: Robots, turned: bool) -> No
     own = bodies[of].ellipsoids[0].mirrored(np.array([1.0, 1.0 if turned else -1.0, 1.0]))
     bodies[copy] = replace(bodies[copy], ellipsoids=(own,))
     said = sentences(with_equal_bounds(replace(s.model, bodies=tuple(bodies)), s.equalities).notices)
-    assert [warning for warning in said if "HR_link1" in warning] == (
-        ["copies have the bounds of their originals, not those configured: HR_link1"] if turned else []
-    )
+    instead = "these copies get the bounds of their originals instead of their own from the configuration"
+    assert [warning for warning in said if "HR_link1" in warning] == ([f"{instead}: HR_link1"] if turned else [])

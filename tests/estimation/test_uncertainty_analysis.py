@@ -172,7 +172,7 @@ def test_a_short_log_is_told_by_its_spectrum() -> None:
     for analysis in (one, fourth, more):
         assert analysis.cluster_robust.bootstrap is None
         (said,) = (said for said in texts(analysis.notices) if "blocks" in said)
-        assert "fewer than the 16 blocks" in said
+        assert "too short for the 16 blocks" in said
         assert "log for longer" in said
     B = base()[one.uncertainty.directions.determines(base())]
     assert len(B) > 20

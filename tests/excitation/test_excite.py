@@ -148,7 +148,7 @@ def test_mcap_by_its_ending_a_page_and_simulate_takes_it(tmp_path: Path) -> None
     page = Page((tmp_path / "m.html").read_text())
     complete(page)
     assert [row["velocity"] for row in page.table("effort").values()]
-    assert len(page.table("± se", first=["base parameter", "of"])) == len(report["base_parameters"])
+    assert len(page.table("± se", first=["base parameter", "motion"])) == len(report["base_parameters"])
     figure = page.figures[1]
     curves = ("position", "velocity", "acceleration", "predicted torque")
     assert figure.names == [name for curve in curves for name in (curve, "limit", "limit")]

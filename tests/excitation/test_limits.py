@@ -29,7 +29,8 @@ def test_the_urdfs_limits(tmp_path) -> None:  # type: ignore[no-untyped-def]
     assert (found.velocity.tolist(), found.effort.tolist()) == ([4, 4], [30, 30])
     assert found.acceleration.tolist() == [40, 40]
     assert tuple(notice.message for notice in found.notices) == (
-        "no acceleration limit; the one that reaches the velocity limit in 0.1 s is assumed: a 40 rad/s², b 40 rad/s²",
+        "no acceleration limit; the acceleration that reaches the velocity limit in 0.1 s is assumed: "
+        "a 40 rad/s², b 40 rad/s²",
     )
 
 

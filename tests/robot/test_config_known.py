@@ -20,9 +20,12 @@ Refusal = Callable[[str | bytes], str]
         ("regularization: {units: mm}", "regularization.units: input should be 'relative' or 'si'"),
         (
             "regularization: {kind: entropic, units: si}",
-            "regularization: units: si is for kind euclidean; entropic does not depend on units",
+            "regularization: units: si is only for kind: euclidean; entropic does not depend on units",
         ),
-        ("regularization: {kind: pullback, units: si}", "regularization: units: si is for kind euclidean; pullback"),
+        (
+            "regularization: {kind: pullback, units: si}",
+            "regularization: units: si is only for kind: euclidean",
+        ),
         # What is known otherwise.
         ("known: {mass: {thigh: -0.6}}", "known.mass.thigh.value: input should be greater than 0"),
         ("known: {mass: {thigh: 0}}", "known.mass.thigh.value: input should be greater than 0"),
@@ -43,8 +46,8 @@ Refusal = Callable[[str | bytes], str]
         ("mirror: [{joint: a, of: a}]", "mirror.0: a cannot be a copy of itself; name another"),
         ("mirror: [{body: a, of: b, plane: zx}]", "mirror.0.plane: input should be 'xy', 'xz' or 'yz'"),
         ("mirror: [{joint: a, of: b, plane: xz}]", "mirror.0: plane is only for bodies, not for joints"),
-        ("mirror: [{of: b}]", "mirror.0: give either body or joint, and of"),
-        ("mirror: [{body: a, joint: a, of: b}]", "mirror.0: give either body or joint, and of"),
+        ("mirror: [{of: b}]", "mirror.0: give `of`, and either `body` or `joint`"),
+        ("mirror: [{body: a, joint: a, of: b}]", "mirror.0: give `of`, and either `body` or `joint`"),
         ("mirror: [{body: a}]", "mirror.0.of: field required"),
         # Bounding shapes.
         (

@@ -46,11 +46,10 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
     law = _control_law(runs, tau)
     if law is not None:
         return TorqueSource("commanded", law)
-    if (tau.stale or 0.0) > _MAX_STALE_SHARE:
-        return TorqueSource(
-            "unknown",
-            f"{100 * tau.stale:.0f} % of its values repeat the previous one: the sensor or the controller is slow",
-        )
+    stale = tau.stale or 0.0
+    if stale > _MAX_STALE_SHARE:
+        repeats = f"{100 * stale:.0f} % of its values repeat the previous one"
+        return TorqueSource("unknown", f"{repeats}: the sensor or the controller is slow")
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
         return TorqueSource("commanded", "it has no noise, so it is probably computed")
