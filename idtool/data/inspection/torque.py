@@ -48,10 +48,8 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         return TorqueSource("commanded", law)
     stale = tau.stale or 0.0
     if stale > _MAX_STALE_SHARE:
-        return TorqueSource(
-            "unknown",
-            f"{100 * stale:.0f} % of its values repeat the previous one: the sensor or the controller is slow",
-        )
+        repeats = f"{100 * stale:.0f} % of its values repeat the previous one"
+        return TorqueSource("unknown", f"{repeats}: the sensor or the controller is slow")
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
         return TorqueSource("commanded", "it has no noise, so it is probably computed")
