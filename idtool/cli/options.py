@@ -111,7 +111,7 @@ MaxRmsOption = Annotated[
 InertiaOption = Annotated[
     Literal["refit", "fixed"],
     typer.Option(
-        help="Identify the inertia again at every step, or keep that of the URDF fixed, so that payloads, torque gains "
+        help="refit: identify the inertia again at every step; fixed: keep that of the URDF, so that payloads, gains "
         "and tilted bases can be found."
     ),
 ]
@@ -121,7 +121,7 @@ AssumeOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="EFFECT:JOINT",
-        help="Start with this effect, on a joint or link if it has one; repeatable.",
+        help="Start with this effect, on this joint or link if it acts on one; repeatable.",
     ),
 ]
 ReportOnlyOption = Annotated[

@@ -283,7 +283,7 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         message = (
             f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction on {', '.join(search.reversal_joints)} "
             "does not follow Coulomb's law, as if a simulator smoothed the friction; these samples were excluded "
-            "in the last rounds"
+            "in the last steps of the search"
         )
         yield Notice("reversals_left_aside", "warning", None, message)
 

@@ -329,7 +329,7 @@ def _read_blocks(
             logs.append(Blocks(log.path.name, parts, length * low_pass.stride * log.dt))
     for name, defined, total in zip(equation.joints, defined_count, row_count, strict=True):
         if defined < _MIN_DEFINED_ROWS * total:
-            what = f"joint {name} has {defined:.0f} of {total:.0f} samples at which all effects are defined"
+            what = f"at joint {name}, all effects are defined in only {defined:.0f} of {total:.0f} samples"
             raise ConfigError("effects", f"{what}; log more motion")
     return logs
 

@@ -92,7 +92,7 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     if changes:
         masses = " and ".join(list(changes.values())[:2])
         message = (
-            f"{join_names(list(changes))}: more than three times heavier or lighter than in the prior ({masses}): the "
+            f"{join_names(list(changes))}: mass differs from the prior by more than a factor of three ({masses}): the "
             "mass may compensate for something the model lacks, such as rotors, springs or larger bounding ellipsoids"
         )
         yield Notice("implausible_mass", "warning", None, message, advice)

@@ -138,7 +138,7 @@ class _Builder:
                     )
                 if name not in self.logged:
                     raise ConfigError(
-                        f"joints: {name}", f"is not in every log; these joints are: {join_names(self.logged)}"
+                        f"joints: {name}", f"is not in every log; the joints in every log: {join_names(self.logged)}"
                     )
             chosen = list(dict.fromkeys(self.config.joints))
         else:

@@ -122,7 +122,7 @@ MCAP: dict[str, tuple[Callable[[Path], Any], str]] = {
     "one message": (lambda path: write_mcap(path, ros2(moving(1))), "at least two"),
     "joints of another robot": (
         lambda path: write_mcap(path, ros2(states(3000, ("a", "b")))),
-        "joints: abad: is not in every log; these joints are: a, b",
+        "joints: abad: is not in every log; the joints in every log: a, b",
     ),
     "noise in place of a motion": (lambda path: write_mcap(path, ros2(moving())), "log.mcap: "),
     "cut off in its first bytes": (lambda path: path.write_bytes(TRAIN.read_bytes()[:5]), "log.mcap: "),

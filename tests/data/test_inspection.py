@@ -86,7 +86,7 @@ DEFECTS: dict[str, Defect] = {
     "tau coarse": (rounded("tau", 0.3), "warning", "hip", "tau has a resolution of 0.3"),
     "tau saturated": (clipped("tau", 1.5), "warning", "hip", "tau stays at its extremes, -1.5 and 1.5"),
     "tau held": (held_samples("tau", 4), "warning", "hip", "of the samples of tau repeat the previous one"),
-    "tau not finite": (not_finite, "warning", "hip", "10 samples of tau are not finite"),
+    "tau not finite": (not_finite, "warning", "hip", "tau is not finite in 10 samples"),
     "q coarse": (rounded("q", 2 * np.pi / 1000), "warning", "hip", "q has a resolution of 0.00628"),
     "q held": (held_samples("q", 2), "warning", "hip", "50.0 % of the samples of q repeat"),
     "q frozen": (

@@ -137,7 +137,7 @@ def test_an_effect_that_the_motion_does_not_tell_is_not_fitted(tmp_path: Path, l
         entry("presliding_hysteresis", amplitude=0.0, displacement=share * way / 4) for share in (0.04, 0.98)
     )
     assert fit_trial(base, [short], [0], silent, 0).linearized.row_counts.sum() == base.row_counts.sum()
-    with pytest.raises(ConfigError, match=r"joint hinge has \d+ of \d+ samples at which all effects are defined"):
+    with pytest.raises(ConfigError, match=r"at joint hinge, all effects are defined in only \d+ of \d+ samples"):
         fit_trial(base, [long], [0], silent, 0)
 
 

@@ -50,7 +50,7 @@ def channel_findings(
     """
     for signal, figures in joint.signals.items():
         if figures.not_finite:
-            number = f"{count_text(figures.not_finite, 'sample')} of {signal} are not finite"
+            number = f"{signal} is not finite in {count_text(figures.not_finite, 'sample')}"
             meaning = "these rows are left out, and the log is split there"
             yield Notice("not_finite", "warning", name, number, meaning)
         if joint.moves:
@@ -119,7 +119,7 @@ def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterato
             "q": "a fit uses the logged v where it is less noisy; otherwise",
             "v": "a fit differentiates q where that is less noisy; otherwise",
         }.get(signal, "use a larger excitation, or")
-        consequence = f"a noise of {100 * noise:.0f} % (rms) in the {disturbed}"
+        consequence = f"{100 * noise:.0f} % (rms) of noise in the {disturbed}"
         rounding = f"{signal} has a resolution of {step:.3g}, which causes {consequence}"
         yield Notice(
             "coarse_channel",

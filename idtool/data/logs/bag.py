@@ -58,7 +58,7 @@ def bag_files(folder: Path) -> list[Path]:
         raise LogError(
             folder,
             f"is a folder without {METADATA}, so it is not a rosbag2 folder. Run 'ros2 bag reindex "
-            f"{shlex.quote(str(folder))} -s mcap' to write it, or name a file in the folder",
+            f"{shlex.quote(str(folder))} -s mcap' to create that file, or give one of the log files in the folder",
         )
     information = _bag_information(metadata)
     names = _file_names(information)

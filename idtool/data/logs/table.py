@@ -146,7 +146,7 @@ class CsvTable:
                     continue
                 line = f"line {self._line + reader.line_num}"
                 if len(row) != len(self.header):
-                    raise LogError(self._path, f"{line} has {len(row)} cells, but the first line {len(self.header)}")
+                    raise LogError(self._path, f"{line} has {len(row)} cells; the first line has {len(self.header)}")
                 for i in columns:
                     if not _is_number(row[i]):
                         message = f"{line}, column {printable(self.header[i])}: '{printable(row[i])}' is not a number"

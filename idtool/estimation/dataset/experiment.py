@@ -206,13 +206,13 @@ class Experiment:
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
-            what = f"no part without gaps is long enough for the filter; the longest has {longest:.3g} s"
+            what = f"no part without gaps is long enough for the filter; the longest lasts {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
         if still:
             what = "hardly moves in the part of the logs that is used for the fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
                 what += f", or only where one of the effects ({join_names(effects)}) is not defined"
-            what += "; log a motion, or lock it by leaving it out of joints"
+            what += "; log a motion of the joint, or lock the joint by leaving it out of joints"
             raise LogError(self.runs[0].signals.log.path, f"joint {join_names(still)} {what}")
         return data
 

@@ -262,12 +262,12 @@ def stuck_note(certificate: Certificate) -> str:
     if certificate.holds:
         return (
             f"keeping the bodies inside their sets by a margin of {INTERIOR:g} of their mass and size increases the "
-            f"cost by up to a fraction of {certificate.margin:.1e}: the data favour bodies far outside their sets"
+            f"cost by a relative amount of up to {certificate.margin:.1e}: the data favour bodies far outside them"
         )
     at = f", with {certificate.where} at its limit" if -certificate.violation < _AT_LIMIT else ""
     return (
-        f"{certificate.name} stopped after {certificate.iterations} iterations at a cost up to "
-        f"a fraction of {certificate.duality_gap:.1e} above the global optimum{at}"
+        f"{certificate.name} stopped after {certificate.iterations} iterations at a cost that may exceed "
+        f"the global optimum by a relative amount of {certificate.duality_gap:.1e}{at}"
     )
 
 

@@ -281,5 +281,5 @@ def _prediction_notices(torque_errors: Prediction, joints: Sequence[str]) -> lis
     unknown = [name for name, share in shares if share > _UNKNOWN_SHARE]
     if not unknown:
         return []
-    what = "excites directions that the fitted logs do not determine"
+    what = "excites combinations of parameters that the logs of the fit do not determine"
     return [Notice("new_motion_held_out", "warning", None, f"the held-out motion of {join_names(unknown)} {what}")]
