@@ -51,7 +51,7 @@ class ExcitationResult(ExcitationReport):
         Parameters
         ----------
         file
-            The log, MCAP or CSV by its ending.
+            The log; its extension decides the format.
         made_by
             Command that the HTML report shows.
 

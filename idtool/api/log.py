@@ -32,7 +32,7 @@ class Log:
     Parameters
     ----------
     path
-        The file, MCAP or CSV, or a rosbag2 folder.
+        The log file, or a rosbag2 folder.
     topic
         The topic with the joint states, if the file has several topics.
     columns
@@ -212,7 +212,7 @@ class Log:
         return self._record.notices
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the log as MCAP or CSV, depending on the file extension; returns the path.
+        """Write the log in the format of the file extension; returns the path.
 
         Raises
         ------

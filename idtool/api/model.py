@@ -192,7 +192,7 @@ class Model:
         Parameters
         ----------
         path
-            The file: MCAP or CSV.
+            The log file.
 
         Raises
         ------

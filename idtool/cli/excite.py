@@ -10,7 +10,16 @@ from typing import Annotated
 import typer
 
 from idtool.cli.app import FIRST_STEPS, app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, command_line, finish, output_folder
+from idtool.cli.options import (
+    LOG_TO_WRITE,
+    ConfigOption,
+    JsonOption,
+    QuietOption,
+    UrdfArgument,
+    command_line,
+    finish,
+    output_folder,
+)
 from idtool.common.exceptions import ConfigError
 
 _ALL_JOINTS = ""  # an option's value for all joints
@@ -26,9 +35,7 @@ def excite_command(
     config: ConfigOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Log to write, MCAP or CSV according to its extension; default: <urdf stem>_idtool/excitation.mcap."
-        ),
+        typer.Option(help=f"{LOG_TO_WRITE}; default: <urdf stem>_idtool/excitation.mcap."),
     ] = None,
     log: Annotated[
         list[Path] | None, typer.Option(help="An existing log that the trajectory complements; repeatable.")

@@ -8,14 +8,12 @@ from typing import Annotated
 import typer
 
 from idtool.cli.app import FIRST_STEPS, app
-from idtool.cli.options import JsonOption, QuietOption, finish
+from idtool.cli.options import LOG_FORMATS, JsonOption, QuietOption, finish
 
 
 @app.command("inspect", rich_help_panel=FIRST_STEPS, epilog="Example: idtool inspect run1.mcap")
 def inspect_command(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="A log: MCAP, CSV or a rosbag2 folder.", show_default=False)
-    ],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help=f"A log ({LOG_FORMATS}).", show_default=False)],
     config: Annotated[
         Path | None, typer.Option("--config", help="Configuration; only its log section is used.")
     ] = None,

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from idtool.reporting.terminal import Terminal
 
 
+LOG_FORMATS = "MCAP, CSV or a rosbag2 folder"  # that help texts name
+LOG_TO_WRITE = "Log to write, MCAP or CSV according to its extension"
+
+
 def resolve_unnamed(path: Path | None) -> Path | None:
     """The path with a name, after which output is named: ``.`` and ``..`` have none and are resolved."""
     if path and path.name in ("", ".."):
@@ -62,8 +66,7 @@ LogsArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG",
-        help="Logs: MCAP, CSV or rosbag2 folders. If the first one is a bag with /robot_description, the URDF may "
-        "be omitted.",
+        help=f"Logs ({LOG_FORMATS}). If the first one is a bag with /robot_description, the URDF may be omitted.",
         show_default=False,
         default_factory=list,
         callback=require_log,

@@ -9,6 +9,8 @@ import typer
 
 from idtool.cli.app import USE_THE_MODEL, app
 from idtool.cli.options import (
+    LOG_FORMATS,
+    LOG_TO_WRITE,
     ConfigOption,
     JsonOption,
     QuietOption,
@@ -28,17 +30,14 @@ LogArgument = Annotated[
     Path | None,
     typer.Argument(
         metavar="LOG",
-        help="A log or, with --track, a trajectory: MCAP, CSV or a rosbag2 folder. A bag with /robot_description "
-        "needs no URDF.",
+        help=f"A log or, with --track, a trajectory ({LOG_FORMATS}). A bag with /robot_description needs no URDF.",
         show_default=False,
         callback=require_log,
     ),
 ]
 LogOutOption = Annotated[
     Path | None,
-    typer.Option(
-        help="Log to write, MCAP or CSV according to its extension; default: <urdf stem>_idtool/simulated.mcap."
-    ),
+    typer.Option(help=f"{LOG_TO_WRITE}; default: <urdf stem>_idtool/simulated.mcap."),
 ]
 WindowOption = Annotated[
     float | None,

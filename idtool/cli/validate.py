@@ -9,6 +9,7 @@ import typer
 
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
+    LOG_FORMATS,
     JsonOption,
     MaxRmsOption,
     NoSimulationOption,
@@ -38,7 +39,7 @@ def validate_command(
         typer.Argument(metavar="URDF", help="The model's URDF.", show_default=False, callback=resolve_unnamed),
     ] = None,
     logs: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG", help="Logs: MCAP, CSV or rosbag2 folders.", show_default=False)
+        list[Path] | None, typer.Argument(metavar="LOG", help=f"Logs ({LOG_FORMATS}).", show_default=False)
     ] = None,
     config: Annotated[
         Path | None,

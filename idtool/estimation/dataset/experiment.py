@@ -277,7 +277,7 @@ def prepare(
     if not 0 <= holdout < 1:
         raise ConfigError("--holdout", f"{holdout:g} is not a fraction; give a number from 0 to below 1")
     if not logs and not validate:
-        raise LogError("logs", "no log given; name at least one MCAP or CSV file")
+        raise LogError("logs", "no log given; name at least one log file")
     fitted = [transform(_read(log, config)) for log in logs]
     validated = [transform(_read(log, config)) for log in validate]
     every = (*fitted, *validated)
