@@ -18,7 +18,7 @@ PARTS = ITEMS[:100], ITEMS[100:220], ITEMS[220:]
 
 
 def test_a_folder_without_metadata(tmp_path: Path) -> None:
-    said = r"run: is a folder without metadata.yaml, so it is not a rosbag2 folder. Run .*name a file"
+    said = r"run: is a folder without metadata.yaml, so it is not a rosbag2 folder. Run .*give one of the log files"
     (tmp_path / "run").mkdir()
     with pytest.raises(LogError, match=said):
         read_log(tmp_path / "run")
@@ -34,7 +34,7 @@ def test_a_recorder_that_was_killed_before_it_wrote_the_metadata(tmp_path: Path,
     (tmp_path / "run" / name).write_bytes(b"x")
     assert is_bag(tmp_path / "run")
     for arguments in (["run"], ["run", "run"]):
-        refuse(tmp_path, "fit", *arguments, naming="Run 'ros2 bag reindex run -s mcap' to write it", file="run")
+        refuse(tmp_path, "fit", *arguments, naming="Run 'ros2 bag reindex run -s mcap' to create that file", file="run")
         (tmp_path / "out").rename(tmp_path / f"out{len(arguments)}")
 
 

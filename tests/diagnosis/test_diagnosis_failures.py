@@ -82,7 +82,7 @@ def test_an_effect_that_the_motion_does_not_tell_is_skipped(arm: Experiment, mon
         return {int(self.joint): np.ones(len(motion.t), dtype=bool)}
 
     monkeypatch.setattr(ParallelSpring, "invalid_mask", invalid_mask)
-    without_spring(diagnosed(arm), "joint j1 has 0 of ")
+    without_spring(diagnosed(arm), "at joint j1, all effects are defined in only 0 of ")
 
 
 def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
