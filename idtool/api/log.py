@@ -153,7 +153,7 @@ class Log:
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Those of q, v, tau, qcmd and vcmd that the log contains."""
+        """Signals in the log: q, v, tau, qcmd, vcmd or some of them."""
         return tuple(name for name in SIGNALS if name in self._record.signals)
 
     @property

@@ -221,7 +221,7 @@ def _end_of_data(file: BinaryIO) -> int:
 
 
 def expand(compression: bytes, data: bytes, size: int) -> bytes:
-    """Up to ``size`` bytes of decompressed data; fewer if ``data`` is truncated.
+    """Decompressed data, at most ``size`` bytes; fewer if ``data`` is truncated.
 
     Raises
     ------

@@ -82,7 +82,7 @@ def _link_parameters(identified: IdentifiedModel, rotors: tuple[Rotor, ...]) -> 
 
 
 def _merge_links(identified: IdentifiedModel, index: int, own: Array) -> dict[str, Array | None]:
-    """Where one of a body's links cannot exist by itself, all its mass in the link that carries the others.
+    """Move all mass of a body whose links cannot each exist alone to the link that carries the others.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class IdentifiedModel:
 
     @property
     def gravity(self) -> Array:
-        """In the root link's frame, shape (3,) [m/s²]."""
+        """Gravity in the root link's frame, shape (3,) [m/s²]."""
         return self.mechanism.gravity
 
     def value(self, joint: UrdfJoint) -> float:

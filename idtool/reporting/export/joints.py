@@ -56,7 +56,7 @@ class JointForces:
         return f"stiffness, springref {springref:.4g}"
 
     def attributes(self) -> dict[str, str]:
-        """Those of the joint's tag that are not zero."""
+        """Attributes of the joint's tag that are not zero."""
         names = ("damping", "frictionloss", "armature", "stiffness", "springref", "ref")
         attributes = {name: repr(float(getattr(self, name))) for name in names if getattr(self, name)}
         if self.drag:

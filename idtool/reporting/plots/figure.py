@@ -77,7 +77,7 @@ class FigureGroup:
     figures: list[Figure]
 
     def to_plotly(self) -> PlotlyFigure:
-        """All of them as one of plotly's own, one below the other."""
+        """One plotly figure with all figures, one below the other."""
         return stack_figures(self.figures, self.title).to_plotly()
 
 

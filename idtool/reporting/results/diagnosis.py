@@ -46,7 +46,7 @@ class ErrorLevel(Record):
 
 
 class Location(Record):
-    """Where model and data disagree."""
+    """Joints, times and region in which model and data disagree."""
 
     joints: tuple[str, ...] = field("The joints.")
     windows: tuple[tuple[float, float], ...] = field("Time windows [s].")

@@ -45,7 +45,7 @@ class CorrelatedParameter(Record):
 
 
 class ParameterSource(Record):
-    """Where a parameter's value comes from: data, constraints or prior."""
+    """Source of a parameter's value: data, constraints or prior."""
 
     on: Literal["data", "combination", "constraints", "prior"] = field(
         "Main source; `combination`: the data determine it only together with others."
@@ -193,7 +193,7 @@ class ControllerDelay(Record):
 
 
 class UncertaintyReport(Record):
-    """How standard errors were computed, and the standard error of the predicted torque."""
+    """Method of the standard errors, and the standard error of the predicted torque."""
 
     confidence: float = field("Confidence level of the intervals: 0.95.")
     blocks: int = field(
@@ -298,7 +298,7 @@ class PathPointReport(Record):
 
 
 class AutomaticWeight(Record):
-    """How the weight of the prior was chosen."""
+    """Automatic choice of the weight of the prior."""
 
     limit: Literal["validation", "significance", "range", "untested"] = field("Criterion that limits the weight.")
     reason: str = field("Summary as a sentence.")
@@ -330,7 +330,7 @@ class KnownValue(Record):
 
 
 class SolverReport(Record):
-    """How the optimization problem was solved."""
+    """Solution of the optimization problem."""
 
     name: str = field("Solver.")
     status: str = field("Status at the end.")

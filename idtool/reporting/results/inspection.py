@@ -63,7 +63,7 @@ class VelocityReport(Record):
 
 
 class TorqueSourceReport(Record):
-    """Whether the torque seems to be measured or commanded."""
+    """Assessment of the torque as measured or commanded."""
 
     kind: Literal["measured", "commanded", "unknown"] = field("`measured`, `commanded` or `unknown`.")
     reason: str = field("Reason for this assessment.")

@@ -228,7 +228,7 @@ def shown_logs(repeatability: RepeatabilityReport) -> list[int]:
 
 
 def compared_parameters(repeatability: RepeatabilityReport) -> list[RepeatedParameter]:
-    """Those that more than one log determines: first those that do not agree, then by how far they scatter."""
+    """Parameters that more than one log determines: first those that do not agree, then by how far they scatter."""
     order = sorted(repeatability.parameters, key=lambda p: (p.agrees, -(p.ratio or 0.0)))
     return [p for p in order if sum(error is not None for error in p.standard_error) > 1]
 
