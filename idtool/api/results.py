@@ -33,7 +33,8 @@ def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]
     if omitted:
         rows = [*rows[: _MAX_LINES - 1], rows[-1]]
     table = [head, *rows]
-    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
+    columns = zip(*table, strict=True)
+    widths = [max(map(len, column)) for column in columns]
     lines = []
     for first, *others in table:
         cells = [first.ljust(widths[0])]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from doc_outputs import check_output, updated_output
+from doc_pages import Reader
 
 PRINTED = "head 40 Hz\na 1.00\nb 2.00\n\nhead 20 Hz\na 1.10\nend\n"
 
@@ -56,3 +59,16 @@ def test_what_was_not_printed_may_not(shown: str) -> None:
 def test_a_block_is_updated_and_then_agrees(shown: str, updated: str) -> None:
     assert updated_output(shown, PRINTED) == updated
     check_output(updated, PRINTED, "here")
+
+
+def test_a_page_is_updated_and_then_agrees(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    command = "```sh\npython -c \"print('a 1'); print('b 2')\"\n```\n\n"
+    page.write_text(f"{command}```text\na 1\nold 3\n```\n")
+    for name in ("refuses", "updates", "agrees"):
+        (tmp_path / name).mkdir()
+    with pytest.raises(AssertionError, match="--update-docs"):
+        Reader(tmp_path / "refuses", slow=True).read(page)
+    Reader(tmp_path / "updates", slow=True, update=True).read(page)
+    assert page.read_text() == f"{command}```text\na 1\nb 2\n```\n"
+    Reader(tmp_path / "agrees", slow=True).read(page)

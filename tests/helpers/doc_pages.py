@@ -207,9 +207,9 @@ class Reader:
         except AssertionError:
             if not self.update:
                 raise
-            new = updated_output(block.text, self.said)
-            page.write_text(page.read_text().replace(f"```text\n{block.text}\n```", f"```text\n{new}\n```"))
-            print(f"updated: {where}")
+            text = page.read_text()
+            assert text.count(block.text) == 1, f"{where}: the page has this output twice; update it by hand"
+            page.write_text(text.replace(block.text, updated_output(block.text, self.said)))
 
     def _wanted(self, found: list[Block]) -> Iterator[Block]:
         """The blocks to run: without `slow`, those that take long and those that need their files are left out."""
