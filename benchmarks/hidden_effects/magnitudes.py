@@ -1,9 +1,9 @@
 """Sizes of hidden effects: `draw_parameters` gives an effect its parameters for a magnitude, along a commanded motion.
 
-Most effects are scaled so that their torque along the command is a share of the joint's rms torque: 12 % ``strong``,
-4 % ``ordinary``, 1 % ``near`` the limit of what can be identified, times a random factor of 0.8 to 1.25. An effect of
-which other bodies and friction explain more than 60 % is made larger, up to three times. The others have sizes that
-are usual for machines.
+An effect that is linear in one coefficient is scaled so that its torque along the command is a share of the joint's rms
+torque: 12 % ``strong``, 4 % ``ordinary``, 1 % ``near`` the limit of what can be identified, times a random factor of
+0.8 to 1.25. If changed inertial parameters, viscous and Coulomb friction can reproduce more than 60 % of that torque
+(rms), it is made larger, up to three times. The other effects have sizes that are usual for machines.
 """
 
 from __future__ import annotations
@@ -229,7 +229,7 @@ def _motor_and_link_inertia(size: EffectSize) -> tuple[float, float]:
 
 
 def _transmission(size: EffectSize, stiffness: float, damping_ratio: float) -> dict[str, float]:
-    """Parameters of a transmission; half of the friction is on the motor side in every other one."""
+    """Parameters of a transmission; with probability 1/2, half of the friction is on the motor side."""
     motor_inertia, _ = _motor_and_link_inertia(size)
     damping = 2 * damping_ratio * np.sqrt(stiffness * motor_inertia)
     return {
@@ -241,8 +241,8 @@ def _transmission(size: EffectSize, stiffness: float, damping_ratio: float) -> d
 
 def _joint_elasticity(size: EffectSize) -> Parameters:
     _, link_inertia = _motor_and_link_inertia(size)
-    frequency = size.by_magnitude(11.0, 20.0, 45.0)  # Hz
-    return _transmission(size, (2 * np.pi * frequency) ** 2 * link_inertia, 0.05)
+    locked_motor_frequency = size.by_magnitude(11.0, 20.0, 45.0)  # Hz, of the link
+    return _transmission(size, (2 * np.pi * locked_motor_frequency) ** 2 * link_inertia, 0.05)
 
 
 def _backlash(size: EffectSize) -> Parameters:

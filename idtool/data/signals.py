@@ -1,8 +1,9 @@
 """`JointLog` → `Motion`: positions, velocities, accelerations and torques of the model's joints, batch after batch.
 
-The torque equation is linear in its unknowns, so a low-pass on every column and on the torque alike keeps it exact,
-where one on the signals alone does not. Here the signals get a wide zero-phase filter against differentiated noise; a
-batch's own filter is then applied to the columns. Nothing reaches across a gap.
+The torque equation is linear in its unknowns, so it remains exact if every column and the torque pass through the same
+low-pass. It does not if only q, v and a do, because the columns are nonlinear in them. Here the signals get a wide
+zero-phase filter against differentiated noise; a batch's own filter is then applied to the columns. Nothing reaches
+across a gap.
 
 Shapes: nv joints, N samples at the logged rate, n samples after decimation. Units: rad or m, s, N·m or N.
 """
@@ -48,7 +49,7 @@ class Motion:
     tau
         Torque at the joint output, shape (nv, N).
     logged_tau
-        Torque as logged, without the signals' wide filter; shape (nv, N).
+        Logged torque, or that of the controller, without the wide filter; shape (nv, N).
     velocity_deadband
         Speed below which the sign of v is lost in its noise, shape (nv,) [rad/s or m/s].
     dt
@@ -57,7 +58,8 @@ class Motion:
         By joint with a compliant transmission: q, v and a of the motor less those of the link, which are above;
         shape (3, N).
     delayed_torques
-        Torque for each of the delays given to `Signals.batches`, shape (K, nv, N).
+        Torque for each of the K delays given to `Signals.batches`, shape (K, nv, N). The delay applies to joints whose
+        torque is the controller's; a logged torque is repeated.
     """
 
     t: Array
@@ -84,11 +86,11 @@ class Batch:
     Attributes
     ----------
     motion
-        ``before`` + N + ``delayed_ranges`` samples.
+        Motion of ``before`` + N + ``after`` samples.
     before, after
-        Surroundings, there only for the filter.
+        Numbers of samples at the ends that only the filter needs.
     low_pass
-        The band.
+        The low-pass that takes columns and torque to the band.
     """
 
     motion: Motion
@@ -142,7 +144,8 @@ class Signals:
         self.notices: list[Notice] = []
         rate = 1 / log.dt
         self.band_hz = _band(log, config)
-        # Twice the band is sampled four times: what would alias is 48 dB down.
+        # The decimated rate is at least four times the cut-off. At its Nyquist frequency, a zero-phase filter of
+        # order 4 attenuates by 48 dB.
         stride = max(1, int(rate / (4 * self.band_hz)))
         self.low_pass = LowPass(self.band_hz, config.filter.order, log.dt, stride)
         self.full_rate_low_pass = LowPass(self.band_hz, config.filter.order, log.dt)
@@ -330,7 +333,7 @@ def default_cutoff(dt: float) -> float:
 
 
 def _band(log: JointLog, config: Config) -> float:
-    """The low-pass's cut-off [Hz]; one whose kernel would be far longer than the log is refused."""
+    """Cut-off of the low-pass [Hz]; refused if too high for the sampling rate, or with a period longer than the log."""
     rate, duration = 1 / log.dt, len(log) * log.dt
     band = config.filter.cutoff_hz or default_cutoff(log.dt)
     if band >= 0.45 * rate:

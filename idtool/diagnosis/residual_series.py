@@ -77,7 +77,7 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
         Name of this stage.
     """
     signals = experiment.runs[0].signals
-    samples = (experiment.samples(False) + experiment.samples(True)) / signals.low_pass.stride
+    samples = (experiment.samples(held_out=False) + experiment.samples(held_out=True)) / signals.low_pass.stride
     numbers = samples * len(signals.joints) * (4 + len(models))
     every = int(np.ceil(max(numbers / _MAX_NUMBERS, 1)))
     chunks = list(residual_chunks(experiment, models, progress, stage, every))

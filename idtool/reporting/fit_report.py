@@ -71,7 +71,7 @@ def fit_report(fit: Fit) -> FitReport:
         **provenance_fields(experiment.sources),
         joints=joints,
         units=experiment.model.units,
-        samples=SampleCounts(train=experiment.samples(False), validation=experiment.samples(True)),
+        samples=SampleCounts(train=experiment.samples(held_out=False), validation=experiment.samples(held_out=True)),
         band_hz=experiment.band_hz,
         method=fit.method,
         rms=_rms(fit, joints, raw=False),

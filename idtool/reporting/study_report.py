@@ -33,7 +33,7 @@ def study_report(study: Study) -> StudyReport:
         joints=experiment.equation.joints,
         units=experiment.model.units,
         band_hz=experiment.band_hz,
-        samples=SampleCounts(train=experiment.samples(False), validation=experiment.samples(True)),
+        samples=SampleCounts(train=experiment.samples(held_out=False), validation=experiment.samples(held_out=True)),
         sets={name: _set_report(study, f"set {name}", outcome) for name, outcome in study.sets.items()},
         estimators={name: _estimator_report(study, name, outcome) for name, outcome in study.estimators.items()},
         learning=LearningCurves(
