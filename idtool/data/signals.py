@@ -20,6 +20,7 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
+from idtool.data.column_cache import KeptColumns
 from idtool.data.controller import JointController
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above_band
 from idtool.data.logs.log import JointLog
@@ -60,6 +61,8 @@ class Motion:
     delayed_torques
         Torque for each of the K delays given to `Signals.batches`, shape (K, nv, N). The delay applies to joints whose
         torque is the controller's; a logged torque is repeated.
+    kept_columns
+        Columns along these q, v and a that are kept for other models; None: none are.
     """
 
     t: Array
@@ -72,6 +75,7 @@ class Motion:
     dt: float
     motor_minus_link: Mapping[int, Array] = field(default_factory=dict)
     delayed_torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    kept_columns: KeptColumns | None = None
 
     @property
     def is_log(self) -> bool:

@@ -19,12 +19,14 @@ from idtool.diagnosis.model_selection import MIN_SIGNIFICANCE, explained_share, 
 from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ResidualLocation, Verdict
 from idtool.diagnosis.residual_maps import residual_maps
+from idtool.diagnosis.residual_series import residual_series
 from idtool.diagnosis.screen import screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
 from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
 
@@ -78,6 +80,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     """
     started = time.perf_counter()
     experiment, delay, _ = with_delay(experiment, progress)
+    experiment = replace(experiment, cache=BatchCache())
     faults = find_data_faults(experiment, progress)
     if options.inertia == "fixed":
         experiment = with_fixed_inertia(experiment)
@@ -203,8 +206,10 @@ def _structure(search: EffectSearch) -> list[Candidate]:
     base = search.current
     joints = base.experiment.equation.joints
     inflation = search.last_round.inflation if search.last_round is not None else 1.0
-    probes = list(generic_probes(summarize_data(base)))
-    screened = screen_probes(base, probes, search.progress, "looking for unknown effects")
+    stage = "looking for unknown effects"
+    residual = residual_series(base.experiment, [(base.experiment.equation, base.theta)], search.progress, stage)
+    probes = list(generic_probes(summarize_data(base), residual))
+    screened = screen_probes(base, probes, search.progress, stage)
     structure = []
     for j, name in enumerate(joints):
         own = [candidate for candidate in screened if candidate.probe.joint == name]

@@ -13,6 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Motion
+from idtool.diagnosis.residual_series import ResidualSeries
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
@@ -21,24 +22,43 @@ UNKNOWN = "unknown"
 _BUMPS = 14  # over a range, of a function of one variable
 _WAVES = 40  # random ones, of a function of several variables (Rahimi & Recht 2007)
 _LINES = 160  # frequencies in time
+_TRIED_LINES = 12  # of them, by joint
 _LOWEST_HZ = 0.5
 _HIGHEST = 0.9  # of the band
 _SLOW = 0.15  # of the rms speed, at which a function of speed changes fastest
 _SEED = 0
 
 
-def generic_probes(summary: DataSummary) -> Iterator[Probe]:
-    """Functions of a joint's position, of its speed, of both, of all joints' state, and lines in time."""
+def generic_probes(summary: DataSummary, residual: ResidualSeries) -> Iterator[Probe]:
+    """Functions of a joint's position, of its speed, of both, of all joints' state, and its strongest lines in time.
+
+    Parameters
+    ----------
+    summary
+        The data.
+    residual
+        Residual that is to be explained, of one model.
+    """
     names = summary.model.names
-    frequencies = np.geomspace(_LOWEST_HZ, _HIGHEST * summary.band_hz, _LINES)
+    lines = _strongest_lines(residual, np.geomspace(_LOWEST_HZ, _HIGHEST * summary.band_hz, _LINES))
     for j, name in enumerate(names):
         yield _probe(name, j, _BUMPS, partial(_position_columns, summary, j), {"of": 0.0})
         yield _probe(name, j, _BUMPS, partial(_speed_columns, summary, j), {"of": 1.0})
         yield _probe(name, j, _WAVES, partial(_state_columns, summary, [j]), {"of": 2.0})
         if len(names) > 1:
             yield _probe(name, j, _WAVES, partial(_state_columns, summary, list(range(len(names)))), {"of": 3.0})
-        for hertz in map(float, frequencies):
+        for hertz in lines[j].tolist():
             yield _probe(name, j, 2, partial(_line_columns, hertz), {"of": 4.0, "hertz": hertz})
+
+
+def _strongest_lines(residual: ResidualSeries, frequencies: Array) -> Array:
+    """Frequencies of the sines that are largest in each joint's residual, shape (nv, k) [Hz]."""
+    samples = residual.residuals[-1] * residual.valid
+    amplitude = np.zeros((len(samples), len(frequencies)))
+    for k, hertz in enumerate(frequencies):
+        amplitude[:, k] = np.abs(samples @ np.exp(2j * np.pi * hertz * residual.t))
+    strongest = np.argsort(-amplitude, axis=1)[:, :_TRIED_LINES]
+    return np.asarray(frequencies[strongest])
 
 
 def _probe(

@@ -234,14 +234,14 @@ def validation_mse(linearized: LinearizedFit, row_equation: LinearModel) -> Arra
     squares = np.zeros(linearized.joint_count)
     count = np.zeros(linearized.joint_count)
     for run in linearized.experiment.runs:
-        for batch in run.signals.batches(run.held_out):
+        for batch in linearized.experiment.batches(run, held_out=True):
             if linearized.reversal_margin:
                 masks = row_equation.clean_samples(batch, linearized.reversal_margin)
             else:
                 masks = row_equation.valid_samples(batch)
-            blocks = equation.columns(batch.motion)
+            blocks = equation.filtered_columns(batch)
             for j, (active, columns, mask) in enumerate(zip(equation.active(), blocks, masks, strict=True)):
-                residual = batch.filter((columns[-1] - theta[active] @ columns[:-1])[None])[0]
+                residual = columns[-1] - theta[active] @ columns[:-1]
                 squares[j] += np.square(residual[mask]).sum()
                 count[j] += mask.sum()
     with np.errstate(invalid="ignore"):
@@ -272,7 +272,7 @@ def _noise_gain(experiment: Experiment, noise: Array) -> Array:
     if not any(effect.uses_measured_torque for effect in equation.effects):
         return gain
     run = next(run for run in experiment.runs if run.train)
-    batch = next(iter(run.signals.batches(run.train)))
+    batch = next(experiment.batches(run, held_out=False))
     theta = np.array([equation.operating_point.get(c.key, c.prior) for c in equation.coefficients])
     white = np.random.default_rng(_SEED).standard_normal(batch.motion.tau.shape)
     white *= (noise / batch.filter(white).std(axis=1))[:, None]
@@ -315,7 +315,7 @@ def _read_blocks(
             for j, (mask, own_mask) in enumerate(zip(masks, own_masks, strict=True)):
                 row_count[j] += mask.sum()
                 defined_count[j] += (mask & own_mask).sum()
-            yield [batch.filter(columns) for columns in equation.columns(batch.motion)], masks
+            yield equation.filtered_columns(batch), masks
 
     logs = []
     for run in experiment.runs:
@@ -323,7 +323,7 @@ def _read_blocks(
             continue
         low_pass = run.signals.low_pass
         log = run.signals.log
-        batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {log.path.name}")
+        batches = tracked(experiment.batches(run, held_out=False), run.train, progress, f"reading {log.path.name}")
         parts = tuple(cut_into_blocks(filtered_rows(batches), length, low_pass.redundancy))
         if parts:
             logs.append(Blocks(log.path.name, parts, length * low_pass.stride * log.dt))

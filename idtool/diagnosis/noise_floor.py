@@ -83,7 +83,7 @@ def estimate_noise_floor(
     periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
     for run in experiment.runs:
         parts = run.parts(held_out)
-        for batch in tracked(run.signals.batches(parts), parts, progress, "estimating the noise floor"):
+        for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             e = batch.filter(LinearizedModel(experiment.equation, theta, batch.motion).residual)
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
             moving_squares += (np.square(e) * moving).sum(axis=1)

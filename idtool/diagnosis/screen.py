@@ -13,13 +13,14 @@ Letters: F blocks; K coefficients of all probes one after the other, of which a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices
+from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.effects.probe import Probe
@@ -148,27 +149,37 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
     F, r, K = linearized.block_count, linearized.directions.shape[1], int(starts[-1])
     sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, max_k)))
     for batch, model, block_index in training_batches(linearized, progress, stage):
-        Q, e, valid = _model_rows(linearized, batch, model)
+        Q, e, valid = _model_rows(linearized, batch)
+        blocks = _slices_of_equal(block_index)
         for joint, index, filtered in _probe_columns(probes, starts, batch, model):
-            columns = filtered / linearized.noise[joint] * valid[joint]
-            siblings = [_sibling_columns(columns, index, starts, d) for d in range(max_k)]
-            for f in np.unique(block_index):
-                in_block = block_index == f
-                x = columns[:, in_block]
-                sums.P[f][:, index] += Q[joint][:, in_block] @ x.T
-                sums.h[f, index] += x @ e[joint][in_block]
-                for d in range(max_k):
-                    sums.C[f, index, d] += np.einsum("in,in->i", x, siblings[d][:, in_block])
+            columns = filtered * (valid[joint] / linearized.noise[joint])
+            by_size = _siblings(starts, index)
+            for f, part in blocks:
+                x = columns[:, part]
+                sums.P[f][:, index] += Q[joint][:, part] @ x.T
+                sums.h[f, index] += x @ e[joint][part]
+                for k, first in by_size:
+                    own = first[:, None] + np.arange(k)  # (i, k) positions among the columns
+                    siblings = x[own]  # (i, k, n)
+                    sums.C[f, index[own], :k] += siblings @ siblings.transpose(0, 2, 1)
     return sums
 
 
-def _sibling_columns(columns: Array, index: Indices, starts: Indices, d: int) -> Array:
-    """The d-th column of each column's own probe, zero if the probe has fewer; same shape as the columns."""
-    probe = np.searchsorted(starts, index, side="right") - 1
-    wanted = starts[probe] + d
-    exists = wanted < starts[probe + 1]
-    position = np.searchsorted(index, np.where(exists, wanted, index))
-    return np.asarray(columns[np.minimum(position, len(index) - 1)] * exists[:, None])
+def _slices_of_equal(block_index: Indices) -> list[tuple[int, slice]]:
+    """Blocks of a batch's filtered samples, each with its number."""
+    firsts = np.flatnonzero(np.diff(block_index, prepend=-1))
+    stops = [*firsts[1:], len(block_index)]
+    return [(int(block_index[first]), slice(first, stop)) for first, stop in zip(firsts, stops, strict=True)]
+
+
+def _siblings(starts: Indices, index: Indices) -> list[tuple[int, Indices]]:
+    """By number of coefficients k, the position among some columns of each probe's first.
+
+    The columns are those of the coefficients with an index; a probe's own are next to each other.
+    """
+    positions = np.flatnonzero(np.isin(index, starts[:-1]))
+    sizes = np.diff(starts)[np.searchsorted(starts, index[positions])]
+    return [(int(k), positions[sizes == k]) for k in np.unique(sizes)]
 
 
 def training_batches(
@@ -180,7 +191,7 @@ def training_batches(
         if not run.train:
             continue
         row = 0
-        for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
+        for batch in tracked(linearized.experiment.batches(run, held_out=False), run.train, progress, stage):
             model = LinearizedModel(linearized.experiment.equation, linearized.theta, batch.motion)
             rows = row + np.arange(len(batch.t))
             yield batch, model, first_block + rows // linearized.block_length
@@ -188,17 +199,15 @@ def training_batches(
         first_block += -(-row // linearized.block_length)
 
 
-def _model_rows(
-    linearized: LinearizedFit, batch: Batch, model: LinearizedModel
-) -> tuple[list[Array], list[Array], list[Array]]:
+def _model_rows(linearized: LinearizedFit, batch: Batch) -> tuple[list[Array], list[Array], list[Array]]:
     """By joint: the model's rows by y, (r, n), the residual, (n,), and 1 for each sample that counts, (n,)."""
     equation = linearized.experiment.equation
     masks = equation.clean_samples(batch, linearized.reversal_margin)
     Q, e, valid = [], [], []
-    for j, (active, columns) in enumerate(zip(equation.active(), model.columns, strict=True)):
-        block = batch.filter(columns) * masks[j] / linearized.noise[j]
-        Q.append(linearized.directions[active].T @ block[:-1])
-        e.append(block[-1] - linearized.theta[active] @ block[:-1])
+    for j, (active, block) in enumerate(zip(equation.active(), equation.filtered_columns(batch), strict=True)):
+        weight = masks[j] / linearized.noise[j]
+        Q.append(linearized.directions[active].T @ (block[:-1] * weight))
+        e.append((block[-1] - linearized.theta[active] @ block[:-1]) * weight)
         valid.append(masks[j].astype(float))
     return Q, e, valid
 
@@ -207,21 +216,47 @@ def _probe_columns(
     probes: Sequence[Probe], starts: Indices, batch: Batch, model: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
     """Joint, indices of coefficients, and their filtered columns, shape (i, n), a bounded number at a time."""
+    motion = model.true_motion
+    kept = motion.kept_columns
+    if kept is not None and not kept.are_along(motion.q, motion.v, motion.a):
+        kept = None
+    known: dict[int, list[tuple[int, Array]]] = {}
     waiting: dict[int, list[tuple[int, Array]]] = {}
-    for start, probe in zip(starts[:-1], probes, strict=True):
-        for joint, columns in probe.columns(model.true_motion, model).items():
+    keys: dict[int, Hashable] = {}  # by first coefficient, of columns that are to be kept
+    for start, probe in zip(starts[:-1].tolist(), probes, strict=True):
+        if kept is not None and probe.column_key is not None:
+            found = kept.find(probe.column_key)
+            if found is not None:
+                known.setdefault(model.equation.joints.index(str(probe.joint)), []).append((start, found[0]))
+                continue
+            keys[start] = probe.column_key
+        for joint, columns in probe.columns(motion, model).items():
             own = waiting.setdefault(joint, [])
-            own.append((int(start), columns))
+            own.append((start, columns))
             if sum(len(x) for _, x in own) >= _MAX_COLUMNS:
-                yield joint, *_filtered(waiting.pop(joint), batch)
+                yield joint, *_filtered(waiting.pop(joint), batch, kept, keys)
     for joint, own in waiting.items():
-        yield joint, *_filtered(own, batch)
+        yield joint, *_filtered(own, batch, kept, keys)
+    for joint, own in known.items():
+        yield joint, _indices(own), np.concatenate([columns for _, columns in own])
 
 
-def _filtered(started_columns: list[tuple[int, Array]], batch: Batch) -> tuple[Indices, Array]:
+def _filtered(
+    started_columns: list[tuple[int, Array]], batch: Batch, kept: KeptColumns | None, keys: Mapping[int, Hashable]
+) -> tuple[Indices, Array]:
     """Indices of coefficients and their filtered columns, from the first index and the columns of each probe."""
-    index = np.concatenate([start + np.arange(len(columns)) for start, columns in started_columns])
-    return index, batch.filter(np.concatenate([columns for _, columns in started_columns]))
+    filtered = batch.filter(np.concatenate([columns for _, columns in started_columns]))
+    first = 0
+    for start, columns in started_columns:
+        if kept is not None and start in keys:
+            kept.keep(keys[start], (filtered[first : first + len(columns)].copy(),))
+        first += len(columns)
+    return _indices(started_columns), filtered
+
+
+def _indices(started_columns: list[tuple[int, Array]]) -> Indices:
+    """Indices of the coefficients, from the first index and the columns of each probe."""
+    return np.concatenate([start + np.arange(len(columns)) for start, columns in started_columns])
 
 
 def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeSums) -> list[ScreenedProbe]:
@@ -247,6 +282,9 @@ def _solve_same_size(
     P, h, C = block_P.sum(axis=0), block_h.sum(axis=0), block_C.sum(axis=0)
     c, _, schur = _solve(linearized.information, P, h, C, np.zeros(len(linearized.information)))
 
+    unbounded = (np.inf,) * index.shape[1]
+    lower = np.array([probe.lower or tuple(-x for x in unbounded) for probe in probes])
+    upper = np.array([probe.upper or unbounded for probe in probes])
     local = [i for i, probe in enumerate(probes) if probe.is_local]
     left_out = np.empty((F, *c.shape))  # coefficients without each block
     gains = np.empty((F, len(c)))
@@ -255,7 +293,8 @@ def _solve_same_size(
         gram = linearized.gram[f]
         P_f, h_f, C_f = block_P[f], block_h[f], block_C[f]
         c_f, X, _ = _solve(linearized.information - gram, P - P_f, h - h_f, C - C_f, y0)
-        c_f = np.where(_feasible(probes, c_f)[:, None], c_f, 0.0)
+        is_within_bounds = np.logical_and(c_f >= lower, c_f <= upper).all(axis=1, keepdims=True)
+        c_f = np.where(is_within_bounds, c_f, 0.0)
         c_f[local] = c[local]
         left_out[f] = c_f
 
@@ -299,7 +338,3 @@ def _solve(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, Ar
     rhs = (h - np.einsum("rik,r->ik", P, y0)) / size
     c = np.einsum("ikl,il,iml,im->ik", vectors, inverse, vectors, rhs, optimize=True) / size
     return c, X, schur
-
-
-def _feasible(probes: Sequence[Probe], c: Array) -> Mask:
-    return np.array([probe.is_feasible(own) for probe, own in zip(probes, c, strict=True)], dtype=bool)

@@ -37,7 +37,7 @@ def summarize_data(
     for run in experiment.runs:
         if not run.train:
             continue
-        for batch in run.signals.batches(run.train):
+        for batch in experiment.batches(run, held_out=False):
             motion = batch.motion
             inner = slice(batch.before, len(motion.t) - batch.after)
             q = motion.q[:, inner]

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.robot.inertia import PI_SIZE, symmetric_matrix
@@ -39,11 +39,11 @@ class TorqueEquation(Protocol):
     def coefficients(self) -> tuple[Coefficient, ...]:
         """The unknowns."""
 
-    def active(self) -> tuple[Indices, ...]:
-        """Per joint, indices of the unknowns in its equation."""
+    def true_motion(self, motion: Motion) -> Motion:
+        """Motion as the effects correct it."""
 
-    def columns(self, motion: Motion) -> list[Array]:
-        """Unfiltered columns and torque, per joint."""
+    def residual(self, motion: Motion, theta: Array) -> Array:
+        """Torque less columns · theta, unfiltered, shape (nv, N)."""
 
 
 class LinearizedModel:
@@ -68,23 +68,13 @@ class LinearizedModel:
         self.equation = equation
         self.theta = theta
         self.measured_motion = motion
-        self.true_motion = motion
-        for effect in equation.effects:
-            self.true_motion = effect.correct_motion(self.true_motion)
+        self.true_motion = equation.true_motion(motion)
         self._stride = max(1, int(1 / (_RATE * motion.dt)))
-
-    @cached_property
-    def columns(self) -> list[Array]:
-        """Unfiltered columns and torque, per joint; see `LinearModel.columns`."""
-        return self.equation.columns(self.measured_motion)
 
     @cached_property
     def residual(self) -> Array:
         """Measured torque less the model's, both as the equation has them, unfiltered; shape (nv, N)."""
-        rows = []
-        for active, block in zip(self.equation.active(), self.columns, strict=True):
-            rows.append(block[-1] - self.theta[active] @ block[:-1])
-        return np.stack(rows)
+        return self.equation.residual(self.measured_motion, self.theta)
 
     @property
     def predicted_torque(self) -> Array:

@@ -6,7 +6,7 @@ the same low-pass. Here a block is their transpose in one array, the torque last
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
@@ -42,6 +43,7 @@ class LinearModel:
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
     operating_point: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
+    _true_motions: dict[int, Motion] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for effect in self.effects:
@@ -105,7 +107,7 @@ class LinearModel:
 
         Both are of the true motion, and the torque is less that without a coefficient.
         """
-        true = self._true_motion(motion)
+        true = self.true_motion(motion)
         blocks = [np.empty((len(active) + 1, len(true.t))) for active in self.active()]
         row = [0] * len(self.joints)  # the next of each block
         for effect in self.effects:
@@ -120,15 +122,54 @@ class LinearModel:
             block[-1] = tau[joint]
         return blocks
 
+    def residual(self, motion: Motion, theta: Array) -> Array:
+        """Torque less columns · theta, unfiltered, both as in `columns`; shape (nv, N) [N·m or N].
+
+        Parameters
+        ----------
+        motion
+            N samples, as measured.
+        theta
+            Coefficients, shape (p,).
+        """
+        true = self.true_motion(motion)
+        residual = self._identified_torque(true).copy()
+        offsets = self.offsets()
+        for effect, first, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
+            own_theta = theta[first:end]
+            for joint, columns in enumerate(_columns(effect, true)):
+                if len(columns):
+                    residual[joint] -= own_theta[effect.active[joint]] @ columns
+        return residual
+
+    def filtered_columns(self, batch: Batch) -> list[Array]:
+        """Filtered columns and torque of all samples, per joint; shape (m_j + 1, n) each, the torque last."""
+        true = self.true_motion(batch.motion)
+        tau = batch.filter(self._identified_torque(true))
+        parts: list[list[Array]] = [[] for _ in self.joints]
+        for effect in self.effects:
+            for part, columns in zip(parts, _filtered_columns(effect, true, batch), strict=True):
+                part.append(columns)
+        return [np.concatenate([*part, row[None]]) for part, row in zip(parts, tau, strict=True)]
+
     def delayed_torques(self, motion: Motion) -> Array:
         """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
         out = np.empty_like(motion.delayed_torques)
         for k, tau in enumerate(motion.delayed_torques):
-            true = self._true_motion(replace(motion, tau=tau))
+            true = self.true_motion(replace(motion, tau=tau))
             out[k] = self._identified_torque(true)
         return out
 
-    def _true_motion(self, motion: Motion) -> Motion:
+    def true_motion(self, motion: Motion) -> Motion:
+        """Motion as the effects correct it."""
+        if motion.kept_columns is None:
+            return self._corrected(motion)
+        key = id(motion)  # which the batch cache keeps alive
+        if key not in self._true_motions:
+            self._true_motions[key] = self._corrected(motion)
+        return self._true_motions[key]
+
+    def _corrected(self, motion: Motion) -> Motion:
         for effect in self.effects:
             motion = effect.correct_motion(motion)
         return motion
@@ -158,8 +199,7 @@ class LinearModel:
 
     def filtered_rows(self, batch: Batch) -> tuple[list[Array], list[Mask]]:
         """Filtered columns and torque of all samples, and the mask of valid ones, shape (n,); per joint."""
-        blocks = [batch.filter(columns) for columns in self.columns(batch.motion)]
-        return blocks, self.valid_samples(batch)
+        return self.filtered_columns(batch), self.valid_samples(batch)
 
     def valid_samples(self, batch: Batch) -> list[Mask]:
         """Per joint, mask of the filtered samples whose columns are defined, shape (n,)."""
@@ -225,7 +265,7 @@ class LinearModel:
         for active, block in zip(self.active(), self.columns(motion), strict=True):
             rows.append(theta[..., active] @ block[:-1])
         tau = np.stack(rows, axis=-2)
-        fixed = self._fixed_torque(self._true_motion(motion))
+        fixed = self._fixed_torque(self.true_motion(motion))
         if fixed is not None:
             tau = tau + fixed
         for effect in reversed(self.effects):
@@ -247,6 +287,39 @@ class LinearModel:
         for effect, first, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
             effect.add_to_forward_model(theta[first:end], mechanism)
         return mechanism
+
+
+def _columns(effect: Effect, motion: Motion) -> Sequence[Array]:
+    """Columns of an effect along a true motion, per joint; kept ones where there are."""
+
+    def evaluate() -> list[Array]:
+        columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
+        effect.columns(motion, columns)
+        return columns
+
+    kept = _kept_columns(effect, motion)
+    return evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
+
+
+def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[Array]:
+    """Filtered columns of an effect along a true motion, per joint; kept ones where there are."""
+
+    def evaluate() -> list[Array]:
+        filtered = []
+        for columns in _columns(effect, motion):
+            filtered.append(batch.filter(columns) if len(columns) else np.empty((0, len(batch.t))))
+        return filtered
+
+    kept = _kept_columns(effect, motion)
+    return evaluate() if kept is None else kept.get(("filtered", effect.column_key), evaluate)
+
+
+def _kept_columns(effect: Effect, motion: Motion) -> KeptColumns | None:
+    """Where columns of an effect along a motion may be kept; None if they depend on more than q, v and a."""
+    kept = motion.kept_columns
+    if kept is None or effect.column_key is None or not kept.are_along(motion.q, motion.v, motion.a):
+        return None
+    return kept
 
 
 def _reversals(v: Array) -> Mask:

@@ -21,10 +21,12 @@ from idtool.diagnosis.model_selection import probe_target
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.dynamics.effects import effect_types
+from idtool.diagnosis.trial import with_effects
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe, ProbeColumns
 from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import EffectEntry, parse_config
 from idtool.robot.urdf.reading import read_robot
@@ -244,3 +246,45 @@ def test_a_probe_and_its_record_name_the_same_target(effect: str) -> None:
     """Candidates are compared by it, so that a diagnosis lists each one once."""
     probe: Any = SimpleNamespace(effect=effect, joint=None, link=None)
     assert probe_target(probe) == (effect, Candidate(effect, None, None, 0.1, 0.01, 1).target)
+
+
+def test_columns_that_are_kept_for_other_models_change_no_result(base: LinearizedFit) -> None:
+    cached = replace(base.experiment, cache=BatchCache())
+    late = EffectEntry(effect="time_delay", parameters={"delay": LATE})
+    first = linearize_fit(cached, silent)
+    for entries in ([], [late], [late], []):  # the second time, all columns are there
+        kept = linearize_fit(with_effects(cached, entries), silent, first)
+        anew = linearize_fit(with_effects(base.experiment, entries), silent, base)
+        np.testing.assert_allclose(kept.estimate.theta, anew.estimate.theta, rtol=1e-9, atol=1e-12)
+        tried = probes(base)
+        for a, b in zip(screen_probes(kept, tried, silent), screen_probes(anew, tried, silent), strict=True):
+            assert_same(a, b, rtol=1e-6)
+
+
+def test_little_memory_changes_no_result(base: LinearizedFit) -> None:
+    small = replace(base.experiment, cache=BatchCache(max_bytes=1))
+    kept = screen_probes(linearize_fit(small, silent), probes(base), silent)
+    for a, b in zip(kept, screen_probes(base, probes(base), silent), strict=True):
+        assert_same(a, b)
+
+
+@pytest.mark.parametrize("effect", sorted(effect_types()))
+def test_columns_that_are_kept_depend_on_the_measured_motion_alone(base: LinearizedFit, effect: str) -> None:
+    batch = next(base.experiment.batches(base.experiment.runs[0], held_out=False))
+    other = replace(batch.motion, tau=-2 * batch.motion.tau, logged_tau=3 * batch.motion.logged_tau)
+    for probe in effect_types()[effect].probes(summarize_data(base)):
+        if probe.column_key is None:
+            continue
+        entry = probe.to_entry(np.ones(probe.coefficient_count), np.eye(probe.coefficient_count))
+        assert entry is not None
+        built = effect_from_entry(entry, base.experiment.model)
+        assert built.column_key == probe.column_key
+        for a, b in zip(columns_along(built, batch.motion), columns_along(built, other), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def columns_along(effect: NamedEffect, motion: Motion) -> list[Array]:
+    """An effect's columns along a motion, per joint."""
+    out = [np.zeros((len(active), len(motion.t))) for active in effect.active]
+    effect.columns(motion, out)
+    return out

@@ -14,7 +14,6 @@ from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.fixed_effect import FixedJointEffect
-from idtool.dynamics.effects.joint_elasticity import MOTOR_FRICTION_SHARES
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import geometric_grid
@@ -24,7 +23,8 @@ from idtool.robot.model import RobotModel
 _DAMPING_RATIO = 0.5
 _MIN_WIDTH = 3e-4  # rad or m: what gears have
 _MAX_WIDTH = 0.12  # rad or m: what would be felt by hand
-_TRIALS = 12
+_TRIALS = 6  # the search tries finer ones around the best
+_TRIAL_SHARES = (0.0, 1.0)  # of motor friction
 _MIN_COEFFICIENT = 0.25  # share of the change that the width makes
 _MAX_COEFFICIENT = 3.0
 _WIDTH_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # factors of the width that are averaged
@@ -73,7 +73,7 @@ class Backlash(FixedJointEffect):
     @classmethod
     @override
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
-        for share in MOTOR_FRICTION_SHARES:
+        for share in _TRIAL_SHARES:
             for width in geometric_grid(_MIN_WIDTH, _MAX_WIDTH, _TRIALS):
                 yield {"width": width, "motor_friction": share}
 

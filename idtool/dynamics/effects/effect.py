@@ -7,7 +7,7 @@ tau = Σ over effects of columns(q, v, a) · coefficients. A new effect is one n
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +82,11 @@ class Effect(ABC):
     uses_measured_torque: bool = False
     coefficients: tuple[Coefficient, ...]
     active: tuple[Indices, ...]
+
+    @property
+    def column_key(self) -> Hashable | None:
+        """Key of the columns: along the same q, v and a, effects of one key have the same columns; None: not known."""
+        return None
 
     @abstractmethod
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Self
@@ -15,6 +15,7 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import printable
 from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.effect import Effect
 from idtool.dynamics.effects.entry_parameters import (
     check_parameter_names,
     entry_location,
@@ -161,6 +162,14 @@ class JointEffect(NamedEffect):
     @override
     def key(self) -> tuple[str | float, ...]:
         return self.id, self.owner, *self.instance
+
+    @property
+    @override
+    def column_key(self) -> Hashable | None:
+        depends_on_model = type(self).set_operating_point is not Effect.set_operating_point
+        if depends_on_model:
+            return None
+        return type(self), int(self.joint), tuple(sorted(self.nonlinear_values.items()))
 
     @override
     def parameters(self, theta: Array, covariance: Array) -> dict[str, ParameterValue]:

@@ -27,7 +27,7 @@ _MAX_BAND = 0.2  # of the sampling rate
 _CLEAR = 4.0  # of the noise's power density, above which torque tells more than noise
 _SPECTRUM = 1024  # samples
 _ORDER = 4
-MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
+_MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
 
 
 class JointElasticity(FixedJointEffect):
@@ -71,7 +71,7 @@ class JointElasticity(FixedJointEffect):
         """Shares of friction on the motor side; none on a joint with backlash, where what gives is the teeth."""
         if summary.has_effect("backlash", summary.model.names[joint]):
             return
-        for share in MOTOR_FRICTION_SHARES:
+        for share in _MOTOR_FRICTION_SHARES:
             yield {"motor_friction": share}
 
     @classmethod

@@ -290,4 +290,5 @@ def linear_probe(effect: JointEffect, summary: DataSummary, joint: int, nonlinea
         nonlinear_values=nonlinear_values,
         lower=tuple(c.lower for c in effect.coefficients),
         upper=tuple(c.upper for c in effect.coefficients),
+        column_key=effect.column_key,
     )

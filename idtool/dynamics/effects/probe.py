@@ -7,7 +7,7 @@ predicted torque by its parameter, in units of the measured torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +45,9 @@ class Probe:
         True if it acts in time intervals of its own, so that other times tell nothing of it.
     parameter_count
         Number of parameters; 0: as many as coefficients and nonlinear values.
+    column_key
+        Key of the columns, if they are those of one joint and depend on nothing but q, v and a; see
+        `Effect.column_key`.
     """
 
     effect: str
@@ -59,6 +62,7 @@ class Probe:
     rebuild: Callable[[Mapping[str, float]], Probe] | None = None
     is_local: bool = False
     parameter_count: int = 0
+    column_key: Hashable | None = None
 
     def at(self, nonlinear_values: Mapping[str, float]) -> Probe:
         """The probe at other nonlinear values."""

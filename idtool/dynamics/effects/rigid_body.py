@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
+from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.mechanism import Mechanism
@@ -48,6 +49,11 @@ class RigidBodies(Effect):
         self._support = support
         # Number of bodies before each body among the columns of a joint:
         self._position: Indices = np.cumsum(support, axis=0) - support
+
+    @property
+    @override
+    def column_key(self) -> Hashable:
+        return "rigid_bodies", IdentityKey(self.model)
 
     @override
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:

@@ -18,6 +18,7 @@ from idtool.data.logs import JointLog, read_log
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.reduction import Reduction, empty
@@ -71,6 +72,8 @@ class Experiment:
         Equality constraints on the coefficients.
     runs
         The logs.
+    cache
+        Batches and columns that are kept for other models of the same logs; None: none are.
     """
 
     config: Config
@@ -78,6 +81,7 @@ class Experiment:
     equation: LinearModel
     equalities: EqualityConstraints
     runs: tuple[Run, ...]
+    cache: BatchCache | None = None
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -142,6 +146,11 @@ class Experiment:
         """The low-pass's cut-off, the lowest of the runs' [Hz]."""
         return min(run.signals.band_hz for run in self.runs)
 
+    def batches(self, run: Run, held_out: bool) -> Iterator[Batch]:
+        """Batches of a log's part for validation, or for fitting."""
+        parts = run.parts(held_out)
+        return run.signals.batches(parts) if self.cache is None else self.cache.batches(run.signals, parts)
+
     def samples(self, held_out: bool) -> int:
         """Number of samples at the logged rate that are used for fitting or validation."""
         return sum(
@@ -153,7 +162,7 @@ class Experiment:
     def rows(self, run: Run, progress: Progress) -> Rows:
         """The torque equation's rows along the training part of a log, batch after batch."""
         stage = f"reading {run.signals.log.path.name}"
-        return map(self.equation.filtered_rows, tracked(run.signals.batches(run.train), run.train, progress, stage))
+        return map(self.equation.filtered_rows, tracked(self.batches(run, False), run.train, progress, stage))
 
     def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
         """The training data as R-factors of consecutive blocks, log by log.
