@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.localization import localize_residual, localize_unexplained
 from idtool.diagnosis.model_selection import MIN_SIGNIFICANCE, explained_share, fitted_record, is_reportable
 from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
-from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ResidualLocation, Verdict
+from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualLocation, Verdict
 from idtool.diagnosis.residual_maps import residual_maps
 from idtool.diagnosis.residual_series import residual_series
 from idtool.diagnosis.screen import screen_probes
@@ -33,6 +33,7 @@ from idtool.estimation.fit import Fit, fit
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
+_MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
 
 
@@ -93,9 +94,10 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     last = _fit_with_effects(search, first, options.simulate)
     structure = _structure(search)
     floor = _noise_floor(search, structure)
+    remaining = evaluate_errors(search.current.experiment, search.current.estimate.theta, False, progress)
     steps = with_doubts(_steps(search, first, last, options.simulate), experiment.model)
-    steps += _unknown_steps(search, structure, floor, last)
-    floor_rms = dict(zip(experiment.equation.joints, floor.rms.tolist(), strict=True))
+    steps += _unknown_steps(search, structure, floor, remaining, last)
+    floor_rms = _reported_floor(floor, remaining, errors_of_fit(last))
     delay_notices = delay.notices if delay else ()
     return Diagnosis(
         first=first,
@@ -105,7 +107,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         removed=tuple(search.removed),
         before=errors_of_fit(first),
         after=errors_of_fit(last),
-        floor={**floor_rms, "overall": float(np.sqrt(np.mean(floor.rms**2)))},
+        floor=floor_rms,
         verdict=_verdict(steps),
         maps_before=residual_maps(first.experiment, first.estimate.theta, progress),
         maps_after=residual_maps(last.experiment, last.estimate.theta, progress),
@@ -231,15 +233,40 @@ def _noise_floor(search: EffectSearch, structure: Sequence[Candidate]) -> NoiseF
     return floor.without_structure(np.array([candidate.score for candidate in structure]))
 
 
+def _reported_floor(floor: NoiseFloor, remaining: ErrorSummary, after: ErrorSummary) -> dict[str, float]:
+    """Noise floor by joint, and ``overall``, of a model without the effects that are only included in the fit.
+
+    Parameters
+    ----------
+    floor
+        Noise floor of the model with them.
+    remaining, after
+        Errors of the models with and without them.
+    """
+    squares = {}
+    for (name, with_them), rms in zip(_by_joint(remaining.torque), floor.rms.tolist(), strict=True):
+        squares[name] = rms**2 + max(after.torque[name] ** 2 - with_them**2, 0.0)
+    overall = float(np.mean(list(squares.values())))
+    return {name: float(np.sqrt(square)) for name, square in {**squares, "overall": overall}.items()}
+
+
+def _by_joint(errors: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Errors by joint, without ``overall``."""
+    return [(name, value) for name, value in errors.items() if name != "overall"]
+
+
 def _unknown_steps(
-    search: EffectSearch, structure: Sequence[Candidate], floor: NoiseFloor, last: Fit
+    search: EffectSearch, structure: Sequence[Candidate], floor: NoiseFloor, remaining: ErrorSummary, last: Fit
 ) -> list[DiagnosisStep]:
-    """Steps of the joints whose residual has structure that no effect explains."""
+    """Steps of the joints whose residual is above the noise floor, or has structure that no effect explains."""
     largest_noise = np.maximum(_NEAR_NOISE * floor.noise, _NEGLIGIBLE * search.current.rms_torque)
     has_slow_power = (floor.slow_power_ratio > _SLOW_POWER) & (floor.residual > largest_noise)
+    rms = np.array([value for _, value in _by_joint(remaining.torque)])
+    negligible = _NEGLIGIBLE * search.current.rms_torque
+    is_above_floor = (rms > _MAX_FLOOR_RATIO * floor.rms) & (rms > negligible)
     unknown = []
-    for candidate, slow in zip(structure, has_slow_power, strict=True):
-        if candidate.score > _STRUCTURED_SHARE or slow:
+    for candidate, slow, above in zip(structure, has_slow_power, is_above_floor, strict=True):
+        if candidate.score > _STRUCTURED_SHARE or slow or above:
             unknown.append(candidate)
     if not unknown:
         return []

@@ -48,7 +48,7 @@ REVERSAL_MARGIN = 0.04  # s from reversals
 _MIN_INFORMATION_GAIN = 4.0
 _MIN_INFORMATION_LEFT = 0.5
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
-_MAX_ITERATIONS = 3  # of the fit of all nonlinear parameters after an effect was added
+_MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
 
 
 @dataclass
@@ -146,11 +146,13 @@ class EffectSearch:
         """Add effects until none is worthwhile.
 
         Near a reversal, the friction of real robots does not follow Coulomb's law, and simulators smooth the sign. This
-        residual must not hide smaller effects, and must not be reported as an unknown effect. So if the residual is
-        much smaller away from reversals, effects are first searched there. Then those that act at reversals, such as
-        Stribeck friction, are searched with all rows, and must explain most of the residual. If the residual near
-        reversals is still large after that, those rows are excluded for the rest of the search.
+        residual must not hide smaller effects. So if the residual is much smaller away from reversals, those that act
+        there, such as Stribeck friction, are searched first, and must explain most of the residual. If it is still
+        large near reversals, the others are searched away from them, and those that act there once more. If it is still
+        large after that, the rows near reversals are excluded for the rest of the search.
         """
+        if self._joints_clearer_away_from_reversals():
+            self._add_effects(_REVERSAL_SHARE)
         if self._joints_clearer_away_from_reversals():
             self._set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
@@ -163,6 +165,8 @@ class EffectSearch:
             self._set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
         self._drop_undetermined_parameters()
+        if self.current.reversal_margin:
+            self.current = linearize_fit(self.current.experiment, self.progress)
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""
@@ -276,7 +280,8 @@ class EffectSearch:
         fitted_entries = self.current.experiment.config.effects[first:]
         for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True)):
             effect.entry = entry
-            effect.errors = {name: error for (k, name), error in errors.items() if k == first + i}
+            own_errors = {name: error for (k, name), error in errors.items() if k == first + i}
+            effect.errors = own_errors or effect.errors
 
     def _fit_with_background(
         self, background: Sequence[EffectEntry], entries: Sequence[EffectEntry]
@@ -295,7 +300,10 @@ class EffectSearch:
         if not entries:
             return {}
         first = len(self._configured)
-        refitted = range(first, first + len(entries))
+        refitted = list(range(first, first + len(entries)))
+        for i, effect in enumerate(self.added, first + len(entries) - len(self.added)):
+            if effect.selection.base.reversal_margin < margin:  # the rows that determine it are excluded
+                refitted.remove(i)
         trial = fit_trial(self.current, experiment.config.effects, refitted, self.progress, _MAX_ITERATIONS)
         self.current = trial.linearized
         return trial.errors

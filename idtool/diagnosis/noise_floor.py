@@ -3,8 +3,8 @@
 Noise of torque sensors is white; that of encoders grows with the fourth power of the frequency once it has become an
 acceleration. What a model lacks follows the motion, whose power is at low frequencies, or occurs in bursts. So the
 power density above the motion's frequencies, in the quieter moments, is fitted with N0 + N4 f^4, which is taken as the
-noise down to 0 Hz. While a joint rests, friction can be anything up to its level, so no model can explain the residual
-there either.
+noise down to 0 Hz. While a joint rests, friction can be anything up to its level; no model can explain more of the
+residual there, and around a reversal no more than the unknown direction of friction makes of it through the filter.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy.optimize import nnls
 from scipy.signal import periodogram
 
 from idtool.common.arrays import Array, Mask
+from idtool.data.signals import Batch
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
@@ -26,6 +27,7 @@ _WINDOW = 64  # samples of a periodogram, at the decimated rate
 _QUIET = 0.25  # quantile of the periodograms
 _QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile of noise, over its mean
 _MIN_WINDOWS = 12
+_MAX_UNDEFINED_SHARE = 0.03  # of a filtered sample's weight, where an effect other than friction is undefined
 _MIN_MOVING = 0.7  # share of a window in which the joint moves
 
 
@@ -77,20 +79,20 @@ def estimate_noise_floor(
     dt = experiment.runs[0].signals.log.dt
     joint_count = len(experiment.equation.joints)
     moving_squares = np.zeros(joint_count)
-    resting_squares = np.zeros(joint_count)
     moving_count = np.zeros(joint_count)
-    resting_count = np.zeros(joint_count)
+    unclear: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]
     periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
     for run in experiment.runs:
         parts = run.parts(held_out)
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
-            e = batch.filter(LinearizedModel(experiment.equation, theta, batch.motion).residual)
+            model = LinearizedModel(experiment.equation, theta, batch.motion)
+            e = batch.filter(model.residual)
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
             moving_squares += (np.square(e) * moving).sum(axis=1)
-            resting_squares += (np.square(e) * ~moving).sum(axis=1)
             moving_count += moving.sum(axis=1)
-            resting_count += (~moving).sum(axis=1)
+            unknowable = _unknowable_torque(model, batch)
             for j in range(joint_count):
+                unclear[j].append((e[j, ~moving[j]], unknowable[j, ~moving[j]]))
                 periodograms[j] += _periodograms(e[j], moving[j], dt * low_pass.stride)
 
     residual = np.sqrt(moving_squares / np.maximum(moving_count, 1))
@@ -102,9 +104,26 @@ def estimate_noise_floor(
         if len(powers) >= _MIN_WINDOWS:
             rms, slow_power_ratio[j] = _noise_of(f, np.array(powers), passed_power, experiment.band_hz)
             noise[j] = min(rms, residual[j])
-    squares = np.square(noise) * moving_count + resting_squares
-    total = squares / np.maximum(moving_count + resting_count, 1)
-    return NoiseFloor(np.sqrt(total), noise, residual, slow_power_ratio)
+
+    mean_squares = []
+    for j, parts_of_joint in enumerate(unclear):
+        e = np.concatenate([residual_part for residual_part, _ in parts_of_joint])
+        unknowable = np.concatenate([torque for _, torque in parts_of_joint])
+        squares = np.minimum(np.square(e), np.square(noise[j]) + np.square(unknowable))
+        total = np.square(noise[j]) * moving_count[j] + squares.sum()
+        mean_squares.append(total / max(moving_count[j] + len(e), 1))
+    return NoiseFloor(np.sqrt(mean_squares), noise, residual, slow_power_ratio)
+
+
+def _unknowable_torque(model: LinearizedModel, batch: Batch) -> Array:
+    """Largest error of each filtered sample that comes from samples where columns are undefined, shape (nv, n).
+
+    Where friction may have either direction, that is twice its torque; where another effect is undefined, infinity.
+    """
+    friction = np.stack([np.abs(model.friction_torque(j)) for j in range(len(model.true_motion.q))])
+    of_friction, of_others = model.equation.undefined_shares(batch)
+    error = 2 * of_friction * np.maximum(batch.filter(friction), 0.0)
+    return np.asarray(np.where(of_others > _MAX_UNDEFINED_SHARE, np.inf, error))
 
 
 def _periodograms(e: Array, moving: Mask, dt: float) -> list[Array]:

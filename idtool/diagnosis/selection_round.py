@@ -258,7 +258,7 @@ def _undetermined_parameter(trial: TrialFit) -> str:
             max_error = value / MIN_PARAMETER_SIGNIFICANCE
         low, high = trial.ranges.get((last, parameter.name), (-np.inf, np.inf))
         if parameter.open_ended:
-            max_error = high = np.inf
+            continue
         if not (error < max_error and low * _RANGE_EDGE < value < high / _RANGE_EDGE):
             return parameter.name
     return ""

@@ -36,7 +36,7 @@ FAILURES = (IdtoolError, np.linalg.LinAlgError)  # of a model that cannot be fit
 
 _DIFFERENCE = 1e-3  # of a value, or this if it is small: step of a finite difference
 _SMALL_VALUE = 0.1  # below which a value counts as small
-_MAX_STEP = 0.3  # of a value
+_MAX_STEP = 0.7  # of a value
 _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
 _MIN_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
 _RANGE_MARGIN = 2.0  # times the values that the search tries

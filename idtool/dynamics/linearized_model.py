@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.data.signals import Motion
+from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.robot.inertia import PI_SIZE, symmetric_matrix
 
@@ -44,6 +44,9 @@ class TorqueEquation(Protocol):
 
     def residual(self, motion: Motion, theta: Array) -> Array:
         """Torque less columns · theta, unfiltered, shape (nv, N)."""
+
+    def undefined_shares(self, batch: Batch) -> tuple[Array, Array]:
+        """Shares of each filtered sample's weight that come from samples where a column is undefined."""
 
 
 class LinearizedModel:

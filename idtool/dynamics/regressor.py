@@ -18,6 +18,7 @@ from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.named_effect import NamedEffect
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import RobotModel
@@ -239,10 +240,26 @@ class LinearModel:
             clean[joint] &= weight <= limit
         return clean
 
-    def _invalid_masks(self, batch: Batch) -> dict[int, list[Mask]]:
-        """By joint, the masks of its effects' invalid samples, shape (N,) each."""
+    def undefined_shares(self, batch: Batch) -> tuple[Array, Array]:
+        """Shares of each filtered sample's weight, by magnitude, that come from samples where a column is undefined.
+
+        Returns
+        -------
+        Those of friction, whose direction is unknown there, and those of other effects, shape (nv, n) each.
+        """
+        shares = np.zeros((2, len(self.joints), len(batch.t)))
+        for row, is_friction in zip(shares, (True, False), strict=True):
+            for joint, masks in self._invalid_masks(batch, is_friction).items():
+                invalid = np.logical_or.reduce(masks)
+                row[joint] = batch.low_pass.masked_share(invalid, batch.before, batch.after)
+        return shares[0], shares[1]
+
+    def _invalid_masks(self, batch: Batch, is_friction: bool | None = None) -> dict[int, list[Mask]]:
+        """By joint, the masks of its effects' invalid samples, shape (N,) each; of friction or of others, or of all."""
         masks: dict[int, list[Mask]] = {}
         for effect in self.effects:
+            if is_friction is not None and is_friction != (isinstance(effect, NamedEffect) and effect.is_friction):
+                continue
             for joint, mask in effect.invalid_mask(batch.motion).items():
                 masks.setdefault(joint, []).append(mask)
         return masks

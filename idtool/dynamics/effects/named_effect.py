@@ -44,7 +44,7 @@ class NonlinearParameter:
     optional_maximum
         Largest value of a parameter that may be left out and is then 0; None: it may not be left out.
     open_ended
-        True if the effect is reported whatever the value's standard error and however large the value.
+        True if the effect is reported whatever the value's standard error, even at an end of what the search tries.
     """
 
     name: str
