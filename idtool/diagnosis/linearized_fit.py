@@ -213,41 +213,6 @@ def linearize_fit(
     )
 
 
-def validation_mse(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
-    """Mean squared residual on the held-out data by joint, in units of the noise.
-
-    Rows in which a reversal rings count too, unless the fit has a reversal margin.
-
-    Parameters
-    ----------
-    linearized
-        The fit.
-    row_equation
-        Equation at whose defined columns the rows count.
-
-    Returns
-    -------
-    Shape (nv,); NaN without held-out data.
-    """
-    equation = linearized.experiment.equation
-    theta = linearized.estimate.theta
-    squares = np.zeros(linearized.joint_count)
-    count = np.zeros(linearized.joint_count)
-    for run in linearized.experiment.runs:
-        for batch in linearized.experiment.batches(run, held_out=True):
-            if linearized.reversal_margin:
-                masks = row_equation.clean_samples(batch, linearized.reversal_margin)
-            else:
-                masks = row_equation.valid_samples(batch)
-            blocks = equation.filtered_columns(batch)
-            for j, (active, columns, mask) in enumerate(zip(equation.active(), blocks, masks, strict=True)):
-                residual = columns[-1] - theta[active] @ columns[:-1]
-                squares[j] += np.square(residual[mask]).sum()
-                count[j] += mask.sum()
-    with np.errstate(invalid="ignore"):
-        return np.asarray(squares / count / np.square(linearized.noise))
-
-
 def _noise_ratio(experiment: Experiment, rms_torque: Array, reference: LinearizedFit) -> Array:
     """Noise of each joint over that of the reference, shape (nv,); as their true torques where the sensors differ."""
     own_sensors = _torque_sensors(experiment)

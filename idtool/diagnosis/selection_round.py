@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.linearized_fit import LinearizedFit, validation_mse
+from idtool.diagnosis.held_out_error import held_out_errors
+from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
     MIN_SIGNIFICANCE,
@@ -237,8 +238,9 @@ def _worsens_validation(candidate: FittedCandidate, base: LinearizedFit) -> bool
     equation = candidate.trial.linearized.experiment.equation
     joint = candidate.probe.joint
     reached = [joint is None or name == joint for name in equation.joints]
-    with_effect = validation_mse(candidate.trial.linearized, equation)[reached].sum()
-    without = validation_mse(base, equation)[reached].sum()
+    unit = np.square(base.noise)
+    with_effect = (held_out_errors(candidate.trial.linearized, equation).mean_squares / unit)[reached].sum()
+    without = (held_out_errors(base, equation).mean_squares / unit)[reached].sum()
     return bool(with_effect > _MAX_VALIDATION_RATIO * without)  # NaN without held-out data
 
 
