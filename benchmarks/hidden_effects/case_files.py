@@ -11,6 +11,7 @@ or ``python benchmarks/hidden_effects FOLDER --robots planar2 --magnitudes stron
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,15 @@ from typing import Any
 import yaml
 
 from hidden_effects.case_list import Case
-from hidden_effects.effects import HiddenEffect, config_omissions
+from hidden_effects.effects import HiddenEffect, config_omissions, with_stronger_motors
 from hidden_effects.friction import draw_friction
-from hidden_effects.logs import record, write_log
+from hidden_effects.logs import Recording, record, write_log
 from hidden_effects.magnitudes import draw_parameters
 from hidden_effects.motion import draw_motion
 from hidden_effects.robots import ROBOTS, Body, Robot, Truth, draw_truth, rotor, urdf_text
 
+_MAX_TRIES = 8
+_STRENGTHENING = 1.05  # of motors, until they keep their command
 _UNSEEN_PACE = 1.2  # of the motion that is not for the diagnosis, relative to the first one
 
 
@@ -71,9 +74,15 @@ def write_case(case: Case, folder: Path) -> CaseFiles:
         motions.append(draw_motion(robot, case.seed, case.seconds, k))
     if files.unseen:
         motions.append(draw_motion(robot, case.seed, case.seconds, relative_pace=_UNSEEN_PACE))
-    recordings = {}
-    for k, (path, commanded) in enumerate(zip(paths, motions, strict=True)):
-        recordings[path] = record(robot, truth, hidden, commanded, case.sensors, case.seed, friction, k)
+
+    def record_all(hidden: tuple[HiddenEffect, ...]) -> list[Recording]:
+        return [
+            record(robot, truth, hidden, commanded, case.sensors, case.seed, friction, k)
+            for k, commanded in enumerate(motions)
+        ]
+
+    hidden, recorded = _with_strong_motors(hidden, record_all)
+    recordings = dict(zip(paths, recorded, strict=True))
 
     files.urdf.write_text(urdf_text(robot))
     files.config.write_text(yaml.safe_dump(_config(robot, hidden), sort_keys=False))
@@ -98,6 +107,21 @@ def write_case(case: Case, folder: Path) -> CaseFiles:
         write_log(part, robot, recording, case.sensors.has_velocity)
         part.rename(path)
     return files
+
+
+def _with_strong_motors(
+    hidden: tuple[HiddenEffect, ...], record_all: Callable[[tuple[HiddenEffect, ...]], list[Recording]]
+) -> tuple[tuple[HiddenEffect, ...], list[Recording]]:
+    """Hidden effects whose saturated motors are strong enough to keep their command, and all recordings."""
+    for _ in range(_MAX_TRIES):
+        try:
+            return hidden, record_all(hidden)
+        except RuntimeError:
+            stronger = with_stronger_motors(hidden, _STRENGTHENING)
+            if stronger == hidden:
+                raise
+            hidden = stronger
+    return hidden, record_all(hidden)
 
 
 def _config(robot: Robot, hidden: tuple[HiddenEffect, ...]) -> dict[str, Any]:

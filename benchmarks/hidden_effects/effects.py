@@ -128,6 +128,19 @@ def _bent(p: Parameters, commanded: float) -> float:
 # Motors that give less than their command, which is logged; forms of the effect ``torque_saturation``.
 MOTOR_CURVES: dict[str, Callable[[Parameters, float], float]] = {"motor_clip": _clipped, "motor_tanh": _bent}
 
+
+def with_stronger_motors(hidden: tuple[HiddenEffect, ...], factor: float) -> tuple[HiddenEffect, ...]:
+    """Hidden effects with motors that saturate at torques larger by a factor."""
+    effects = []
+    for effect in hidden:
+        if effect.parameters.get("form") in MOTOR_CURVES:
+            larger = {name: factor * effect.parameters[name] for name in ("level", "span") if name in effect.parameters}
+            effects.append(replace(effect, parameters={**effect.parameters, **larger}))
+        else:
+            effects.append(effect)
+    return tuple(effects)
+
+
 # Pushes on a link, off its frame's origin; forms of the effect ``external_contact``.
 PUSH_FORMS = ("trapezoid_push", "half_sine_push")
 
@@ -244,6 +257,8 @@ def _add_joint_forces(robot: Robot, physics: AddedPhysics, form: str, p: Paramet
         physics.smooth_torques.append((j, PreslidingFriction(p, j)))
     elif form in MOTOR_CURVES:
         physics.motor_curves.append((j, partial(MOTOR_CURVES[form], p)))
+        if "command_limit" in p:
+            physics.command_limits[j] = p["command_limit"]
     elif form in ("backlash", "joint_elasticity"):
         transmission = Transmission(p["stiffness"], p["damping"], p.get("width", 0.0), p.get("motor_friction", 0.0))
         physics.transmissions[j] = transmission

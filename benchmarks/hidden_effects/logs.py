@@ -159,7 +159,7 @@ def _track(
     resolution = 2 * np.pi / 2 ** (sensors.encoder_bits or robot.encoder_bits)
     smoothing = 1 / (0.5 + sensors.velocity_lag * RATE)
     kp, kd = gains
-    limit = np.array([joint.effort for joint in robot.joints])
+    limit = np.array([physics.command_limits.get(j, joint.effort) for j, joint in enumerate(robot.joints)])
     q_cmd, v_cmd = motion.q.T, motion.v.T
     tau, q, v = np.zeros((3, *q_cmd.shape))
     requested = feed_forward[0]

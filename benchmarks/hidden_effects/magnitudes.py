@@ -180,10 +180,12 @@ def _torque_saturation(size: EffectSize) -> Parameters:
 
 def _motor_saturation(size: EffectSize, form: str) -> Parameters:
     peak = float(np.abs(size.motion.tau[size.j]).max())
-    share = size.by_magnitude(0.15, 0.08, 0.03)  # of the peak torque; that of the form motor_clip cannot be reached
+    command = {"command_limit": 1.5 * peak}
     if form == "motor_clip":
-        return {"level": (1 - share) * peak}
-    return {"level": (1 - 1.6 * share) * peak, "span": share * peak}
+        missing = size.by_magnitude(0.2, 0.1, 0.04) * peak  # at the peak
+        return {"level": peak - missing, **command}
+    span = size.by_magnitude(0.2, 0.1, 0.04) * peak
+    return {"level": peak - 1.6 * span, "span": span, **command}
 
 
 def _torque_ripple(size: EffectSize) -> Parameters:

@@ -134,6 +134,8 @@ class AddedPhysics:
         Wrenches on links, elastic transmissions, and bodies in addition to those of links.
     motor_curves
         Functions from the commanded to the true torque of a motor.
+    command_limits
+        Largest torque that a motor is commanded, if not its joint's effort [N m].
     gravity
         [m/s^2].
     """
@@ -144,6 +146,7 @@ class AddedPhysics:
     transmissions: dict[int, Transmission] = field(default_factory=dict)
     payloads: list[tuple[str, Body]] = field(default_factory=list)
     motor_curves: list[tuple[int, Callable[[float], float]]] = field(default_factory=list)
+    command_limits: dict[int, float] = field(default_factory=dict)
     gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
 
     def motor_torque(self, commanded: Array) -> Array:

@@ -231,6 +231,19 @@ def test_a_saturated_motor_is_logged_as_commanded() -> None:
     assert np.abs(log.tau[:, 1]).max() > 1.02 * level
 
 
+def test_motors_are_strong_enough_to_keep_their_command(tmp_path: Path) -> None:
+    parameters = {"form": "motor_clip", "level": 2.8, "command_limit": 30.0}
+    effect = HiddenEffect("torque_saturation", "elbow", parameters=parameters)
+    files = write_case(Case("weak", "planar2", (effect,), 1, seconds=3.0), tmp_path)
+    (hidden,) = json.loads(files.truth.read_text())["hidden"]
+    strengthening = np.log(hidden["parameters"]["level"] / 2.8) / np.log(1.05)
+    assert strengthening == pytest.approx(round(strengthening), abs=1e-6)
+    assert strengthening > 0.5
+    assert hidden["parameters"]["command_limit"] == 30.0
+    tau = np.loadtxt(files.log, delimiter=",", skiprows=1)[:, -1]
+    assert np.abs(tau).max() > hidden["parameters"]["level"]
+
+
 def test_a_force_off_the_origin_acts_by_its_jacobian() -> None:
     """By virtual work: the torque is the derivative of force · position by the joints' positions."""
     truth = draw_truth(LEG3, 0)
