@@ -11,8 +11,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden_effects.case_files import write_case
-from hidden_effects.case_list import KINDS, Case, list_cases, parse_numbers
+from hidden_effects.case_list import FRICTION_HELP, KINDS, NOISE_HELP, Case, list_cases, parse_numbers
 from hidden_effects.effects import MAGNITUDES
+from hidden_effects.friction import FRICTION_KINDS
+from hidden_effects.logs import NOISE_KINDS
 from hidden_effects.robots import ROBOTS
 
 
@@ -36,13 +38,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--magnitudes", default=",".join(MAGNITUDES))
     parser.add_argument("--seeds", default="0", help="such as 0,3-5")
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--friction", choices=FRICTION_KINDS, help=FRICTION_HELP)
+    parser.add_argument("--noise", choices=NOISE_KINDS, help=NOISE_HELP)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args(arguments)
 
     robots, magnitudes = options.robots.split(","), options.magnitudes.split(",")
     cases: list[Case] = []
     for kind in options.kind.split(","):
-        cases += list_cases(kind, robots, magnitudes, parse_numbers(options.seeds), options.seconds)
+        seeds = parse_numbers(options.seeds)
+        cases += list_cases(kind, robots, magnitudes, seeds, options.seconds, options.friction, options.noise)
     if options.effects:
         wanted = set(options.effects.split(","))
         cases = [case for case in cases if wanted & {effect.effect for effect in case.hidden}]

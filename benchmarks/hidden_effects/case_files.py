@@ -1,4 +1,6 @@
-"""Files of a case: `write_case` writes URDF, configuration, log and truth, for `idtool diagnose`.
+"""Files of a case: `write_case` writes URDF, configuration, logs and truth, for `idtool diagnose`.
+
+A single log is ``log.csv``; several logs are ``log1.csv``, ``log2.csv``, …, for the diagnosis, and ``unseen.csv``.
 
 >>> for case in list_cases("single", robots=["planar2"], magnitudes=["strong"], seeds=[0]):
 ...     write_case(case, Path("/tmp/hidden") / case.name)
@@ -9,6 +11,7 @@ or ``python benchmarks/hidden_effects FOLDER --robots planar2 --magnitudes stron
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,27 +19,48 @@ from typing import Any
 import yaml
 
 from hidden_effects.case_list import Case
-from hidden_effects.effects import HiddenEffect, config_omissions
-from hidden_effects.logs import record, write_log
+from hidden_effects.effects import HiddenEffect, config_omissions, with_stronger_motors
+from hidden_effects.friction import draw_friction
+from hidden_effects.logs import Recording, record, write_log
 from hidden_effects.magnitudes import draw_parameters
 from hidden_effects.motion import draw_motion
 from hidden_effects.robots import ROBOTS, Body, Robot, Truth, draw_truth, rotor, urdf_text
 
+_MAX_TRIES = 8
+_STRENGTHENING = 1.05  # of motors, until they keep their command
+_UNSEEN_PACE = 1.2  # of the motion that is not for the diagnosis, relative to the first one
+
 
 @dataclass(frozen=True)
 class CaseFiles:
-    """Paths of a case's files."""
+    """Paths of a case's files; ``logs`` are those for the diagnosis, ``unseen`` is one that is not."""
 
     urdf: Path
     config: Path
-    log: Path
     truth: Path
+    logs: tuple[Path, ...]
+    unseen: Path | None
+
+    @property
+    def log(self) -> Path:
+        """The first log."""
+        return self.logs[0]
+
+
+def case_files(case: Case, folder: Path) -> CaseFiles:
+    """Paths of a case's files in a folder."""
+    urdf, config, truth = (folder / name for name in ("robot.urdf", "config.yaml", "truth.json"))
+    if case.logs == 1:
+        return CaseFiles(urdf, config, truth, (folder / "log.csv",), None)
+    logs = tuple(folder / f"log{k + 1}.csv" for k in range(case.logs))
+    return CaseFiles(urdf, config, truth, logs, folder / "unseen.csv")
 
 
 def write_case(case: Case, folder: Path) -> CaseFiles:
-    """Write a case's files into a folder, the log last; do nothing if the log is there already."""
-    files = CaseFiles(folder / "robot.urdf", folder / "config.yaml", folder / "log.csv", folder / "truth.json")
-    if files.log.exists():
+    """Write a case's files into a folder, the logs last; do nothing if the logs are there already."""
+    files = case_files(case, folder)
+    paths = [*files.logs, files.unseen] if files.unseen else list(files.logs)
+    if all(path.exists() for path in paths):
         return files
     folder.mkdir(parents=True, exist_ok=True)
     robot = ROBOTS[case.robot]
@@ -44,7 +68,21 @@ def write_case(case: Case, folder: Path) -> CaseFiles:
     truth = draw_truth(robot, case.seed, exact=is_fixed)
     motion = draw_motion(robot, case.seed, case.seconds)
     hidden = draw_parameters(robot, truth, case.hidden, motion, case.seed, is_fixed)
-    recording = record(robot, truth, hidden, motion, case.sensors, case.seed)
+    friction = draw_friction(case.friction, case.seed)
+    motions = [motion]
+    for k in range(1, case.logs):
+        motions.append(draw_motion(robot, case.seed, case.seconds, k))
+    if files.unseen:
+        motions.append(draw_motion(robot, case.seed, case.seconds, relative_pace=_UNSEEN_PACE))
+
+    def record_all(hidden: tuple[HiddenEffect, ...]) -> list[Recording]:
+        return [
+            record(robot, truth, hidden, commanded, case.sensors, case.seed, friction, k)
+            for k, commanded in enumerate(motions)
+        ]
+
+    hidden, recorded = _with_strong_motors(hidden, record_all)
+    recordings = dict(zip(paths, recorded, strict=True))
 
     files.urdf.write_text(urdf_text(robot))
     files.config.write_text(yaml.safe_dump(_config(robot, hidden), sort_keys=False))
@@ -56,13 +94,34 @@ def write_case(case: Case, folder: Path) -> CaseFiles:
         "seconds": case.seconds,
         "hidden": [asdict(effect) for effect in hidden],
         "truth": _truth_as_dict(robot, truth),
-        "torque_noise": dict(zip(robot.names, recording.noise.tolist(), strict=True)),
+        "friction": asdict(friction),
+        "noise": case.sensors.noise,
+        "torque_noise": {
+            path.name: dict(zip(robot.names, recording.noise.tolist(), strict=True))
+            for path, recording in recordings.items()
+        },
     }
     files.truth.write_text(json.dumps(content, indent=1))
-    part = files.log.with_suffix(".part")
-    write_log(part, robot, recording, case.sensors.has_velocity)
-    part.rename(files.log)
+    for path, recording in recordings.items():
+        part = path.with_suffix(".part")
+        write_log(part, robot, recording, case.sensors.has_velocity)
+        part.rename(path)
     return files
+
+
+def _with_strong_motors(
+    hidden: tuple[HiddenEffect, ...], record_all: Callable[[tuple[HiddenEffect, ...]], list[Recording]]
+) -> tuple[tuple[HiddenEffect, ...], list[Recording]]:
+    """Hidden effects whose saturated motors are strong enough to keep their command, and all recordings."""
+    for _ in range(_MAX_TRIES):
+        try:
+            return hidden, record_all(hidden)
+        except RuntimeError:
+            stronger = with_stronger_motors(hidden, _STRENGTHENING)
+            if stronger == hidden:
+                raise
+            hidden = stronger
+    return hidden, record_all(hidden)
 
 
 def _config(robot: Robot, hidden: tuple[HiddenEffect, ...]) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from hidden_effects.effects import MAGNITUDES, UNKNOWN_FORMS, HiddenEffect
-from hidden_effects.logs import Sensors
+from hidden_effects.effects import MAGNITUDES, MOTOR_CURVES, PUSH_FORMS, UNKNOWN_FORMS, HiddenEffect
+from hidden_effects.friction import FRICTION_KINDS
+from hidden_effects.logs import NOISE_KINDS, Sensors
 from hidden_effects.magnitudes import EFFECTS
 from hidden_effects.robots import ROBOTS, Robot
 
@@ -28,7 +29,16 @@ ON_SEVERAL_JOINTS = (
     "joint_elasticity",
 )
 
-_COMBINATIONS = {2: 6, 3: 4}  # number of pairs and of triples for each robot and seed
+# Kinds of friction and of noise on the torque that clean cases have by turns.
+COMBINATIONS = tuple((friction, noise) for noise in NOISE_KINDS for friction in FRICTION_KINDS)
+_USUAL_COMBINATION = ("sign", "white")
+_VARIANT_LOGS = 2  # of a motor that saturates
+
+_MIXTURES = {2: 6, 3: 4}  # number of pairs and of triples for each robot and seed
+# Locations of the kind ``variants``: joints that carry much load, links that are pushed, and shoulders.
+_LOADED_JOINTS = {"planar2": ("shoulder", "elbow"), "leg3": ("hip", "knee"), "arm6": ("j2", "j3")}
+_PUSHED_LINKS = {"planar2": "lower", "leg3": "shank", "arm6": "forearm"}
+_SHOULDERS = {"planar2": "shoulder", "arm6": "j2"}
 # Sets of effects of which one joint has no more than one.
 _EXCLUSIVE = (
     {"coulomb_friction", "presliding_hysteresis", "friction_drift"},
@@ -37,6 +47,10 @@ _EXCLUSIVE = (
     {"backlash", "joint_elasticity"},
     {"torque_gain", "torque_saturation"},
 )
+
+
+FRICTION_HELP = "way of simulating dry friction; default: sign, in clean cases all by turns"
+NOISE_HELP = "noise on the torque; default: white, in clean cases all by turns"
 
 
 @dataclass(frozen=True)
@@ -56,9 +70,14 @@ class Case:
     inertia
         As the option of ``idtool diagnose``: ``refit``; ``fixed`` if the true bodies are those of the URDF.
     seconds
-        Duration of the log [s].
+        Duration of each log for the diagnosis [s].
     sensors
-        The log's sensors.
+        The logs' sensors.
+    friction
+        Kind of the simulated dry friction, one of `FRICTION_KINDS`.
+    logs
+        Number of logs for the diagnosis. With more than one, there is one log more that is not for the diagnosis. Its
+        motion is the first one, faster.
     """
 
     name: str
@@ -68,6 +87,8 @@ class Case:
     inertia: str = "refit"
     seconds: float = 30.0
     sensors: Sensors = field(default_factory=Sensors)
+    friction: str = "sign"
+    logs: int = 1
 
 
 def possible_locations(robot: Robot, effect: str) -> tuple[str, ...]:
@@ -110,14 +131,39 @@ def list_cases(
     magnitudes: Iterable[str] = MAGNITUDES,
     seeds: Iterable[int] = (0, 1, 2),
     seconds: float = 30.0,
+    friction: str | None = None,
+    noise: str | None = None,
 ) -> list[Case]:
-    """All cases of a kind, one of `KINDS`. Pairs and triples mix the magnitudes, but leave out ``near``."""
+    """All cases of a kind, one of `KINDS`.
+
+    Pairs and triples mix the magnitudes, but leave out ``near``; variants leave it out too.
+
+    Parameters
+    ----------
+    kind, robots, magnitudes, seeds, seconds
+        The kind, and values for its cases.
+    friction, noise
+        Kinds of friction and of noise on the torque instead of the usual ones. The usual ones are ``sign`` and
+        ``white``; clean cases have all combinations by turns.
+    """
     magnitudes, seeds = tuple(magnitudes), tuple(seeds)
     cases = []
     for name in robots:
         for seed in seeds:
-            cases += [replace(case, seconds=seconds) for case in KINDS[kind](ROBOTS[name], magnitudes, seed)]
+            usual = COMBINATIONS[seed % len(COMBINATIONS)] if kind == "clean" else _USUAL_COMBINATION
+            combination = (friction or usual[0], noise or usual[1])
+            is_in_name = kind == "clean" or combination != usual
+            for case in KINDS[kind](ROBOTS[name], magnitudes, seed):
+                timed_case = replace(case, seconds=seconds)
+                cases.append(_simulated_with(timed_case, *combination) if is_in_name else timed_case)
     return cases
+
+
+def _simulated_with(case: Case, friction: str, noise: str) -> Case:
+    """A case with a kind of friction and of noise, and with their names in its own."""
+    seed = f"_s{case.seed}"
+    name = f"{case.name.removesuffix(seed)}_{friction}_{noise}{seed}"
+    return replace(case, name=name, friction=friction, sensors=replace(case.sensors, noise=noise))
 
 
 def _single(robot: Robot, magnitudes: Sequence[str], seed: int) -> list[Case]:
@@ -164,7 +210,7 @@ def _combinations(robot: Robot, magnitudes: Sequence[str], seed: int, count: int
     usual_magnitudes = [magnitude for magnitude in magnitudes if magnitude != "near"] or list(magnitudes)
     candidates = [effect for effect in EFFECTS if effect != "external_contact"]
     cases: dict[frozenset[tuple[str, str]], Case] = {}
-    while len(cases) < _COMBINATIONS[count]:
+    while len(cases) < _MIXTURES[count]:
         effects = [str(effect) for effect in rng.choice(candidates, count, replace=False)]
         locations = [str(rng.choice(possible_locations(robot, effect))) for effect in effects]
         if not _are_compatible(effects, locations):
@@ -174,6 +220,39 @@ def _combinations(robot: Robot, magnitudes: Sequence[str], seed: int, count: int
             hidden.append(_hidden_effect(robot, effect, location, str(magnitude)))
         cases[frozenset(zip(effects, locations, strict=True))] = _case(robot, hidden, seed)
     return list(cases.values())
+
+
+def _variants(robot: Robot, magnitudes: Sequence[str], seed: int) -> list[Case]:
+    """Cases of effects as they are in other simulators and on machines, not as idtool models them."""
+    cases = []
+    for magnitude in [magnitude for magnitude in magnitudes if magnitude != "near"] or magnitudes:
+        loaded_joints = _LOADED_JOINTS[robot.name]
+        joint = loaded_joints[seed % len(loaded_joints)]
+        for form in MOTOR_CURVES:
+            hidden = [_hidden_effect(robot, "torque_saturation", joint, magnitude, form)]
+            cases.append(replace(_variant(robot, hidden, seed), logs=_VARIANT_LOGS))
+        for form in PUSH_FORMS:
+            hidden = [_hidden_effect(robot, "external_contact", _PUSHED_LINKS[robot.name], magnitude, form)]
+            cases.append(_variant(robot, hidden, seed))
+        k = seed % (min(len(robot.names), 4) - 1)
+        neighbours = [
+            _hidden_effect(robot, "transmission_coupling", robot.names[k], magnitude),
+            _hidden_effect(robot, "presliding_hysteresis", robot.names[k + 1], magnitude),
+        ]
+        cases.append(_variant(robot, neighbours, seed))
+        if robot.name == "leg3":
+            cases.append(_variant(robot, [_hidden_effect(robot, "joint_elasticity", "hip", magnitude)], seed))
+        if robot.name in _SHOULDERS:
+            shoulder = _SHOULDERS[robot.name]
+            hidden = [_hidden_effect(robot, "load_dependent_friction", shoulder, magnitude)]
+            cases.append(_variant(robot, hidden, seed))
+    return cases
+
+
+def _variant(robot: Robot, hidden: Sequence[HiddenEffect], seed: int) -> Case:
+    """A case with a name that differs from those of the other kinds."""
+    case = _case(robot, hidden, seed)
+    return replace(case, name=case.name.replace(robot.name, f"{robot.name}_variant", 1))
 
 
 def _are_compatible(effects: Sequence[str], locations: Sequence[str]) -> bool:
@@ -192,6 +271,7 @@ KINDS: dict[str, Callable[[Robot, Sequence[str], int], list[Case]]] = {
     "several": _several,
     "clean": _clean,
     "unknown": _unknown,
+    "variants": _variants,
 }
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from hidden_effects.friction import advance_bristle
 from hidden_effects.plant import AddedPhysics, Contact, JointState, Transmission
 from hidden_effects.robots import Body, Robot, Truth, rotor
 
@@ -111,6 +112,38 @@ FRICTION_LEVELS: dict[str, TorqueForm] = {
     "friction_by_position": _friction_by_position,
 }
 
+
+def _clipped(p: Parameters, commanded: float) -> float:
+    return float(np.clip(commanded, -p["level"], p["level"]))
+
+
+def _bent(p: Parameters, commanded: float) -> float:
+    """True torque of a motor that saturates smoothly: ``span`` is the most that it can give above the level."""
+    excess = abs(commanded) - p["level"]
+    if excess <= 0:
+        return commanded
+    return float(np.sign(commanded) * (p["level"] + p["span"] * np.tanh(excess / p["span"])))
+
+
+# Motors that give less than their command, which is logged; forms of the effect ``torque_saturation``.
+MOTOR_CURVES: dict[str, Callable[[Parameters, float], float]] = {"motor_clip": _clipped, "motor_tanh": _bent}
+
+
+def with_stronger_motors(hidden: tuple[HiddenEffect, ...], factor: float) -> tuple[HiddenEffect, ...]:
+    """Hidden effects with motors that saturate at torques larger by a factor."""
+    effects = []
+    for effect in hidden:
+        if effect.parameters.get("form") in MOTOR_CURVES:
+            larger = {name: factor * effect.parameters[name] for name in ("level", "span") if name in effect.parameters}
+            effects.append(replace(effect, parameters={**effect.parameters, **larger}))
+        else:
+            effects.append(effect)
+    return tuple(effects)
+
+
+# Pushes on a link, off its frame's origin; forms of the effect ``external_contact``.
+PUSH_FORMS = ("trapezoid_push", "half_sine_push")
+
 # Effects that idtool does not have: each is an ``unknown`` with this ``form``.
 UNKNOWN_FORMS = ("dead_zone", "vibration", "viscosity_by_position", "wandering", "steps", "friction_by_position")
 
@@ -128,11 +161,9 @@ class PreslidingFriction:
     def __call__(self, state: JointState) -> Array:
         """Torque [N m]; advances the friction's own state by one step."""
         v = float(state.v[self._j])
-        displacement = self._p["displacement"]
-        direction = np.sign(v)
-        z_rate = v / displacement * (1 - direction * self._z)
+        z_rate, z = advance_bristle(self._z, v, self._p["displacement"], state.dt)
         torque = self._p["amplitude"] * (self._z + self._p.get("damping", 0.0) * z_rate)
-        self._z = direction + (self._z - direction) * np.exp(-abs(v) * state.dt / displacement)
+        self._z = z
         return np.asarray(torque)
 
 
@@ -204,7 +235,11 @@ def _add_forces(robot: Robot, physics: AddedPhysics, effect: HiddenEffect, j: in
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         physics.payloads.append((str(effect.link), Body(p["mass"], np.array(p["com"]), inertia)))
     elif effect.effect == "external_contact":
-        physics.contacts.append(Contact(str(effect.link), p["windows"], np.array(p["wrench"])))
+        contact = Contact(str(effect.link), p["windows"], np.array(p["wrench"]))
+        if p.get("form") in PUSH_FORMS:
+            is_half_sine = p["form"] == "half_sine_push"
+            contact = replace(contact, rise_time=p["rise_time"], point=p["point"], is_half_sine=is_half_sine)
+        physics.contacts.append(contact)
     elif j is not None:
         _add_joint_forces(robot, physics, p.get("form", effect.effect), p, j)
 
@@ -220,6 +255,10 @@ def _add_joint_forces(robot: Robot, physics: AddedPhysics, form: str, p: Paramet
         p = {**p, "signal": random_steps(p["seed"], p["seconds"], p["scale"])}
     elif form == "presliding_hysteresis":
         physics.smooth_torques.append((j, PreslidingFriction(p, j)))
+    elif form in MOTOR_CURVES:
+        physics.motor_curves.append((j, partial(MOTOR_CURVES[form], p)))
+        if "command_limit" in p:
+            physics.command_limits[j] = p["command_limit"]
     elif form in ("backlash", "joint_elasticity"):
         transmission = Transmission(p["stiffness"], p["damping"], p.get("width", 0.0), p.get("motor_friction", 0.0))
         physics.transmissions[j] = transmission
@@ -245,7 +284,7 @@ def _add_sensor_errors(errors: SensorErrors, effect: HiddenEffect, j: int | None
         errors.position_offset[j] += p["offset"]
     elif effect.effect == "torque_gain":
         errors.torque_maps.append((j, lambda tau: p["gain"] * tau))
-    elif effect.effect == "torque_saturation":
+    elif effect.effect == "torque_saturation" and p.get("form") not in MOTOR_CURVES:
         errors.torque_maps.append((j, lambda tau: saturated_torque(tau, p["level"], p["bend"])))
 
 

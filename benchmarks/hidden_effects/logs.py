@@ -14,8 +14,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hidden_effects.effects import HiddenEffect, SensorErrors, apply_effects
+from hidden_effects.friction import Friction
 from hidden_effects.motion import Motion, nominal_torque
 from hidden_effects.plant import RATE, AddedPhysics, Plant, inverse_dynamics
 from hidden_effects.robots import Robot, Truth, rotor
@@ -27,7 +29,12 @@ _DAMPING_RATIO = 0.8
 _FRICTION_FACTORS = (0.9, 1.1)  # friction in the feed-forward over the true one
 _MAX_MOTOR_DAMPING = 200.0  # 1/s, of a motor that moves by itself in an elastic transmission
 _MAX_TRACKING_ERROR = 0.6  # rad
-_STEPS, _FINE_STEPS = 4, 10  # simulation steps per sample; with elastic transmissions or presliding friction
+_STEPS, _FINE_STEPS = 4, 10  # simulation steps per sample; with elastic transmissions or stiff friction
+_CORRELATION_TIMES = (0.02, 0.08)  # s, of coloured noise
+_QUANTUM = 0.005  # of the peak torque
+_STICKING = Friction("sign")
+
+NOISE_KINDS = ("white", "coloured", "quantised", "none")
 
 
 @dataclass(frozen=True)
@@ -43,7 +50,9 @@ class Sensors:
     has_velocity
         True if the log has velocities.
     torque_noise
-        White noise on the torque, as a share of each joint's rms torque.
+        Rms of ``white`` and ``coloured`` noise on the torque, as a share of each joint's rms torque.
+    noise
+        Kind of the noise on the torque, one of `NOISE_KINDS`.
     time_jitter
         Noise of the time stamps, as a share of a millisecond.
     """
@@ -52,12 +61,13 @@ class Sensors:
     velocity_lag: float = 1.0e-3
     has_velocity: bool = True
     torque_noise: float = 0.005
+    noise: str = "white"
     time_jitter: float = 0.0
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Measured signals: t (N,); q, v, tau (N, n); and the noise on each joint's torque, shape (n,) [N m]."""
+    """Measured signals: t (N,); q, v, tau (N, n); and the rms noise on each joint's torque, shape (n,) [N m]."""
 
     t: Array
     q: Array
@@ -67,29 +77,71 @@ class Recording:
 
 
 def record(
-    robot: Robot, truth: Truth, hidden: tuple[HiddenEffect, ...], motion: Motion, sensors: Sensors, seed: int
+    robot: Robot,
+    truth: Truth,
+    hidden: tuple[HiddenEffect, ...],
+    motion: Motion,
+    sensors: Sensors,
+    seed: int,
+    friction: Friction = _STICKING,
+    index: int = 0,
 ) -> Recording:
     """Run a robot along a commanded motion.
+
+    Parameters
+    ----------
+    robot, truth, hidden
+        The robot, and the effects with their parameters.
+    motion, sensors, seed
+        The commanded motion, the sensors, and the seed of what is random.
+    friction
+        The way in which dry friction is simulated.
+    index
+        Number of the log among those of the robot.
 
     Raises
     ------
     RuntimeError
         If a joint departs from its command by more than 0.6 rad.
     """
-    rng = np.random.default_rng([seed, 13])
-    friction = np.array([truth.viscous, truth.coulomb]) * rng.uniform(*_FRICTION_FACTORS, (2, len(robot.joints)))
-    feed_forward = nominal_torque(robot, motion, friction).T
+    rng = np.random.default_rng([seed, 13, index])  # zeros at the end do not change a seed
+    friction_factors = rng.uniform(*_FRICTION_FACTORS, (2, len(robot.joints)))
+    feed_forward = nominal_torque(robot, motion, np.array([truth.viscous, truth.coulomb]) * friction_factors).T
     truth, physics, errors = apply_effects(robot, truth, hidden)
-    is_stiff = physics.transmissions or any(effect.effect == "presliding_hysteresis" for effect in hidden)
+    has_presliding = any(effect.effect == "presliding_hysteresis" for effect in hidden)
+    is_stiff = physics.transmissions or has_presliding or friction.is_stiff
     steps = _FINE_STEPS if is_stiff else _STEPS
     start = motion.q[:, 0] + errors.position_offset
-    plant = Plant(robot, truth, physics, 1 / (RATE * steps), start, motion.v[:, 0])
+    plant = Plant(robot, truth, physics, 1 / (RATE * steps), start, motion.v[:, 0], friction)
     gains = _controller_gains(robot, motion, physics)
-    true_tau, q, v = _track(plant, robot, motion, feed_forward, gains, errors, sensors, steps)
-    tau = measured_torque(true_tau, errors)
-    noise = sensors.torque_noise * np.sqrt(np.mean(np.square(tau), axis=0))
+    commanded_tau, q, v = _track(plant, robot, motion, feed_forward, gains, physics, errors, sensors, steps)
+    tau = measured_torque(commanded_tau, errors)
     t = motion.t + sensors.time_jitter / RATE * rng.normal(size=len(motion.t))
-    return Recording(t, q, v, tau + noise * rng.normal(size=tau.shape), noise)
+    tau, noise = noisy_torque(tau, sensors, rng)
+    return Recording(t, q, v, tau, noise)
+
+
+def noisy_torque(tau: Array, sensors: Sensors, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Torque with the sensors' noise, shape (N, n), and the rms of the noise on each joint, shape (n,) [N m]."""
+    if sensors.noise == "none":
+        return tau, np.zeros(tau.shape[1])
+    if sensors.noise == "quantised":
+        quantum = _QUANTUM * np.abs(tau).max(axis=0)
+        return np.round(tau / quantum) * quantum, quantum / np.sqrt(12)
+    rms_noise = sensors.torque_noise * np.sqrt(np.mean(np.square(tau), axis=0))
+    noise = rng.normal(size=tau.shape)
+    if sensors.noise == "coloured":
+        noise = _coloured(noise, float(rng.uniform(*_CORRELATION_TIMES)))
+    return tau + rms_noise * noise, rms_noise
+
+
+def _coloured(white: Array, correlation_time: float) -> Array:
+    """Noise of unit size from white noise, shape (N, n), whose correlation decays by 1/e in a time [s]."""
+    decay = np.exp(-1 / (RATE * correlation_time))
+    innovation = np.sqrt(1 - decay**2)
+    start = (1 - innovation) * white[:1]  # so that the first sample has unit size too
+    coloured, _ = lfilter([innovation], [1.0, -decay], white, axis=0, zi=start)
+    return np.asarray(coloured)
 
 
 def _track(
@@ -98,15 +150,16 @@ def _track(
     motion: Motion,
     feed_forward: Array,
     gains: tuple[Array, Array],
+    physics: AddedPhysics,
     errors: SensorErrors,
     sensors: Sensors,
     steps: int,
 ) -> tuple[Array, Array, Array]:
-    """Track a motion with the PD controller: true torque, and measured position and velocity, shape (N, n) each."""
+    """Track a motion with the PD controller: its torque, and measured position and velocity, shape (N, n) each."""
     resolution = 2 * np.pi / 2 ** (sensors.encoder_bits or robot.encoder_bits)
     smoothing = 1 / (0.5 + sensors.velocity_lag * RATE)
     kp, kd = gains
-    limit = np.array([joint.effort for joint in robot.joints])
+    limit = np.array([physics.command_limits.get(j, joint.effort) for j, joint in enumerate(robot.joints)])
     q_cmd, v_cmd = motion.q.T, motion.v.T
     tau, q, v = np.zeros((3, *q_cmd.shape))
     requested = feed_forward[0]
@@ -114,12 +167,13 @@ def _track(
     q_last = np.round((q_cmd[0] - v_cmd[0] / RATE) / resolution) * resolution
     for k in range(len(q_cmd)):
         tau[k] = np.clip(requested, -limit, limit)
+        motor_torque = physics.motor_torque(tau[k])
         for _ in range(steps // 2):
-            plant.step(tau[k])
+            plant.step(motor_torque)
         x, dx = plant.x[plant.motors], plant.v[plant.motors]
         q_true = x - dx / (2 * steps * RATE)  # semi-implicit Euler: x is half a step ahead of v
         for _ in range(steps // 2):
-            plant.step(tau[k])
+            plant.step(motor_torque)
         q[k] = np.round((q_true - errors.position_offset) / resolution) * resolution
         v_filtered = v_filtered + smoothing * ((q[k] - q_last) * RATE - v_filtered)
         v[k] = v_filtered

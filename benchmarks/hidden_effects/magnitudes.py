@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from hidden_effects.effects import (
     FRICTION_LEVELS,
     MAGNITUDES,
+    MOTOR_CURVES,
+    PUSH_FORMS,
     SMOOTH_TORQUES,
     HiddenEffect,
     Parameters,
@@ -36,6 +38,7 @@ _MAX_ENLARGEMENT = 3.0
 _STRIDE = 20  # samples between those by which that share is computed
 _PAYLOADS = {"planar2": 0.7, "leg3": 0.25, "arm6": 2.5}  # kg, strong
 _FORCES = {"planar2": 12.0, "leg3": 7.0, "arm6": 25.0}  # N, strong
+_RISE_TIMES = (0.05, 0.3)  # s, of a push
 _BACKLASHES = {"planar2": 0.012, "leg3": 0.012, "arm6": 0.005}  # rad, strong, for a motor as heavy as its link
 
 
@@ -175,6 +178,16 @@ def _torque_saturation(size: EffectSize) -> Parameters:
     return {"level": level, "bend": 2 * missing / (excess - missing) ** 2}
 
 
+def _motor_saturation(size: EffectSize, form: str) -> Parameters:
+    peak = float(np.abs(size.motion.tau[size.j]).max())
+    command = {"command_limit": 1.5 * peak}
+    if form == "motor_clip":
+        missing = size.by_magnitude(0.2, 0.1, 0.04) * peak  # at the peak
+        return {"level": peak - missing, **command}
+    span = size.by_magnitude(0.2, 0.1, 0.04) * peak
+    return {"level": peak - 1.6 * span, "span": span, **command}
+
+
 def _torque_ripple(size: EffectSize) -> Parameters:
     travel = np.ptp(size.motion.q[size.j])
     periods = float(size.rng.choice([n for n in (7, 12, 28, 50) if n * travel > 4 * np.pi]))
@@ -296,6 +309,29 @@ def _external_contact(size: EffectSize) -> Parameters:
     }
 
 
+def _push(size: EffectSize, form: str, link: str) -> Parameters:
+    """A force along a constant direction at a point of a link: three long pushes, or six short ones."""
+    magnitude = _FORCES[size.robot.name] * size.by_magnitude(1.5, 0.5, 0.1)
+    seconds = float(size.motion.t[-1])
+    direction = size.rng.normal(size=3)
+    if size.robot.name == "planar2":
+        direction[1] = 0.0
+    force = magnitude * direction / np.linalg.norm(direction)
+    rise_time = float(size.rng.uniform(*_RISE_TIMES))
+    if form == "half_sine_push":
+        starts = seconds * (np.array([0.08, 0.25, 0.42, 0.59, 0.76, 0.9]) + size.rng.uniform(0, 0.05, 6))
+        lengths = np.full(6, 2 * rise_time)
+    else:
+        starts = seconds * (np.array([0.1, 0.45, 0.78]) + size.rng.uniform(0, 0.08, 3))
+        lengths = seconds * size.rng.uniform(0.05, 0.1, 3)
+    return {
+        "windows": np.round(np.transpose([starts, starts + lengths]), 3).tolist(),
+        "wrench": [*force.tolist(), 0.0, 0.0, 0.0],
+        "point": (size.robot.links[link].com + size.rng.uniform(-0.05, 0.05, 3)).tolist(),
+        "rise_time": rise_time,
+    }
+
+
 def _unknown(size: EffectSize, form: str) -> Parameters:
     """Parameters of an effect that idtool does not have; numbers are drawn for all forms, whichever is asked for."""
     rng, q = size.rng, size.motion.q[size.j]
@@ -364,8 +400,13 @@ def draw_parameters(
         j = 0 if effect.joint is None else robot.index(effect.joint)
         factor = float(np.exp(rng.uniform(-0.22, 0.22)))
         size = EffectSize(robot, truth, command, j, effect.magnitude, factor, is_inertia_fixed, explained, rng)
-        if effect.effect == "unknown":
-            parameters = _unknown(size, effect.parameters["form"])
+        form = effect.parameters.get("form")
+        if form in MOTOR_CURVES:
+            parameters = _motor_saturation(size, form)
+        elif form in PUSH_FORMS:
+            parameters = _push(size, form, str(effect.link))
+        elif effect.effect == "unknown":
+            parameters = _unknown(size, str(form))
         else:
             parameters = _PARAMETERS[effect.effect](size)
         effects.append(replace(effect, parameters={**parameters, **effect.parameters}))

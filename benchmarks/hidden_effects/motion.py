@@ -1,4 +1,4 @@
-"""Commanded motions within 80 % of a robot's limits: random sines, with slow stretches that are full of reversals.
+"""Commanded motions within a robot's limits: random sines, with slow stretches that are full of reversals.
 
 In a slow stretch, the sines pass at a twentieth of their speed, and small slow waves of 0.03 to 0.25 rad/s are added.
 
@@ -40,8 +40,17 @@ class Motion:
     a: Array
 
 
-def draw_motion(robot: Robot, seed: int, seconds: float) -> Motion:
-    """Draw a motion, slowed down until it is within the robot's limits.
+def draw_motion(robot: Robot, seed: int, seconds: float, index: int = 0, relative_pace: float = 1.0) -> Motion:
+    """Draw a motion, slowed down until it is within 80 % of the robot's limits.
+
+    Parameters
+    ----------
+    robot, seed, seconds
+        The robot, the seed, and the length [s].
+    index
+        Number of the motion among those of the seed.
+    relative_pace
+        Pace relative to the motion within the limits, which is as much longer; above 1.25 it may exceed the limits.
 
     Raises
     ------
@@ -50,10 +59,14 @@ def draw_motion(robot: Robot, seed: int, seconds: float) -> Motion:
     """
     pace = 1.0
     for _ in range(_MAX_TRIES):
-        motion = _random_motion(robot, np.random.default_rng([seed, 12]), seconds, pace)
+        # Zeros at the end do not change a seed.
+        motion = _random_motion(robot, np.random.default_rng([seed, 12, index]), seconds, pace)
         utilization = _limit_utilization(robot, motion)
         if utilization <= 1:
-            return motion
+            if relative_pace == 1:
+                return motion
+            rng = np.random.default_rng([seed, 12, index])
+            return _random_motion(robot, rng, seconds / relative_pace, relative_pace * pace)
         pace *= max(0.97 / np.sqrt(utilization), 0.6)
     raise RuntimeError(f"{robot.name}: no motion of {seconds} s within its limits")
 

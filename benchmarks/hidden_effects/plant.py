@@ -1,9 +1,9 @@
-"""A simulated robot with hidden effects: mass matrix and bias from MuJoCo, and dry friction that truly sticks.
+"""A simulated robot with hidden effects: mass matrix and bias from MuJoCo, and dry friction of several kinds.
 
 Links and rotors are bodies of one MuJoCo tree. Each rotor is on a hinge of its own at the link that carries it, so that
 it turns with that link too. The tree's coordinates are G x: a rotor's is its gear ratio times the joint's or, in an
-elastic transmission, times the motor side's, which is then a coordinate of its own. Each step is Moreau's: the
-velocities after it are those that dry friction allows, found by Gauss-Seidel on the impulses, so that a joint can rest.
+elastic transmission, times the motor side's, which is then a coordinate of its own. Each step is semi-implicit Euler's,
+and dry friction determines the velocity after it; see `hidden_effects.friction`.
 
 Coordinates x: the n joints on the link side, then the motor sides of the joints with an elastic transmission.
 """
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hidden_effects.friction import FreeStep, Friction, friction_law
 from hidden_effects.robots import Body, Robot, Truth, urdf_text
 
 Array = NDArray[np.float64]
 
 RATE = 1000  # samples a second
-_MAX_SWEEPS = 60
-_CONVERGED = 1e-9  # rad/s
+_STICKING = Friction("sign")
 
 
 @dataclass
@@ -84,28 +84,38 @@ class Transmission:
 
 @dataclass(frozen=True)
 class Contact:
-    """A constant wrench on a link in windows of time.
+    """A wrench on a link in windows of time, constant in the root's frame.
 
     Attributes
     ----------
     link
-        At the origin of whose frame it acts.
+        The link.
     windows
         Start and end of each window [s].
     wrench
         Force and moment along the root's axes [N, N m], shape (6,).
     rise_time
         Time in which it comes and goes [s].
+    point
+        Where it acts, in the link's frame [m], shape (3,).
+    is_half_sine
+        True if each window has half a sine wave instead.
     """
 
     link: str
     windows: Sequence[Sequence[float]]
     wrench: Array
     rise_time: float = 0.005
+    point: Sequence[float] = (0.0, 0.0, 0.0)
+    is_half_sine: bool = False
 
     def acting_share(self, t: float) -> float:
         """Share of the wrench that acts at a time."""
         for start, stop in self.windows:
+            if self.is_half_sine:
+                if start < t < stop:
+                    return float(np.sin(np.pi * (t - start) / (stop - start)))
+                continue
             x = min(t - start, stop - t) / self.rise_time
             if x > -0.5:
                 return 1.0 if x > 0.5 else float(0.5 + x + np.sin(2 * np.pi * x) / (2 * np.pi))
@@ -114,14 +124,37 @@ class Contact:
 
 @dataclass
 class AddedPhysics:
-    """Physics in addition to the true bodies and their viscous and Coulomb friction; joints by index."""
+    """Physics in addition to the true bodies and their viscous and Coulomb friction; joints by index.
+
+    Attributes
+    ----------
+    smooth_torques, friction_levels
+        Torques that resist, and levels of dry friction.
+    contacts, transmissions, payloads
+        Wrenches on links, elastic transmissions, and bodies in addition to those of links.
+    motor_curves
+        Functions from the commanded to the true torque of a motor.
+    command_limits
+        Largest torque that a motor is commanded, if not its joint's effort [N m].
+    gravity
+        [m/s^2].
+    """
 
     smooth_torques: list[tuple[int, JointTorque]] = field(default_factory=list)
     friction_levels: list[tuple[int, JointTorque]] = field(default_factory=list)
     contacts: list[Contact] = field(default_factory=list)
     transmissions: dict[int, Transmission] = field(default_factory=dict)
     payloads: list[tuple[str, Body]] = field(default_factory=list)
+    motor_curves: list[tuple[int, Callable[[float], float]]] = field(default_factory=list)
+    command_limits: dict[int, float] = field(default_factory=dict)
     gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
+
+    def motor_torque(self, commanded: Array) -> Array:
+        """True torque of the motors for a commanded torque, shape (n,)."""
+        torque = commanded.copy()
+        for j, curve in self.motor_curves:
+            torque[j] = curve(commanded[j])
+        return torque
 
 
 class MujocoTree:
@@ -166,7 +199,10 @@ class MujocoTree:
         body = self.model.body(contact.link).id
         force, moment = share * contact.wrench[:3], share * contact.wrench[3:]
         torque = np.zeros(self.model.nv)
-        mujoco.mj_applyFT(self.model, self.data, force, moment, self.data.xpos[body], body, torque)
+        point = self.data.xpos[body]
+        if any(contact.point):
+            point = point + self.data.xmat[body].reshape(3, 3) @ contact.point
+        mujoco.mj_applyFT(self.model, self.data, force, moment, point, body, torque)
         return np.asarray(self.G.T @ torque)
 
 
@@ -188,6 +224,8 @@ class Plant:
         Time step [s].
     q, v
         First position and velocity, shape (n,).
+    friction
+        The way in which dry friction is simulated.
 
     Attributes
     ----------
@@ -197,7 +235,16 @@ class Plant:
         Index in x of each joint's motor side, shape (n,).
     """
 
-    def __init__(self, robot: Robot, truth: Truth, physics: AddedPhysics, step: float, q: Array, v: Array) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        truth: Truth,
+        physics: AddedPhysics,
+        step: float,
+        q: Array,
+        v: Array,
+        friction: Friction = _STICKING,
+    ) -> None:
         n = len(q)
         self._tree = MujocoTree(robot, truth, physics)
         self._physics = physics
@@ -219,6 +266,8 @@ class Plant:
             friction_share[motor] = transmission.motor_friction
         self._viscous = truth.viscous[joints] * friction_share
         self._coulomb = truth.coulomb[joints] * friction_share
+        M, _ = self._tree.mass_matrix_and_bias(np.zeros(len(joints)), np.zeros(len(joints)))
+        self._friction = friction_law(friction, self._coulomb, np.diag(np.linalg.inv(M)), step)
 
     def step(self, tau: Array) -> None:
         """Take one step under the actuators' torque, shape (n,)."""
@@ -241,45 +290,12 @@ class Plant:
             force[j] += transmitted
             force[motor] -= transmitted
         M_inverse = np.linalg.inv(M)
-        v_without_friction = self.v + dt * M_inverse @ force
-        v = velocity_with_dry_friction(M_inverse, v_without_friction, dt * np.maximum(friction_level, 0.0), self.v)
+        free_step = FreeStep(M, M_inverse, self.v, self.v + dt * M_inverse @ force, dt)
+        v = self._friction.velocity_after(free_step, np.maximum(friction_level, 0.0))
         self._a = (v - self.v) / dt
         self.v = v
         self.x = self.x + dt * v
         self._t += dt
-
-
-def velocity_with_dry_friction(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array:
-    """Velocity after a step with dry friction, shape (m,).
-
-    Parameters
-    ----------
-    M_inverse
-        Inverse of the mass matrix, shape (m, m).
-    v_free
-        Velocity after the step without dry friction.
-    max_impulse
-        Largest impulse of the friction on each coordinate.
-    v_before
-        Velocity before the step.
-    """
-    impulse = max_impulse * np.sign(v_before)
-    v = v_free - M_inverse @ impulse
-    if ((v * v_before > 0) | (max_impulse == 0)).all():
-        return np.asarray(v)  # nothing stops or reverses
-    with_friction = np.flatnonzero(max_impulse)
-    for _ in range(_MAX_SWEEPS):
-        change = 0.0
-        for j in with_friction:
-            own = min(max(impulse[j] + v[j] / M_inverse[j, j], -max_impulse[j]), max_impulse[j])
-            if own != impulse[j]:
-                change = max(change, abs(own - impulse[j]) * M_inverse[j, j])
-                v = v - M_inverse[:, j] * (own - impulse[j])
-                impulse[j] = own
-        if change < _CONVERGED:
-            break
-    v[np.abs(impulse) < max_impulse] = 0.0
-    return np.asarray(v)
 
 
 def inverse_dynamics(

@@ -12,10 +12,11 @@ import pytest
 from hidden_effects.case_files import write_case
 from hidden_effects.case_list import KINDS, Case, list_cases
 from hidden_effects.effects import HiddenEffect, PreslidingFriction, SensorErrors, apply_effects, saturated_torque
+from hidden_effects.friction import velocity_with_dry_friction
 from hidden_effects.logs import Sensors, measured_torque, record
 from hidden_effects.magnitudes import EFFECTS
 from hidden_effects.motion import draw_motion, nominal_torque
-from hidden_effects.plant import AddedPhysics, JointState, MujocoTree, Plant, velocity_with_dry_friction
+from hidden_effects.plant import AddedPhysics, JointState, MujocoTree, Plant
 from hidden_effects.robots import ARM6, LEG3, PLANAR2, ROBOTS, Robot, Truth, draw_truth, urdf_text
 from numpy.typing import NDArray
 from scoreboard import read_outcome
@@ -208,7 +209,9 @@ def report_of(*steps: dict[str, Any]) -> dict[str, Any]:
 
 def step(effect: str, joint: str | None = "elbow", pair: bool = False) -> dict[str, Any]:
     other = {"effect": "stribeck_friction", "joint": "elbow", "link": None, "score": 0.5}
-    return {"effect": effect, "joint": joint, "link": None, "evidence": {"pair": pair}, "alternatives": [other]}
+    errors = {"validation_rms_before": {"elbow": 1.0, "overall": 1.0}, "validation_rms_after": {"elbow": 0.5}}
+    content = {"effect": effect, "joint": joint, "link": None, "evidence": {"pair": pair}, "alternatives": [other]}
+    return {**content, **errors}
 
 
 @pytest.mark.parametrize(
@@ -238,3 +241,28 @@ def test_delays_of_all_joints_are_one_delay() -> None:
     assert read_outcome(case, report_of(step("time_delay", "elbow"), step("time_delay", "shoulder")), 1.0).is_exact
     assert read_outcome(case, report_of(step("time_delay", None)), 1.0).is_exact
     assert not read_outcome(case, report_of(step("time_delay", "elbow")), 1.0).is_exact
+
+
+def test_the_scoreboard_counts_steps_that_increase_an_error() -> None:
+    case = Case("one", "planar2", ())
+    before = {"shoulder": 1.0, "elbow": 1.0, "overall": 1.0}
+    expected = {
+        (1.01, 0.9, 0.95): (False, False),
+        (1.03, 0.9, 0.97): (False, True),
+        (1.01, 1.01, 1.01): (True, False),
+        (None, None, 1.1): (True, False),
+    }
+    for after, properties in expected.items():
+        errors = {"validation_rms_before": before, "validation_rms_after": dict(zip(before, after, strict=True))}
+        (reported,) = read_outcome(case, report_of({**step("torque_offset"), **errors}), 1.0).steps
+        assert (reported.increases_error, reported.increases_joint_error) == properties
+
+
+def test_the_scoreboard_sees_a_disagreement_that_was_missed() -> None:
+    case, report = Case("one", "planar2", ()), report_of()
+    assert read_outcome(case, report, 1.0).joints_above_floor == ()
+    assert not read_outcome(case, {**report, "verdict": "no_disagreement"}, 1.0).has_missed_disagreement
+    report["after"]["validation"]["elbow"] = 1.4
+    assert read_outcome(case, report, 1.0).joints_above_floor == ("elbow",)
+    assert not read_outcome(case, report, 1.0).has_missed_disagreement
+    assert read_outcome(case, {**report, "verdict": "no_disagreement"}, 1.0).has_missed_disagreement
