@@ -118,9 +118,9 @@ def estimate_noise_floor(
 def _unknowable_torque(model: LinearizedModel, batch: Batch) -> Array:
     """Largest error of each filtered sample that comes from samples where columns are undefined, shape (nv, n).
 
-    Where friction may have either direction, that is twice its torque; where another effect is undefined, infinity.
+    Where friction may have either direction, that is twice its level; where another effect is undefined, infinity.
     """
-    friction = np.stack([np.abs(model.friction_torque(j)) for j in range(len(model.true_motion.q))])
+    friction = np.stack([model.dry_friction_level(j) for j in range(len(model.true_motion.q))])
     of_friction, of_others = model.equation.undefined_shares(batch)
     error = 2 * of_friction * np.maximum(batch.filter(friction), 0.0)
     return np.asarray(np.where(of_others > _MAX_UNDEFINED_SHARE, np.inf, error))

@@ -17,6 +17,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
+from idtool.dynamics.effects.joint_term import DryFriction
 from idtool.robot.inertia import PI_SIZE, symmetric_matrix
 
 _RATE = 150.0  # Hz, of the samples at which derivatives are evaluated
@@ -119,6 +120,21 @@ class LinearizedModel:
             if isinstance(effect, NamedEffect) and effect.is_friction and len(active):
                 total += theta[active] @ _columns(effect, self.true_motion)[joint]
         return total
+
+    def dry_friction_level(self, joint: int) -> Array:
+        """Largest dry friction torque of a joint at each sample, whatever its direction, shape (N,)."""
+        level = np.zeros(len(self.true_motion.t))
+        first = 0
+        for effect in self.equation.effects:
+            theta = self.theta[first : first + len(effect.coefficients)]
+            first += len(effect.coefficients)
+            if not (isinstance(effect, NamedEffect) and effect.is_friction and len(effect.active[joint])):
+                continue
+            if isinstance(effect, DryFriction):
+                level += np.abs(theta[0] * effect.level(self.true_motion))
+            elif effect.invalid_mask(self.true_motion):
+                level += np.abs(theta[effect.active[joint]] @ _columns(effect, self.true_motion)[joint])
+        return level
 
     @cached_property
     def _bodies(self) -> RigidBodies:
