@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
+from idtool.diagnosis.held_out_error import held_out_errors
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -27,6 +29,7 @@ from idtool.diagnosis.model_selection import (
     is_reportable,
     is_worthwhile,
     probe_key,
+    probe_target,
 )
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.selection_round import (
@@ -37,7 +40,8 @@ from idtool.diagnosis.selection_round import (
     not_fitted_reason,
 )
 from idtool.diagnosis.trial import FAILURES, ParameterKey, fit_trial, with_effects
-from idtool.diagnosis.words import removal_sentence
+from idtool.diagnosis.unproven import find_unproven
+from idtool.diagnosis.words import removal_sentence, replacement_sentence, unproven_sentence
 from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
@@ -48,6 +52,8 @@ REVERSAL_MARGIN = 0.04  # s from reversals
 _MIN_INFORMATION_GAIN = 4.0
 _MIN_INFORMATION_LEFT = 0.5
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
+_MAX_REPLACEMENTS = 3
+_SURE_CHANGE = 2.0  # standard errors by which a model must be better to replace another
 _MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
 
 
@@ -73,6 +79,24 @@ class AddedEffect:
     errors: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class _State:
+    """A state of the search, to which it can return.
+
+    Attributes
+    ----------
+    current, background, added
+        As in `EffectSearch`.
+    fitted
+        Entry and standard errors of each added effect.
+    """
+
+    current: LinearizedFit
+    background: tuple[EffectEntry, ...]
+    added: tuple[AddedEffect, ...]
+    fitted: tuple[tuple[EffectEntry, dict[str, float]], ...]
+
+
 class EffectSearch:
     """Adds effects, and removes those that later ones have superseded.
 
@@ -92,6 +116,8 @@ class EffectSearch:
         Joints whose friction does not follow its law near reversals; the rows near reversals are then excluded.
     failed
         Reason why the model could not be fitted with an effect, by effect and target.
+    unproven
+        Effects that were removed again because too little speaks for them.
 
     Parameters
     ----------
@@ -116,6 +142,7 @@ class EffectSearch:
         self.last_round: SelectionStep | None = None
         self.reversal_joints: tuple[str, ...] = ()
         self.failed: dict[tuple[str, str], str] = {}
+        self.unproven: list[Candidate] = []
         self._skipped: set[ProbeKey] = set()
         self._configured = experiment.config.effects
         self._dt = max(run.signals.log.dt for run in experiment.runs)
@@ -164,6 +191,8 @@ class EffectSearch:
         if self.reversal_joints:
             self._set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
+        self._reconsider()
+        self._remove_unproven()
         self._drop_undetermined_parameters()
         if self.current.reversal_margin:
             self.current = linearize_fit(self.current.experiment, self.progress)
@@ -220,8 +249,8 @@ class EffectSearch:
                 self.failed[candidate.effect, candidate.target] = candidate.reason
             if selection.winner is None:
                 break
-            if failure := self._add(selection, selection.winner):
-                self._skip(selection.winner, failure)
+            if reason := self._add(selection, selection.winner):
+                self._skip(selection.winner, reason)
                 continue
             self._prune()
             state = frozenset((effect.chosen.effect, effect.chosen.target) for effect in self.added)
@@ -243,29 +272,51 @@ class EffectSearch:
             return ()
         return find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
 
-    def _add(self, selection: SelectionStep, winner: FittedCandidate) -> Exception | None:
-        """Add an effect; the failure, if the model cannot be fitted with it."""
+    def _add(self, selection: SelectionStep, winner: FittedCandidate) -> str:
+        """Add an effect; the reason why it cannot be added, empty if it was."""
+        before = self._state()
         self.added.append(AddedEffect(winner.trial.entries[-1], selection, fitted_record(winner, self.current)))
         failure = self._try_refit([effect.entry for effect in self.added])
         if failure:
-            self.added.pop()
-        return failure
+            self._restore(before)
+            return not_fitted_reason(failure)
+        if not self._is_improved(before.current):
+            self._restore(before)
+            return "increases the error on the held-out data when all effects are fitted together"
+        return ""
 
-    def _skip(self, candidate: FittedCandidate, failure: Exception) -> None:
+    def _is_improved(self, before: LinearizedFit) -> bool:
+        """True if the held-out error is smaller than before, and that of no joint is larger beyond chance."""
+        row_equation = before.experiment.equation
+        errors = held_out_errors(self.current, row_equation)
+        return errors.is_improved(held_out_errors(before, row_equation), before.noise)
+
+    def _state(self) -> _State:
+        fitted = tuple((effect.entry, effect.errors) for effect in self.added)
+        return _State(self.current, self._background, tuple(self.added), fitted)
+
+    def _restore(self, state: _State) -> None:
+        """Restore an earlier state."""
+        self.current = state.current
+        self._background = state.background
+        self.added = list(state.added)
+        for effect, (entry, errors) in zip(self.added, state.fitted, strict=True):
+            effect.entry = entry
+            effect.errors = errors
+
+    def _skip(self, candidate: FittedCandidate, reason: str) -> None:
         """Do not try a candidate again."""
         self._skipped.add(probe_key(candidate.probe))
         record = fitted_record(candidate, self.current)
-        self.failed[record.effect, record.target] = not_fitted_reason(failure)
+        self.failed[record.effect, record.target] = reason
 
     def _try_refit(self, entries: Sequence[EffectEntry]) -> Exception | None:
         """Refit; if that fails, restore everything and return the failure."""
-        current = self.current
-        background = self._background
+        before = self._state()
         try:
             self._refit(entries)
         except FAILURES as failure:
-            self.current = current
-            self._background = background
+            self._restore(before)
             return failure
         return None
 
@@ -307,6 +358,97 @@ class EffectSearch:
         trial = fit_trial(self.current, experiment.config.effects, refitted, self.progress, _MAX_ITERATIONS)
         self.current = trial.linearized
         return trial.errors
+
+    def _reconsider(self) -> None:
+        """Replace effects that turn out, beside those found later, to explain less than another one.
+
+        One effect at a time is left out and searched for again; then two at a time, for which a single one may stand.
+        """
+        for _ in range(_MAX_REPLACEMENTS):
+            if len(self.reported) < 2 or not (self._replace_one() or self._replace_two()):
+                return
+
+    def _replace_one(self) -> bool:
+        """Replace an effect by one that explains more; False if none does."""
+        return any(self._replace([effect]) for effect in self.reported)
+
+    def _replace_two(self) -> bool:
+        """Replace two effects by one that explains as much; False if none does."""
+        return any(self._replace(pair) for pair in combinations(self.reported, 2))
+
+    def _replace(self, replaced: Sequence[AddedEffect]) -> bool:
+        """Replace effects by the one that explains most without them, if the model is better with it."""
+        before = self._state()
+        others = [effect for effect in self.added if effect not in replaced]
+        self.added = others
+        if self._try_refit([effect.entry for effect in others]):
+            self._restore(before)
+            return False
+        without = self.current
+        try:
+            selection = find_best_effect(
+                without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE, self._skipped
+            )
+        except FAILURES:
+            self._restore(before)
+            return False
+        winner = selection.winner
+        known = {(effect.chosen.effect, effect.chosen.target) for effect in replaced}
+        if winner is None or probe_target(winner.probe) in known or not is_reportable(winner.probe.effect):
+            self._restore(before)
+            return False
+        if self._add(selection, winner) or not self._explains_more(before.current, without, len(replaced) > 1):
+            self._restore(before)
+            return False
+        by = self.added[-1].chosen
+        self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
+        return True
+
+    def _explains_more(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
+        """True if the present model explains more than another one, or if it is simpler, as much.
+
+        Parameters
+        ----------
+        before
+            The other model.
+        without
+            The model without the effects in which the two differ.
+        is_simpler
+            True if the present model has fewer effects.
+        """
+        try:
+            now = linearize_fit(self.current.experiment, self.progress, without)
+            then = linearize_fit(before.experiment, self.progress, without)
+        except FAILURES:
+            return False
+        gains = block_gains(then, now)
+        chance = _SURE_CHANGE * float(np.sqrt(len(gains)) * gains.std(ddof=1))
+        total = float(gains.sum())
+        return total > -chance if is_simpler else total > chance
+
+    def _remove_unproven(self) -> None:
+        """Remove effects that explain little beside the others, unless they bring their joints to the noise floor."""
+        while len(self.reported) > 1:
+            weakest = find_unproven(self.current, self._reductions(), self.progress)
+            if weakest is None:
+                return
+            effect = self.reported[weakest]
+            before = self._state()
+            self.added = [other for other in self.added if other is not effect]
+            if self._try_refit([other.entry for other in self.added]):
+                self._restore(before)
+                return
+            self.removed.append(unproven_sentence(effect.chosen))
+            self.unproven.append(effect.chosen)
+
+    def _reductions(self) -> list[LinearizedFit]:
+        """Models without each of the reported effects, on the rows of the present one."""
+        models = []
+        for effect in self.reported:
+            others = [other.entry for other in self.added if other is not effect]
+            reduced = with_effects(self.current.experiment, [*self._given, *others], self.current.theta)
+            models.append(linearize_fit(reduced, self.progress, self.current))
+        return models
 
     def _prune(self) -> None:
         """Remove effects that are no longer worthwhile, except the newest."""

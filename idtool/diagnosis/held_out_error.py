@@ -16,7 +16,6 @@ from idtool.dynamics.regressor import LinearModel
 _BLOCK_SECONDS = 0.5
 _MIN_SIGNIFICANCE = 2.0  # standard errors, by which an increase is no chance
 _MIN_INCREASE = 0.02  # of a joint's squared error, below which an increase does not matter
-_MAX_TOTAL_INCREASE = 5e-4  # of the squared error of all joints, which no digit of a report shows
 
 
 @dataclass(frozen=True)
@@ -48,13 +47,21 @@ class HeldOutErrors:
         is_larger = (total > chance) & (total > _MIN_INCREASE * before.squares.sum(axis=0))
         return np.flatnonzero(is_larger).tolist()
 
-    def is_improved(self, before: HeldOutErrors) -> bool:
-        """True if the error of all joints together is smaller than before, and that of none is larger beyond chance."""
+    def is_improved(self, before: HeldOutErrors, noise: Array) -> bool:
+        """True if the error is smaller than before in units of the noise, and that of no joint is larger beyond chance.
+
+        Parameters
+        ----------
+        before
+            Errors of the other model.
+        noise
+            Unit of each joint's rows, shape (nv,) [N·m or N].
+        """
         if not self.counts.any():
             return True
-        total = np.nansum(self.mean_squares)
-        total_before = np.nansum(before.mean_squares)
-        return bool(total < (1 + _MAX_TOTAL_INCREASE) * total_before) and not self.increased_joints(before)
+        total = np.nansum(self.mean_squares / np.square(noise))
+        total_before = np.nansum(before.mean_squares / np.square(noise))
+        return bool(total < total_before) and not self.increased_joints(before)
 
 
 def held_out_errors(linearized: LinearizedFit, row_equation: LinearModel) -> HeldOutErrors:

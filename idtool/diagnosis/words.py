@@ -85,6 +85,22 @@ def removal_sentence(removed: Candidate, by: Candidate) -> str:
     return f"{removed.effect} on {removed.target} was removed again: {why}, it no longer explains enough"
 
 
+def replacement_sentence(replaced: Candidate, by: Candidate) -> str:
+    """Reason why an effect was replaced by another one."""
+    return (
+        f"{replaced.effect} on {replaced.target} was replaced by {by.effect} on {by.target}, which explains the data "
+        "better beside the other effects"
+    )
+
+
+def unproven_sentence(removed: Candidate) -> str:
+    """Reason why an effect was removed for lack of evidence."""
+    return (
+        f"{removed.effect} on {removed.target} was removed again: it explains less than a tenth of what another effect "
+        "does, and the residual of its joints remains above the noise floor with it"
+    )
+
+
 def distinguishing_experiment(first: Candidate, second: Candidate) -> str:
     """Motion that would distinguish two effects."""
     kinds = effect_types()

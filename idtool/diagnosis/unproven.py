@@ -1,0 +1,66 @@
+"""Effects for which too little speaks: small beside another one, and without bringing their joints to the noise floor.
+
+What an effect is only nearly right about, such as the deflection of an elastic joint, leaves a residual in proportion
+to it, which some other effect always imitates in part. An effect that is truly there explains all that is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.noise_floor import estimate_noise_floor
+from idtool.estimation.dataset.experiment import Progress
+
+_MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs no further evidence
+_MIN_EXPLAINED = 0.7  # of its joints' residual above the noise floor, that a smaller effect must explain
+_MIN_SIGNIFICANCE = 3.0  # standard errors of the gain over blocks of time, that it must have
+
+
+def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], progress: Progress) -> int | None:
+    """Index of the effect for which least speaks; None if enough speaks for all.
+
+    Parameters
+    ----------
+    current
+        The model with all effects.
+    without
+        The models without each of them, on the same rows and in the same units.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    rows = np.maximum(current.row_counts.sum(axis=0), 1.0)
+    unit = np.square(current.noise) / rows
+    saved = np.array([(one.sse - current.sse).sum(axis=0) * unit for one in without])  # (effects, nv) mean squares
+    totals = saved.sum(axis=1)
+    remaining = current.sse.sum(axis=0) * unit
+    theta = current.estimate.theta
+    floor = estimate_noise_floor(current.experiment, theta, progress, current.reversal_margin)
+    above_floor = np.maximum(remaining - np.square(floor.noise), 0.0)
+
+    unproven = []
+    for k, own in enumerate(saved):
+        if totals[k] >= _MIN_SHARE_OF_LARGEST * totals.max():
+            continue
+        if (
+            _explained_share(own, above_floor) < _MIN_EXPLAINED
+            or _significance(without[k], current) < _MIN_SIGNIFICANCE
+        ):
+            unproven.append(k)
+    return min(unproven, key=lambda k: float(totals[k])) if unproven else None
+
+
+def _explained_share(saved: Array, above_floor: Array) -> float:
+    """Share of the residual above the noise floor that an effect explains, on the joint where it explains most."""
+    j = int(np.argmax(saved))
+    return float(saved[j] / max(saved[j] + above_floor[j], np.finfo(float).tiny))
+
+
+def _significance(without: LinearizedFit, current: LinearizedFit) -> float:
+    """Gain of the validation error by an effect, in its standard errors over blocks of time."""
+    gains = without.cv_squared_error - current.cv_squared_error
+    error = np.sqrt(len(gains)) * gains.std(ddof=1)
+    return float(gains.sum() / max(error, np.finfo(float).tiny))
