@@ -115,14 +115,11 @@ def _with_parameters(
     if entries:
         return Explanation(alternative.text, entries, "configuration")
     if experiment is not None:
-        try:
-            entry = fitted_entry(experiment, common, alternative.effect, progress)
-        except ConfigError as error:
-            what = f"{alternative.text} cannot be fitted to the logs ({error.what})"
-            raise ConfigError(_OPTION, f"{what}; give its parameters under effects in the configuration") from None
-        return Explanation(alternative.text, (entry,), "logs")
-    typical = typical_entry(task, common, alternative.effect)
-    if typical is None:
-        what = f"{alternative.text} has no typical size"
-        raise ConfigError(_OPTION, f"{what}; give its parameters under effects in the configuration, or --log")
-    return Explanation(alternative.text, (typical,), "typical size")
+        entry = fitted_entry(experiment, common, alternative.effect, progress)
+        if entry is not None:
+            return Explanation(alternative.text, (entry,), "logs")
+    entry = typical_entry(task, common, alternative.effect)
+    if entry is None:
+        what = f"the parameters of {alternative.text} are not known"
+        raise ConfigError(_OPTION, f"{what}; give them under effects in the configuration, or a log with --log")
+    return Explanation(alternative.text, (entry,), "typical size")

@@ -82,8 +82,8 @@ def without_effects(config: Config, model: RobotModel, owners: Sequence[EffectOw
     return config.model_copy(update={"effects": left, "friction": friction})
 
 
-def fitted_entry(experiment: Experiment, config: Config, owner: EffectOwner, progress: Progress) -> EffectEntry:
-    """Entry of an effect with the parameters that explain logs best.
+def fitted_entry(experiment: Experiment, config: Config, owner: EffectOwner, progress: Progress) -> EffectEntry | None:
+    """Entry of an effect with the parameters that explain logs best; None if they show nothing of it.
 
     Parameters
     ----------
@@ -95,15 +95,13 @@ def fitted_entry(experiment: Experiment, config: Config, owner: EffectOwner, pro
         The effect.
     progress
         Callback for the stage and its progress, from 0 to 1.
-
-    Raises
-    ------
-    ConfigError
-        If the model cannot have it.
     """
     without = with_effects(replace(experiment, config=config), config.effects)
     search = EffectSearch(without, (), 1, progress)
-    search.assume(*owner)
+    try:
+        search.assume(*owner)
+    except ConfigError:
+        return None
     return search.reported[-1].entry
 
 
