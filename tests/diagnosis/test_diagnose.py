@@ -166,11 +166,13 @@ def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: CaseFiles
     assert set(named(report)[1:]) <= {("quadratic_drag", "shoulder"), ("unknown", "shoulder"), ("unknown", "elbow")}
 
 
-def test_what_is_assumed_is_fitted_and_not_the_friction_fitted_along(stribeck: CaseFiles) -> None:
-    experiment = prepare(read_robot(stribeck.urdf), read_config(stribeck.config), [stribeck.log], holdout=0.0)
+def test_what_is_assumed_is_fitted_and_not_the_friction_fitted_along(folder: Path) -> None:
+    hidden = HiddenEffect("load_dependent_friction", "elbow", None, "ordinary")
+    files = write_case(Case("short", "planar2", (hidden,), seconds=7.0), folder / "short")
+    experiment = prepare(read_robot(files.urdf), read_config(files.config), [files.log], holdout=0.0)
     base = linearize_fit(experiment, lambda stage, share: None)
-    for effect in ("viscous_friction", "presliding_hysteresis", "torque_offset"):  # the model has the first already
-        winner = fit_assumed_effect(base, lambda stage, share: None, effect, "shoulder").winner
+    for effect in ("viscous_friction", "presliding_hysteresis"):  # the model has the first already
+        winner = fit_assumed_effect(base, lambda stage, share: None, effect, "elbow").winner
         assert winner is None or winner.probe.effect == effect
 
 
