@@ -25,8 +25,15 @@ def parse_candidates(effects: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_check_effect("--effects", name.strip()) for name in effects))
 
 
-def parse_assumption(text: str | EffectAssumption) -> EffectAssumption:
+def parse_assumption(text: str | EffectAssumption, option: str = "--assume") -> EffectAssumption:
     """An effect and the joint or link it acts on, which may have a colon in its name.
+
+    Parameters
+    ----------
+    text
+        ``effect:joint``, ``effect`` or the pair.
+    option
+        Option that it was given with, for messages.
 
     Raises
     ------
@@ -35,9 +42,9 @@ def parse_assumption(text: str | EffectAssumption) -> EffectAssumption:
     """
     if not isinstance(text, str):
         effect, owner = text
-        return _check_effect("--assume", effect), owner
+        return _check_effect(option, effect), owner
     effect, colon, name = text.partition(":")
-    return _check_effect("--assume", effect.strip()), name if colon else None
+    return _check_effect(option, effect.strip()), name if colon else None
 
 
 def _check_effect(option: str, effect: str) -> str:
@@ -49,8 +56,17 @@ def _check_effect(option: str, effect: str) -> str:
     return effect
 
 
-def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel) -> None:
+def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel, option: str = "--assume") -> None:
     """Check that the robot has the joints and links on which effects are assumed.
+
+    Parameters
+    ----------
+    assumptions
+        The effects.
+    model
+        The robot.
+    option
+        Option that they were given with, for messages.
 
     Raises
     ------
@@ -65,9 +81,9 @@ def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel
             names = model.robot.links
             what = "link"
         if owner is None and issubclass(kind, LinkEffect | JointEffect):
-            raise ConfigError("--assume", f"{effect} acts on a {what}; give {effect}:{what.upper()}")
+            raise ConfigError(option, f"{effect} acts on a {what}; give {effect}:{what.upper()}")
         if owner is not None and owner not in names:
             raise ConfigError(
-                "--assume",
+                option,
                 f"{printable(owner) or 'an empty name'} is not a {what} of the model; {suggestion(owner, names)}",
             )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from idtool.api.data import as_list
+from idtool.api.explanations import find_explanations, parse_alternatives
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress, ignore_progress, notice_lines, table_lines
@@ -24,6 +25,7 @@ from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
 from idtool.excitation.criteria import Criterion
+from idtool.excitation.deciding import decide as decide_between
 from idtool.excitation.design import Design, DesignOptions, LoggedData, design
 from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
@@ -104,6 +106,7 @@ def excite(
     tip: str | None = None,
     iterations: int = 200,
     seed: int | None = None,
+    decide: tuple[str, str] | None = None,
     progress: Progress | None = None,
 ) -> ExcitationResult:
     """Design an exciting trajectory, like `idtool excite`.
@@ -143,6 +146,10 @@ def excite(
         Number of iterations of the search.
     seed
         Random seed; None: the seed of the configuration.
+    decide
+        Two explanations of what a model lacks, between which a log of the trajectory will decide: each an effect on a
+        joint or link (``"stribeck_friction:hip"``), or a configuration file with effects. The parameters are those of
+        the configuration; else they are fitted to the logs; without logs, the effect has a typical size.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
@@ -154,6 +161,7 @@ def excite(
     report_progress = progress or ignore_progress
     _check_options(criterion, duration, rate, margin, clearance, max_frequency)
     model = as_model(model)
+    alternatives = None if decide is None else parse_alternatives(decide)
     options = DesignOptions(
         pattern=pattern,
         duration=duration,
@@ -175,9 +183,17 @@ def excite(
         settings = experiment.config
         sources = experiment.sources
         notices = experiment.notices
+    explanations = None
+    if alternatives is not None:
+        explanations = find_explanations(alternatives, task, settings, experiment, report_progress)
     chosen_design = design(task, settings, options, logged, report_progress)
+    decision = None
+    if explanations is not None:
+        chosen_design, decision = decide_between(
+            chosen_design, settings, options, logged, experiment, explanations, report_progress
+        )
     names = [str(path) for path in paths]
-    report = excitation_report(chosen_design, sources, str(model.robot.path), names, options.seed, notices)
+    report = excitation_report(chosen_design, decision, sources, str(model.robot.path), names, options.seed, notices)
     result = ExcitationResult.from_result(report)
     result._design = chosen_design
     return result

@@ -73,6 +73,13 @@ def excite_command(
     ] = None,
     iterations: Annotated[int, typer.Option(min=1, help="Iterations of the search.")] = 200,
     seed: Annotated[int | None, typer.Option(help="Random seed; default: that of the configuration.")] = None,
+    decide: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="A B",
+            help="Optimize for deciding between two explanations: EFFECT:JOINT each, or a configuration with effects.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -105,6 +112,7 @@ def excite_command(
             tip=tip,
             iterations=iterations,
             seed=seed,
+            decide=decide,
             progress=progress,
         )
         progress("writing", 0.0)

@@ -131,7 +131,8 @@ def fit_assumed_effect(
     bursts
         Time intervals in which the residual is unusually large [s].
     """
-    probes = _candidate_probes(base, (effect,), bursts)
+    # Among the candidates are also those that are fitted along without being named.
+    probes = [probe for probe in _candidate_probes(base, (effect,), bursts) if probe.effect == effect]
     if target is not None:
         probes = [probe for probe in probes if probe.subject[1] == target]
     screened = screen_probes(base, probes, progress)

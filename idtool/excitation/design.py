@@ -9,7 +9,7 @@ Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -160,10 +160,7 @@ def design(
     home = home_pose(task, options.start, rng)
     friction_segments, remaining = _friction_segments(task, options, home, rng)
 
-    # Rows of the data that was logged before, by base parameters in units of their scales.
-    logged_rows = np.zeros((0, len(task.scales)))
-    if logged is not None:
-        logged_rows = task.columns.rows(logged.reduction, logged.noise) * task.scales
+    logged_rows = _logged_rows(task, logged)
     logged_information = logged_rows.T @ logged_rows
 
     repeats = int(np.ceil(remaining / _MAX_DURATION))
@@ -191,28 +188,67 @@ def design(
     trajectory = Trajectory((segment,) * repeats + friction_segments)
 
     progress("predicting the standard errors", 0.0)
-    predicted_rows = task.columns.rows(_predicted_reduction(task, config, trajectory), task.noise) * task.scales
-    all_rows = np.concatenate([logged_rows, predicted_rows])
-    information_of = {"random": objective.information(random_segment.x), "design": all_rows.T @ all_rows}
     logged_errors = None
     if logged is not None:
-        information_of["logged"] = logged_information
         logged_errors = expected_standard_errors(logged_rows / task.scales, task.base)
-    criteria: dict[str, dict[str, float]] = {}
-    for name, M in information_of.items():
-        criteria[name] = {kind: task.criterion.value(M, kind) for kind in CRITERIA}
+    all_rows = _all_rows(task, config, trajectory, logged_rows)
+    information_of = {"random": objective.information(random_segment.x), "design": all_rows.T @ all_rows}
+    if logged is not None:
+        information_of["logged"] = logged_information
     return Design(
         task=task,
         trajectory=trajectory,
         errors=expected_standard_errors(all_rows / task.scales, task.base),
         logged_errors=logged_errors,
-        criteria=criteria,
+        criteria={name: _criteria(task, M) for name, M in information_of.items()},
         utilization=limit_utilization(task, trajectory),
         nearest=nearest_links(task, trajectory),
         max_frequency=spec.max_frequency,
         evaluations=objective.evaluations,
         interrupted=interrupted,
     )
+
+
+def with_trajectory(design: Design, config: Config, trajectory: Trajectory, logged: LoggedData | None) -> Design:
+    """A design with another trajectory for the same task.
+
+    Parameters
+    ----------
+    design
+        The design.
+    config, logged
+        As for `design`.
+    trajectory
+        The trajectory, within all limits.
+    """
+    task = design.task
+    rows = _all_rows(task, config, trajectory, _logged_rows(task, logged))
+    return replace(
+        design,
+        trajectory=trajectory,
+        errors=expected_standard_errors(rows / task.scales, task.base),
+        criteria={**design.criteria, "design": _criteria(task, rows.T @ rows)},
+        utilization=limit_utilization(task, trajectory),
+        nearest=nearest_links(task, trajectory),
+    )
+
+
+def _logged_rows(task: DesignTask, logged: LoggedData | None) -> Array:
+    """Rows of the data that was logged before, by base parameters in units of their scales; shape (rows, r)."""
+    if logged is None:
+        return np.zeros((0, len(task.scales)))
+    return task.columns.rows(logged.reduction, logged.noise) * task.scales
+
+
+def _all_rows(task: DesignTask, config: Config, trajectory: Trajectory, logged_rows: Array) -> Array:
+    """The logged rows and those to expect from a trajectory, shape (rows, r)."""
+    reduction = _predicted_reduction(task, config, trajectory)
+    return np.concatenate([logged_rows, task.columns.rows(reduction, task.noise) * task.scales])
+
+
+def _criteria(task: DesignTask, M: Array) -> dict[str, float]:
+    """All criteria of an information matrix (r, r)."""
+    return {kind: task.criterion.value(M, kind) for kind in CRITERIA}
 
 
 def _information(task: DesignTask, segments: Sequence[TrajectorySegment]) -> Array:
@@ -311,9 +347,14 @@ def _search(objective: Objective, iterations: int, rng: np.random.Generator, pro
 
 def _predicted_reduction(task: DesignTask, config: Config, trajectory: Trajectory) -> Reduction:
     """The trajectory's log as `fit` would reduce it, with the predicted torque."""
-    t, samples = trajectory.sampled(task.rate)
-    names = task.model.names
-    channels = {"q": samples.q.T, "v": samples.v.T, "tau": task.torque(samples, t).T}
-    signals = Signals(make_log(Path("design"), t, names, channels), names, config)
+    signals = predicted_signals(task, config, trajectory, task.rate)
     blocks = map(task.equation.block, signals.batches())
     return reduce_blocks(blocks, empty(task.equation.active()), signals.low_pass.redundancy)
+
+
+def predicted_signals(task: DesignTask, config: Config, trajectory: Trajectory, rate: float) -> Signals:
+    """The log of a trajectory at a sampling rate [Hz], with the predicted torque."""
+    t, samples = trajectory.sampled(rate)
+    names = task.model.names
+    channels = {"q": samples.q.T, "v": samples.v.T, "tau": task.torque(samples, t).T}
+    return Signals(make_log(Path("design"), t, names, channels), names, config)

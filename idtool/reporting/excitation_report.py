@@ -12,22 +12,28 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
+from idtool.excitation.deciding import Decision, Separation
 from idtool.excitation.design import Design
+from idtool.excitation.explanations import Explanation
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import DesignTask
 from idtool.reporting.results.base import notice_fields, provenance_fields
 from idtool.reporting.results.excitation import (
     Clearance,
     Criteria,
+    DecisionReport,
     ExcitationCurves,
     ExcitationReport,
     ExpectedBody,
     ExpectedParameter,
     ExpectedTerm,
+    ExplanationEffect,
+    ExplanationReport,
     JointCurves,
     JointLimitsReport,
     LimitUtilization,
     MotionPart,
+    SeparationReport,
 )
 from idtool.reporting.uncertainty_report import coefficient_name, combination_name, terms_report
 from idtool.robot.inertia import PI_SIZE
@@ -39,7 +45,13 @@ _MAX_RELATIVE_ERROR = 1.0  # relative standard error from which a parameter is a
 
 
 def excitation_report(
-    design: Design, sources: Sequence[InputFile], urdf: str, logs: Sequence[str], seed: int, notices: Sequence[Notice]
+    design: Design,
+    decision: Decision | None,
+    sources: Sequence[InputFile],
+    urdf: str,
+    logs: Sequence[str],
+    seed: int,
+    notices: Sequence[Notice],
 ) -> ExcitationReport:
     """The content that `idtool excite` prints as JSON.
 
@@ -47,6 +59,8 @@ def excitation_report(
     ----------
     design
         The trajectory.
+    decision
+        How well it distinguishes two explanations; None if it was not designed for that.
     sources
         The files that were read.
     urdf, logs
@@ -88,6 +102,7 @@ def excitation_report(
             for j, joint in enumerate(task.model.names)
         },
         clearance=_clearance(design),
+        decide=None if decision is None else _decision(decision, task),
         evaluations=design.evaluations,
         interrupted=design.interrupted,
         curves=_curves(design),
@@ -166,6 +181,39 @@ def _clearance(design: Design) -> Clearance | None:
         return None
     links, distance, t = design.nearest
     return Clearance(links=links, distance=_finite_or_none(distance), t=t, wanted=design.task.clearance)
+
+
+def _decision(decision: Decision, task: DesignTask) -> DecisionReport:
+    best = _separation(decision.design, task)
+    return DecisionReport(
+        a=_explanation(decision.a),
+        b=_explanation(decision.b),
+        joint=best.joint,
+        difference=best.difference,
+        noise=best.noise,
+        significance=best.significance,
+        ordinary=_separation(decision.ordinary, task),
+        logged=None if decision.logged is None else _separation(decision.logged, task),
+    )
+
+
+def _separation(separation: Separation, task: DesignTask) -> SeparationReport:
+    """The separation, at the joint where it is largest in units of the noise."""
+    j = int(np.argmax(separation.rms / task.noise))
+    return SeparationReport(
+        joint=task.model.names[j],
+        difference=float(separation.rms[j]),
+        noise=float(task.noise[j]),
+        significance=separation.significance,
+    )
+
+
+def _explanation(explanation: Explanation) -> ExplanationReport:
+    effects = []
+    for entry in explanation.entries:
+        effect = ExplanationEffect(effect=entry.effect, joint=entry.joint, link=entry.link, parameters=entry.values)
+        effects.append(effect)
+    return ExplanationReport(name=explanation.name, source=explanation.source, effects=effects)
 
 
 def _curves(design: Design) -> ExcitationCurves:

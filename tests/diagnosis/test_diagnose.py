@@ -17,6 +17,12 @@ from hidden_effects.case_files import CaseFiles, write_case
 from hidden_effects.case_list import Case
 from hidden_effects.effects import HiddenEffect
 
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.selection_round import fit_assumed_effect
+from idtool.estimation.dataset.experiment import prepare
+from idtool.robot.config import read_config
+from idtool.robot.urdf.reading import read_robot
+
 SECONDS = 12.0
 OUT = {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
 
@@ -158,6 +164,16 @@ def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: CaseFiles
     assert {path.name for path in (folder / "only").iterdir()} == {"diagnosis.json", "diagnosis.html"}
     assert named(report)[0] == ("torque_offset", "elbow")
     assert set(named(report)[1:]) <= {("quadratic_drag", "shoulder"), ("unknown", "shoulder"), ("unknown", "elbow")}
+
+
+def test_what_is_assumed_is_fitted_and_not_the_friction_fitted_along(folder: Path) -> None:
+    hidden = HiddenEffect("load_dependent_friction", "elbow", None, "ordinary")
+    files = write_case(Case("short", "planar2", (hidden,), seconds=7.0), folder / "short")
+    experiment = prepare(read_robot(files.urdf), read_config(files.config), [files.log], holdout=0.0)
+    base = linearize_fit(experiment, lambda stage, share: None)
+    for effect in ("viscous_friction", "presliding_hysteresis"):  # the model has the first already
+        winner = fit_assumed_effect(base, lambda stage, share: None, effect, "elbow").winner
+        assert winner is None or winner.probe.effect == effect
 
 
 @pytest.mark.parametrize("assumed", ["stribeck_fiction:elbow", "stribeck_friction:elbw", "payload:lower"])

@@ -7,10 +7,11 @@ from pathlib import Path
 from idtool.reporting.pages.base import render
 from idtool.reporting.plots.trajectory import trajectory_figures
 from idtool.reporting.results.excitation import ExcitationReport
-from idtool.reporting.sections.excite import CriteriaSection, ExpectedErrorsSection, LimitsSection
+from idtool.reporting.sections.excite import CriteriaSection, DecisionSection, ExpectedErrorsSection, LimitsSection
 
 _SECTIONS = (
     ("Findings", "excite_findings.html"),
+    DecisionSection(),
     ("Trajectory", "excite_trajectory.html"),
     LimitsSection(),
     ExpectedErrorsSection(),

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from idtool.reporting.results.base import (
     ByJoint,
+    ByParameter,
     CombinationTerm,
     Keys,
     ReadOnly,
@@ -90,6 +91,41 @@ class Clearance(Record):
     wanted: float = field("Requested distance [m].")
 
 
+class ExplanationEffect(Record):
+    """An effect with the parameters for which the trajectory was designed."""
+
+    effect: str = field("Its id, see [Effects](effects.md).")
+    joint: str | None = field("The joint it acts on; null if it has none.")
+    link: str | None = field("The link it acts on; null if it has none.")
+    parameters: ByParameter = field("Its parameters.")
+
+
+class ExplanationReport(Record):
+    """One of the two explanations of `--decide`."""
+
+    name: str = field("As given on the command line.")
+    source: str = field("Origin of the parameters: `configuration`, `logs`, `typical size`, or the given file.")
+    effects: tuple[ExplanationEffect, ...] = field("Its effects.")
+
+
+class SeparationReport(Record):
+    """Difference of the two explanations, after the wrong one is fitted to the torque of the right one."""
+
+    joint: str = field("The joint on which they differ most, relative to its noise.")
+    difference: float = field("RMS difference of the torque on this joint [N·m or N].")
+    noise: float = field("RMS torque noise of this joint [N·m or N].")
+    significance: float = field("Difference on all joints in standard errors.")
+
+
+class DecisionReport(SeparationReport):
+    """How well the trajectory distinguishes two explanations."""
+
+    a: ExplanationReport = field("The first explanation.")
+    b: ExplanationReport = field("The second explanation.")
+    ordinary: SeparationReport = field("The difference on the trajectory without `--decide`.")
+    logged: SeparationReport | None = field("The difference on the logs of `--log` alone; null without any.")
+
+
 class JointCurves(Record):
     """A joint's motion and predicted torque, for plots."""
 
@@ -134,6 +170,9 @@ class ExcitationReport(ReproducibleResult):
     limits: Annotated[ReadOnly[JointLimitsReport], Keys("joint")] = field("Limits of the joints.")
     use: Annotated[ReadOnly[LimitUtilization], Keys("joint")] = field("Fraction of the limits that the motion uses.")
     clearance: Clearance | None = field("Closest pair of links; null without geometry.")
+    decide: DecisionReport | None = field(
+        "How well the trajectory, with the logs of `--log`, distinguishes two explanations; null without `--decide`."
+    )
     evaluations: int = field("Number of evaluations in the search.")
     interrupted: bool = field("Whether Ctrl-C ended the search.")
     curves: ExcitationCurves = field("The motion, for plots.")

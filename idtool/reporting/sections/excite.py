@@ -14,7 +14,10 @@ from idtool.reporting.sections.base import (
     name_column,
     number_cell,
     percent_cell,
+    units_text,
 )
+
+CLEAR_DIFFERENCE = 5.0  # standard errors, from which a diagnosis decides clearly
 
 
 class ExpectedErrorsSection(Section[ExcitationReport]):
@@ -103,3 +106,51 @@ class CriteriaSection(Section[ExcitationReport]):
             "D: geometric mean of the relative standard errors; A: their root mean square; E: the largest of them; "
             "condition: condition number."
         )
+
+
+class DecisionSection(Section[ExcitationReport]):
+    """Difference of two explanations on the design, the ordinary trajectory and what is logged."""
+
+    title = "Two explanations"
+
+    @override
+    def table(self, report: ExcitationReport) -> Table | None:
+        decision = report.decide
+        if decision is None:
+            return None
+        columns = [
+            name_column("motion"),
+            name_column("joint"),
+            Column("difference", units_text(report.units), help="RMS difference of the torque after a fit"),
+            Column("difference / noise"),
+            Column("standard errors", help="Difference on all joints"),
+        ]
+        separations = {"this trajectory": decision, "without --decide": decision.ordinary}
+        if decision.logged is not None:
+            separations["existing logs"] = decision.logged
+        rows = []
+        for name, separation in separations.items():
+            ratio = separation.difference / separation.noise
+            values = (separation.difference, ratio, separation.significance)
+            rows.append([Cell(name), Cell(separation.joint), *(number_cell(value, 3) for value in values)])
+        return Table("Difference of the two explanations", columns, rows)
+
+    @override
+    def text(self, report: ExcitationReport) -> str:
+        return decision_sentence(report)
+
+
+def decision_sentence(report: ExcitationReport) -> str:
+    """How much the two explanations differ, and what to do next; empty without any."""
+    decision = report.decide
+    if decision is None:
+        return ""
+    ratio = number_cell(decision.difference / decision.noise, 2).text
+    difference = f"{number_cell(decision.difference, 3).text} {report.units[decision.joint]} RMS"
+    significance = number_cell(decision.significance, 2).text
+    start = f"{decision.a.name} and {decision.b.name} differ by {difference} on joint {decision.joint}"
+    amount = f"{ratio} times the noise ({significance} standard errors)"
+    if decision.significance < CLEAR_DIFFERENCE:
+        return f"{start}, {amount}: too little to decide between them; make the trajectory longer"
+    logs = "all logs" if report.logs else "the new log"
+    return f"{start}, {amount}: log this trajectory and run diagnose on {logs}"

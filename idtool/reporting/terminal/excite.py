@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from idtool.reporting.results.excitation import ExcitationReport
-from idtool.reporting.sections.excite import CriteriaSection, ExpectedErrorsSection, LimitsSection
+from idtool.reporting.results.excitation import ExcitationReport, ExplanationReport
+from idtool.reporting.sections.excite import (
+    CriteriaSection,
+    DecisionSection,
+    ExpectedErrorsSection,
+    LimitsSection,
+    decision_sentence,
+)
 from idtool.reporting.terminal.base import Terminal
 
 
 def show_excitation(terminal: Terminal, report: ExcitationReport) -> None:
     """The errors to expect, the limits, and where the files are."""
-    terminal.sections([ExpectedErrorsSection(), LimitsSection(), CriteriaSection()], report)
+    terminal.sections([ExpectedErrorsSection(), LimitsSection(), CriteriaSection(), DecisionSection()], report)
+    if report.decide is not None:
+        for explanation in (report.decide.a, report.decide.b):
+            terminal.say(f"{explanation.name}: {_parameters(explanation)} ({explanation.source})")
+        terminal.say(decision_sentence(report))
     near = report.clearance
     if near and near.distance is not None:
         links = " and ".join(near.links)
@@ -19,3 +29,15 @@ def show_excitation(terminal: Terminal, report: ExcitationReport) -> None:
     terminal.notices(report.notices)
     if report.file is not None:
         terminal.say(f"written: {report.file} and {Path(report.file).with_suffix('.html').name}")
+
+
+def _parameters(explanation: ExplanationReport) -> str:
+    """Parameters of an explanation's effects, in their order."""
+    parts = []
+    for effect in explanation.effects:
+        parts += [f"{name} {_number_text(value)}" for name, value in effect.parameters.items()]
+    return ", ".join(parts)
+
+
+def _number_text(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
