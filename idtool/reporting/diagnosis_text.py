@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
-from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
+from idtool.reporting.results.diagnosis import (
+    AgainstReport,
+    CandidateReport,
+    ChangeReport,
+    DiagnosisReport,
+    ErrorLevel,
+    StepReport,
+)
 from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
@@ -18,7 +25,7 @@ def effect_name(effect: str) -> str:
     return (kind.label if kind else "") or effect.replace("_", " ")
 
 
-def owner_name(effect: EffectReport | CandidateReport) -> str:
+def owner_name(effect: EffectReport | CandidateReport | ChangeReport) -> str:
     """Joint or link of an effect, or what it acts on of the whole robot."""
     return target_name(effect.effect, effect.joint, effect.link)
 
@@ -77,6 +84,30 @@ def summary(report: DiagnosisReport) -> str:
     )
 
 
+def against_summary(report: AgainstReport, unit: str) -> str:
+    """The difference between robot and simulator in a sentence or two.
+
+    Parameters
+    ----------
+    report
+        The content of `against`.
+    unit
+        Unit of the torque of all joints.
+    """
+    before = report.torque_before["overall"] or 0.0
+    after = report.torque_after["overall"] or 0.0
+    if not report.changes:
+        return (
+            "No change is needed in the simulator: no effect differs significantly from the robot's. The simulator's "
+            f"torque error on the robot's logs is {before:.3g} {unit} RMS."
+        )
+    names = _join_words(_effect_on_owner(change) for change in report.changes)
+    return (
+        f"Simulator and robot differ in {names}. With these changes, the simulator's torque error on the robot's "
+        f"logs goes from {before:.3g} to {after:.3g} {unit} RMS."
+    )
+
+
 def next_steps(report: DiagnosisReport) -> list[str]:
     """Suggested next steps, one sentence each.
 
@@ -97,6 +128,11 @@ def next_steps(report: DiagnosisReport) -> list[str]:
     if owners := [owner_name(step) for step in report.steps if step.effect == UNKNOWN]:
         what = "is not explained by any known effect: see the residual maps in diagnosis.html"
         steps.append(f"The remaining residual on {_join_words(owners)} {what}.")
+    if report.against is not None and report.against.changes:
+        steps.append(
+            "Make the changes in the simulator: idtool export OUT --patch FILE writes a copy of its MJCF or URDF with "
+            "those that the file can represent."
+        )
     if "overall" in report.rollout_worse:
         steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
     return steps
@@ -106,7 +142,7 @@ def _overall(level: ErrorLevel) -> float | None:
     return level.torque["overall"]
 
 
-def _effect_on_owner(effect: StepReport | CandidateReport) -> str:
+def _effect_on_owner(effect: StepReport | CandidateReport | ChangeReport) -> str:
     name = effect_name(effect.effect)
     kind = effect_types().get(effect.effect, NamedEffect)
     article = ""
