@@ -23,19 +23,22 @@ from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.mechanism import Mechanism
+from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import evaluate_rollouts
 from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.estimation.fit import Fit, fit
-from idtool.robot.config import EffectEntry
+from idtool.robot.config import EffectEntry, UncertainValue
 from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
 from idtool.robot.model import RobotModel
 
 _MIN_SIGNIFICANCE = 3.0  # standard errors by which a parameter must differ
+_INSIGNIFICANT = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
 _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
 _MAX_ITERATIONS = 3  # of the fit of nonlinear parameters
 _BODIES = "rigid_body"
+COMMAND_DELAY = "command_delay"
 _BODY_UNITS = {"mass": "kg", "com": "m", "inertia_com": "kg·m²"}
 
 TermKey = tuple[str, str, int]  # effect, what it acts on, number among several of a kind there
@@ -88,12 +91,13 @@ class Change:
     Attributes
     ----------
     effect, joint, link
-        Id of the effect, or ``rigid_body`` for the inertia of a link; and what it acts on.
+        Id of the effect, ``rigid_body`` for the inertia of a link, or ``command_delay`` for the controller's delay; and
+        what it acts on.
     quantities
         Its parameters by name.
     share
         Share of the squared torque gap that is open without this change, every joint relative to its torque; of the
-        inertia of links, without that of all links.
+        inertia of links, without that of all links. None for the controller's delay, which changes the robot's torque.
     reason
         Why it need not be made, a few words; empty for one that is to be made.
     """
@@ -102,7 +106,7 @@ class Change:
     joint: str | None
     link: str | None
     quantities: Mapping[str, Quantity]
-    share: float
+    share: float | None
     reason: str = ""
 
 
@@ -298,6 +302,10 @@ class _Sides:
     ----------
     simulator, robot
         Diagnoses.
+    before, after
+        Effects of the simulator and of the robot.
+    simulator_fit, fitted
+        Their fits, each with the effects of both.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -307,11 +315,15 @@ class _Sides:
     progress: Progress
     before: dict[TermKey, _Term] = field(init=False)
     after: dict[TermKey, _Term] = field(init=False)
+    simulator_fit: Fit = field(init=False)
     fitted: Fit = field(init=False)
 
     def __post_init__(self) -> None:
-        self.before = _terms(self._with_effects_of(self.simulator.last, self.robot.last))
-        self.fitted = self._with_effects_of(self.robot.last, self.simulator.last)
+        simulator = _with_refitted_delay(self.simulator.last, self.progress)
+        robot = _with_refitted_delay(self.robot.last, self.progress)
+        self.simulator_fit = self._with_effects_of(simulator, robot)
+        self.fitted = self._with_effects_of(robot, simulator)
+        self.before = _terms(self.simulator_fit)
         self.after = _terms(self.fitted)
 
     def _with_effects_of(self, own: Fit, other: Fit) -> Fit:
@@ -413,7 +425,7 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
         reason = ""
         share = 0.0
         if not is_significant:
-            reason = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
+            reason = _INSIGNIFICANT
         else:
             reopened = sides.squared_errors([other for other in sides.keys if other != key]) - after
             share = float(weights @ reopened) / gap if gap > 0 else 0.0
@@ -422,7 +434,50 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
         if not reason:
             made.append(key)
         changes += [replace(change, share=share, reason=reason) for change in differing]
-    return sorted(changes, key=lambda change: (bool(change.reason), -change.share)), made
+    changes += _delay_changes(sides)
+    return sorted(changes, key=lambda change: (bool(change.reason), -(change.share or 0.0))), made
+
+
+def _delay_changes(sides: _Sides) -> Iterator[Change]:
+    """The delay from command to torque, if it was fitted on both sides."""
+    simulator, robot = _fitted_delay(sides.simulator_fit), _fitted_delay(sides.fitted)
+    if simulator is None or robot is None:
+        return
+    quantity = Quantity(simulator.value, simulator.standard_error, robot.value, robot.standard_error, "s")
+    reason = "" if quantity.is_significant else _INSIGNIFICANT
+    yield Change(COMMAND_DELAY, None, None, {"delay": quantity}, None, reason)
+
+
+def _fitted_delay(fitted: Fit) -> UncertainValue | None:
+    """The delay from command to torque; None if none was fitted."""
+    controller = fitted.experiment.config.controller
+    delay = controller.known_delay if controller else None
+    return None if delay is None or delay.standard_error is None else delay
+
+
+def _with_refitted_delay(fitted: Fit, progress: Progress) -> Fit:
+    """A fit with the delay from command to torque fitted again: a diagnosis fits it before it finds the effects.
+
+    A delay of the torque, by which the diagnosis corrects the first one, is left out.
+    """
+    experiment = fitted.experiment
+    controller = experiment.config.controller
+    if controller is None or _fitted_delay(fitted) is None:
+        return fitted
+    entries = [entry for entry in experiment.config.effects if not _delays_torque(entry, experiment.model)]
+    experiment = with_effects(experiment, entries, fitted.estimate.theta)
+    unknown = controller.model_copy(update={"delay": "auto"})
+    config = experiment.config.model_copy(update={"controller": unknown})
+    experiment, _, _ = with_delay(replace(experiment, config=config), progress)
+    return fit(experiment, progress)
+
+
+def _delays_torque(entry: EffectEntry, model: RobotModel) -> bool:
+    """True for an effect that delays the torque."""
+    effect = effect_from_entry(entry, model)
+    mechanism = Mechanism(model)
+    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
+    return bool(mechanism.torque_delay.any())
 
 
 def _is_significant(change: Change) -> bool:
@@ -501,7 +556,11 @@ def _notices(simulator: Diagnosis) -> Iterator[Notice]:
         if _changes_bodies(effect, last.experiment.model):
             target = entry.link or entry.joint
             name = effect.label or effect.id.replace("_", " ")
-            message = f"the simulator's bodies are not those of the URDF: its logs show {name}"
+            parameter, value = next(iter(entry.values.items()))
+            size = f"{value:.3g}" if isinstance(value, float) else f"{np.round(value, 3).tolist()}"
+            unit = effect.parameter_units().get(parameter, "")
+            size = f"{parameter} {size} {unit}".rstrip()
+            message = f"the simulator's bodies are not those of the URDF: its logs show {name} ({size})"
             yield Notice("simulator_bodies_differ", "warning", target, message, advice)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
 from idtool.reporting.results.diagnosis import (
     AgainstReport,
@@ -17,16 +18,21 @@ from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
+BODIES = "rigid_body"  # a change of a link's inertia
 
 
 def effect_name(effect: str) -> str:
     """An effect's id in plain words."""
+    if effect == BODIES:
+        return "inertia"
     kind = effect_types().get(effect)
     return (kind.label if kind else "") or effect.replace("_", " ")
 
 
 def owner_name(effect: EffectReport | CandidateReport | ChangeReport) -> str:
     """Joint or link of an effect, or what it acts on of the whole robot."""
+    if effect.effect == COMMAND_DELAY:
+        return "the controller"
     return target_name(effect.effect, effect.joint, effect.link)
 
 
@@ -101,7 +107,12 @@ def against_summary(report: AgainstReport, unit: str) -> str:
             "No change is needed in the simulator: no effect differs significantly from the robot's. The simulator's "
             f"torque error on the robot's logs is {before:.3g} {unit} RMS."
         )
-    names = _join_words(_effect_on_owner(change) for change in report.changes)
+    effects = [change for change in report.changes if change.effect != BODIES]
+    bodies = [owner_name(change) for change in report.changes if change.effect == BODIES]
+    differences = [_effect_on_owner(change) for change in effects]
+    if bodies:
+        differences.append(f"the inertia of the links ({', '.join(bodies)})")
+    names = _join_words(differences)
     return (
         f"Simulator and robot differ in {names}. With these changes, the simulator's torque error on the robot's "
         f"logs goes from {before:.3g} to {after:.3g} {unit} RMS."

@@ -12,7 +12,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.names import suggestion
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.simulator_element import (
     Damping,
     FrictionLoss,
@@ -21,6 +21,7 @@ from idtool.dynamics.effects.simulator_element import (
     Spring,
 )
 from idtool.dynamics.mechanism import Mechanism
+from idtool.reporting.diagnosis_text import BODIES, owner_name
 from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.identified import IdentifiedModel
 from idtool.reporting.export.inertia_check import is_acceptable, unrealizable_error
@@ -45,7 +46,6 @@ _ATTRIBUTES: dict[type[SimulatorElement], tuple[str, ...]] = {
     FrictionLoss: ("frictionloss",),
     Spring: ("stiffness", "springref"),
 }
-_BODIES = "rigid_body"
 _SIDES: tuple[Literal["simulator"], Literal["robot"]] = ("simulator", "robot")
 _URDF_NAMES = {"damping": "damping", "frictionloss": "friction"}
 
@@ -122,7 +122,7 @@ class _Plan:
         links = [body.name for body in self.identified.model.bodies]
         for change in changes:
             part = _part(change, self.identified.model)
-            if change.effect == _BODIES:
+            if change.effect == BODIES:
                 mass, com = (change.parameters[name].simulator for name in ("mass", "com"))
                 index = links.index(part.of)
                 if self.identified.model.bodies[index].kind == "link":
@@ -183,7 +183,7 @@ class _Plan:
 def _effect(change: ChangeReport, side: Literal["simulator", "robot"], model: RobotModel) -> NamedEffect | None:
     """The effect of a change as it is on one side; None if that side has none."""
     values = {name: getattr(parameter, side) for name, parameter in change.parameters.items()}
-    if change.effect == _BODIES or None in values.values():
+    if change.effect not in effect_types() or None in values.values():
         return None
     entry = EffectEntry(effect=change.effect, joint=change.joint, link=change.link, parameters=values)
     return effect_from_entry(entry, model)
@@ -219,7 +219,7 @@ def _is_of(part: Part, change: ChangeReport) -> bool:
 
 def _part(change: ChangeReport, model: RobotModel) -> Part:
     """A change that the file has no place for."""
-    owner = change.joint or change.link or "all joints"
+    owner = owner_name(change)
     if delay := _torque_delay(change, model):
         late = "later" if delay > 0 else "earlier"
         detail = f"the torque acts {1e3 * abs(delay):.3g} ms {late} on the robot; change the simulator's controller"

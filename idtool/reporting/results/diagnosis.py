@@ -144,13 +144,16 @@ class ComparedParameter(Record):
 class ChangeReport(Record):
     """A change to make in the simulator, or a difference that needs none."""
 
-    effect: str = field("Id of the effect, see [Effects](effects.md), or `rigid_body` for the inertia of a link.")
+    effect: str = field(
+        "Id of the effect, see [Effects](effects.md); `rigid_body` for the inertia of a link, `command_delay` for the "
+        "controller's delay."
+    )
     joint: str | None = field("The joint it acts on; null if it has none.")
     link: str | None = field("The link it acts on; null if it has none.")
     parameters: Annotated[ReadOnly[ComparedParameter], Keys("parameter")] = field("Its parameters.")
     share: float | None = field(
         "Fraction of the squared torque gap that opens again without this change; for `rigid_body`, without the "
-        "inertia of all links."
+        "inertia of all links; null for `command_delay`."
     )
     reason: str = field("Why it need not be made; empty for a change to make.")
 

@@ -22,6 +22,7 @@ from idtool.reporting.sections.base import (
     unit_cells,
     unit_columns,
 )
+from idtool.robot.inertia import round_to_digits
 
 _SHARE = "Part of the squared torque gap that opens again without this change"
 
@@ -143,11 +144,11 @@ def _parameter_rows(change: ChangeReport) -> list[list[Cell]]:
 def _text(value: Any, error: Any) -> str:
     """A value with its standard error."""
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return f"[{', '.join(number(x) for x in value)}]"
+        return f"[{', '.join(number(x) for x in round_to_digits(value, 4).tolist())}]"
     if value is None:
         return NO_VALUE
     if isinstance(value, str):
         return value
-    if error is None:
+    if not error:  # not known, or exact
         return number(value, 4)
     return " ± ".join(with_error(value, error))
