@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 JOINTS = ("yaw", "shoulder", "elbow")
 STEP = 0.001  # s
 _FINE = 10  # integrator steps per sample
-_KP, _KD = np.array([60.0, 80.0, 40.0]), np.array([3.0, 4.0, 1.5])
+KP, KD = np.array([60.0, 80.0, 40.0]), np.array([3.0, 4.0, 1.5])
 
 URDF = """<robot name="arm">
   <link name="base"/>
@@ -88,8 +88,8 @@ class Machine:
         MJCF.
     joints
         Attributes of ``mujoco.MjModel`` that differ from the file, by joint: damping, frictionloss, armature.
-    delay
-        From command to torque [s], a multiple of the sample time.
+    delay, command_delay
+        Of the torque, and of the commanded position and velocity [s]; multiples of the sample time.
     noise
         Standard deviation of the logged torque's noise [N·m].
     """
@@ -97,10 +97,14 @@ class Machine:
     text: str
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     delay: float = 0.0
+    command_delay: float = 0.0
     noise: float = 0.0
 
-    def play(self, seconds: float, seed: int) -> Array:
-        """Rows t, q, v, tau of a log, shape (N, 10), along a reference that the seed chooses."""
+    def play(self, seconds: float, seed: int, commands: bool = False) -> Array:
+        """Rows t, q, v, tau of a log, shape (N, 10), along a reference that the seed chooses.
+
+        With ``commands``, qcmd and vcmd in place of tau, shape (N, 13).
+        """
         model = mujoco.MjModel.from_xml_string(self.text)
         model.opt.timestep = STEP / _FINE
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -111,31 +115,40 @@ class Machine:
             for attribute, value in values.items():
                 getattr(model, f"dof_{attribute}")[dof] = value
         data = mujoco.MjData(model)
-        late = round(self.delay / STEP)
-        rng = np.random.default_rng(seed)
-        frequency, phase = rng.uniform(0.2, 1.6, (3, 5)), rng.uniform(0, 2 * np.pi, (3, 5))
-        amplitude = np.array([0.5, 0.4, 0.5])[:, None] / np.sqrt(5)
-        commands: list[Array] = []
+        reference = _reference(seconds, seed)  # (N, 2, 3)
         rows = []
-        for i in range(round(seconds / STEP)):
-            angle = 2 * np.pi * frequency * (i * STEP) + phase
-            rise = min(i * STEP, 1.0)
-            target = rise * (amplitude * np.sin(angle)).sum(axis=1)
-            speed = rise * (amplitude * 2 * np.pi * frequency * np.cos(angle)).sum(axis=1)
+        torques: list[Array] = []
+        for i, command in enumerate(reference):
             q, v = data.qpos.copy(), data.qvel.copy()
-            commands.append(_KP * (target - q) + _KD * (speed - v))
-            rows.append(np.concatenate([[i * STEP], q, v, commands[-1]]))
-            data.ctrl[:] = commands[max(i - late, 0)]
+            q_command, v_command = reference[max(i - round(self.command_delay / STEP), 0)]
+            torques.append(KP * (q_command - q) + KD * (v_command - v))
+            rows.append([i * STEP, *q, *v, *(command.ravel() if commands else torques[-1])])
+            data.ctrl[:] = torques[max(i - round(self.delay / STEP), 0)]
             mujoco.mj_step(model, data, _FINE)
         log = np.array(rows)
-        log[:, 7:] += self.noise * rng.standard_normal((len(log), 3))
+        if not commands:
+            log[:, 7:] += self.noise * np.random.default_rng(seed).standard_normal((len(log), 3))
         return log
 
 
-def write_log(path: Path, rows: Array) -> Path:
+def _reference(seconds: float, seed: int) -> Array:
+    """Commanded positions and velocities, shape (N, 2, 3)."""
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.2, 1.6, (3, 5)), rng.uniform(0, 2 * np.pi, (3, 5))
+    amplitude = np.array([0.5, 0.4, 0.5])[:, None] / np.sqrt(5)
+    t = STEP * np.arange(round(seconds / STEP))
+    angle = 2 * np.pi * frequency * t[:, None, None] + phase
+    position = (amplitude * np.sin(angle)).sum(axis=2)
+    velocity = (amplitude * 2 * np.pi * frequency * np.cos(angle)).sum(axis=2)
+    rise = np.minimum(t, 1.0)[:, None]
+    return np.stack([rise * position, rise * velocity + (t < 1.0)[:, None] * position], axis=1)
+
+
+def write_log(path: Path, rows: Array, commands: bool = False) -> Path:
     """Write a log as CSV."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    names = [f"{signal}_{joint}" for signal in ("q", "v", "tau") for joint in JOINTS]
+    signals = ("q", "v", "qcmd", "vcmd") if commands else ("q", "v", "tau")
+    names = [f"{signal}_{joint}" for signal in signals for joint in JOINTS]
     np.savetxt(path, rows, delimiter=",", header=",".join(["t", *names]), comments="", fmt="%.9g")
     return path
 

@@ -90,6 +90,8 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         lines = [f"DiagnosisResult: {self.summary}"]
         for i, step in enumerate(self.steps, 1):
             lines.append(f"  {i}. {step.effect} on {owner_name(step)}")
+        if self.against is not None:
+            lines.insert(1, f"  {self.against.summary}")
         lines += table_lines(["torque RMS", "before", "after", "noise floor", "gap closed"], rows)
         lines += notice_lines(self.notices)
         return "\n".join(lines)

@@ -35,6 +35,7 @@ from idtool.robot.model import RobotModel
 _MIN_SIGNIFICANCE = 3.0  # standard errors by which a parameter must differ
 _INSIGNIFICANT = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
 _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
+_NEGLIGIBLE = 3e-3  # of a joint's torque, as its standard deviation: a smaller error does not matter
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
 _MAX_ITERATIONS = 3  # of the fit of nonlinear parameters
 _BODIES = "rigid_body"
@@ -412,6 +413,7 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2
     before = sides.squared_errors(())
     after = sides.squared_errors(sides.keys)
+    smallest = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
     gap = float(weights @ np.maximum(before - after, 0.0))
     changes: list[Change] = []
     made = []
@@ -429,7 +431,7 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
         else:
             reopened = sides.squared_errors([other for other in sides.keys if other != key]) - after
             share = float(weights @ reopened) / gap if gap > 0 else 0.0
-            if not (reopened > _MIN_SHARE * before).any():
+            if not (reopened > smallest).any():
                 reason = "hardly changes the torque"
         if not reason:
             made.append(key)
@@ -540,7 +542,10 @@ def _mass_properties(pi: Array) -> dict[str, Any]:
 
 
 def _notices(simulator: Diagnosis) -> Iterator[Notice]:
-    """Notices about a simulator whose logs the model's bodies do not explain."""
+    """Notices about a simulator whose logs have faults, or whose logs the model's bodies do not explain."""
+    for fault in simulator.faults:
+        if fault.severity != "note":
+            yield fault.about(f"simulator, {fault.subject}" if fault.subject else "simulator")
     last = simulator.last
     advice = "check that the simulator runs this URDF, with the same gravity, and logs the torque at the joints"
     for name, rms in simulator.after.torque.items():

@@ -12,7 +12,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.names import suggestion
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects import effect_from_entry, effect_types
 from idtool.dynamics.effects.simulator_element import (
     Damping,
     FrictionLoss,
@@ -23,14 +23,21 @@ from idtool.dynamics.effects.simulator_element import (
 from idtool.dynamics.mechanism import Mechanism
 from idtool.reporting.diagnosis_text import BODIES, owner_name
 from idtool.reporting.export.base import Export, Part
-from idtool.reporting.export.identified import IdentifiedModel
+from idtool.reporting.export.identified import EffectTorque, IdentifiedModel
 from idtool.reporting.export.inertia_check import is_acceptable, unrealizable_error
 from idtool.reporting.export.joints import ForcesByJoint, JointForces
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import ChangeReport
 from idtool.robot.body import Body
 from idtool.robot.config import EffectEntry
-from idtool.robot.inertia import mass_com_inertia, round_to_digits, rounded_inertial, symmetric_entries
+from idtool.robot.inertia import (
+    from_mass_com_inertia,
+    mass_com_inertia,
+    round_to_digits,
+    rounded_inertial,
+    symmetric_entries,
+    symmetric_matrix,
+)
 from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import parse_xml
 from idtool.robot.urdf.text import Edit, Element, apply_edits, root_element, set_attribute
@@ -46,7 +53,6 @@ _ATTRIBUTES: dict[type[SimulatorElement], tuple[str, ...]] = {
     FrictionLoss: ("frictionloss",),
     Spring: ("stiffness", "springref"),
 }
-_SIDES: tuple[Literal["simulator"], Literal["robot"]] = ("simulator", "robot")
 _URDF_NAMES = {"damping": "damping", "frictionloss": "friction"}
 
 
@@ -74,39 +80,56 @@ class _BodyChange:
     ----------
     part
         The change, as it is listed if the file has no place for it.
-    index
-        Index of the body in the model.
+    body
+        The body.
+    pi
+        Its new parameters, shape (10,).
     mass, com
         Those that the file should have now [kg; m, shape (3,)].
     """
 
     part: Part
-    index: int
+    body: Body
+    pi: Array
     mass: float
     com: Array
 
 
 @dataclass
 class _Plan:
-    """What to write into a file."""
+    """What to write into a file.
+
+    Attributes
+    ----------
+    identified
+        The model.
+    forces
+        New attributes of its joints.
+    gravity
+        New gravity, shape (3,) [m/s²].
+    joints, bodies
+        The changes.
+    not_carried
+        Parts that the file has no place for.
+    """
 
     identified: IdentifiedModel
     forces: ForcesByJoint = field(init=False)
+    gravity: Array = field(init=False)
     joints: list[_JointChange] = field(default_factory=list)
     bodies: list[_BodyChange] = field(default_factory=list)
     not_carried: list[Part] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self.gravity = self.identified.gravity
         self.forces = ForcesByJoint(self.identified.model.names)
         for j, forces in enumerate(self.forces.values()):
             forces.armature = float(self.identified.mechanism.armature[j])
-        for term in self.identified.terms:
-            if _attributes(term.elements):
-                self.forces.add_term(term)
 
     def add_all(self) -> None:
         """Write everything that the model has."""
         for term in self.identified.terms:
+            self._add_term(term)
             self._add(replace(term.part(""), detail=_NO_PLACE), _attributes(term.elements))
         for part in self.identified.inertias:
             if part.detail in ("armature", "gravity"):
@@ -117,39 +140,54 @@ class _Plan:
         self.not_carried += [replace(part, detail=_NO_PLACE) for part in self.identified.offsets]
         self.not_carried += self.identified.others
 
-    def add_changes(self, changes: Iterable[ChangeReport]) -> None:
-        """Write the changes of a diagnosis."""
-        links = [body.name for body in self.identified.model.bodies]
-        for change in changes:
-            part = _part(change, self.identified.model)
-            if change.effect == BODIES:
-                mass, com = (change.parameters[name].simulator for name in ("mass", "com"))
-                index = links.index(part.of)
-                if self.identified.model.bodies[index].kind == "link":
-                    self.bodies.append(_BodyChange(part, index, mass, np.array(com)))
-                else:
-                    self.not_carried.append(part)
-                continue
-            forms = {inertia.detail for inertia in self.identified.inertias if _is_of(inertia, change)}
-            if "in the inertials" in forms and change.link in links:
-                self._add_body(links.index(change.link), part)
-            elif forms & {"armature", "gravity"}:
-                self._add(part, tuple(forms & {"armature", "gravity"}))
-            else:
-                self._add(part, self._changed_attributes(change))
-
-    def _changed_attributes(self, change: ChangeReport) -> tuple[str, ...]:
-        """Attributes of a joint that are an effect, on the robot or, if it has none, in the simulator."""
-        elements: list[SimulatorElement] = []
+    def add_changes(self, changes: Sequence[ChangeReport]) -> None:
+        """Write the changes of a diagnosis; attributes to which other effects add too, with these."""
+        changed = {(change.effect, change.joint) for change in changes}
         for term in self.identified.terms:
-            if (term.effect, term.joint) == (change.effect, change.joint):
-                elements += term.elements
-        if elements:
-            return _attributes(elements)
-        effect = _effect(change, "simulator", self.identified.model)
-        if effect is None:
-            return ()
-        return _attributes(effect.simulator_elements(np.array([c.prior for c in effect.coefficients])))
+            if (term.effect, term.joint) not in changed:
+                self._add_term(term)
+        for change in changes:
+            if change.effect == BODIES:
+                self._add_inertia(change)
+            else:
+                self._add_change(change)
+
+    def _add_inertia(self, change: ChangeReport) -> None:
+        """Write the inertia of a link."""
+        part = _part(change, 0.0)
+        bodies = {body.name: body for body in self.identified.model.bodies}
+        body = bodies[part.of]
+        if body.kind != "link":
+            self.not_carried.append(part)
+            return
+        values = {name: parameter.robot for name, parameter in change.parameters.items()}
+        pi = from_mass_com_inertia(values["mass"], values["com"], symmetric_matrix(values["inertia_com"]))
+        mass, com = (change.parameters[name].simulator for name in ("mass", "com"))
+        self.bodies.append(_BodyChange(part, body, pi, mass, np.array(com)))
+
+    def _add_change(self, change: ChangeReport) -> None:
+        """Write another effect."""
+        model = self.identified.model
+        simulator, robot = _form(change, "simulator", model), _form(change, "robot", model)
+        part = _part(change, _torque_delay(simulator) - _torque_delay(robot))
+        links = [body.name for body in model.bodies]
+        if change.joint in self.forces:
+            self._add_term(EffectTorque(change.effect, str(change.joint), robot.elements, ()))
+        if robot.mechanism.pi.any() and change.link in links:
+            self._add_body(links.index(change.link), part)
+        elif robot.changes_gravity:
+            self.gravity = robot.mechanism.gravity
+            self._add(part, ("gravity",))
+        elif change.joint in self.forces and (robot.mechanism.armature.any() or simulator.mechanism.armature.any()):
+            self.forces[str(change.joint)].armature = float(robot.mechanism.armature.sum())
+            self._add(part, ("armature",))
+        else:
+            self._add(part, _attributes(robot.elements or simulator.elements))
+
+    def _add_term(self, term: EffectTorque) -> None:
+        """Add torque to the attributes of a joint."""
+        if _attributes(term.elements):
+            self.forces.add_term(term)
 
     def _add(self, part: Part, attributes: tuple[str, ...]) -> None:
         if attributes:
@@ -159,47 +197,38 @@ class _Plan:
 
     def _add_body(self, index: int, part: Part) -> None:
         """Write a body that in the file has the inertia of the URDF."""
-        mass, com, _ = mass_com_inertia(self.identified.model.bodies[index].pi)
-        self.bodies.append(_BodyChange(part, index, mass, com))
-
-    def pi(self, change: _BodyChange) -> Array:
-        """New parameters of a body, shape (10,).
-
-        Raises
-        ------
-        ModelError
-            If no body can have them.
-        """
-        pi = self.identified.pi[change.index]
-        if not is_acceptable(pi):
-            raise unrealizable_error(self.identified.robot, self.body(change).name)
-        return np.asarray(pi)
-
-    def body(self, change: _BodyChange) -> Body:
-        """The body of a change."""
-        return self.identified.model.bodies[change.index]
+        body = self.identified.model.bodies[index]
+        mass, com, _ = mass_com_inertia(body.pi)
+        self.bodies.append(_BodyChange(part, body, self.identified.pi[index], mass, com))
 
 
-def _effect(change: ChangeReport, side: Literal["simulator", "robot"], model: RobotModel) -> NamedEffect | None:
-    """The effect of a change as it is on one side; None if that side has none."""
+@dataclass(frozen=True)
+class _Form:
+    """An effect run forwards: its simulator elements and its mechanism; without the effect there are none."""
+
+    elements: tuple[SimulatorElement, ...]
+    mechanism: Mechanism
+    changes_gravity: bool = False
+
+
+def _form(change: ChangeReport, side: Literal["simulator", "robot"], model: RobotModel) -> _Form:
+    """The effect of a change as it is on one side."""
     values = {name: getattr(parameter, side) for name, parameter in change.parameters.items()}
     if change.effect not in effect_types() or None in values.values():
-        return None
+        return _Form((), Mechanism(model))
     entry = EffectEntry(effect=change.effect, joint=change.joint, link=change.link, parameters=values)
-    return effect_from_entry(entry, model)
+    effect = effect_from_entry(entry, model)
+    theta = np.array([c.prior for c in effect.coefficients])
+    changed = effect.modify_model(model)
+    mechanism = Mechanism(changed)
+    effect.add_to_forward_model(theta, mechanism)
+    return _Form(effect.simulator_elements(theta), mechanism, changed is not model)
 
 
-def _torque_delay(change: ChangeReport, model: RobotModel) -> float:
-    """How much later the torque acts on the robot than in the simulator [s]; 0 for another effect."""
-    delays = []
-    for side in _SIDES:
-        mechanism = Mechanism(model)
-        effect = _effect(change, side, model)
-        if effect is not None:
-            effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
-        delays.append(mechanism.torque_delay[np.argmax(np.abs(mechanism.torque_delay))])
-    simulator, robot = delays
-    return float(simulator - robot)
+def _torque_delay(form: _Form) -> float:
+    """Delay of the torque [s]."""
+    delay = form.mechanism.torque_delay
+    return float(delay[np.argmax(np.abs(delay))])
 
 
 def _attributes(elements: Iterable[SimulatorElement]) -> tuple[str, ...]:
@@ -212,15 +241,10 @@ def _attributes(elements: Iterable[SimulatorElement]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _is_of(part: Part, change: ChangeReport) -> bool:
-    """True for the part of the identified model that a change is about."""
-    return part.what == change.effect and part.of in (change.joint, change.link, "robot", "all joints")
-
-
-def _part(change: ChangeReport, model: RobotModel) -> Part:
-    """A change that the file has no place for."""
+def _part(change: ChangeReport, delay: float) -> Part:
+    """A change that the file has no place for, or one by which the torque acts ``delay`` [s] later on the robot."""
     owner = owner_name(change)
-    if delay := _torque_delay(change, model):
+    if delay:
         late = "later" if delay > 0 else "earlier"
         detail = f"the torque acts {1e3 * abs(delay):.3g} ms {late} on the robot; change the simulator's controller"
         return Part(change.effect, owner, detail, delay, "s")
@@ -279,6 +303,8 @@ def patched(identified: IdentifiedModel, path: Path, changes: Sequence[ChangeRep
 def _write_mjcf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]]:
     """The patched MJCF, and the parts that are in it; those that are not are added to the plan."""
     root = root_element(text)
+    if root.first("worldbody") is None:
+        raise ModelError(path, "has no <worldbody>; give the file that has the robot's bodies")
     world = [element for section in root.with_tag("worldbody") for element in section.descendants()]
     joints = {element.name: element for element in world if element.tag == "joint"}
     bodies = {element.name: element for element in world if element.tag == "body"}
@@ -286,25 +312,27 @@ def _write_mjcf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
     carried = []
     for change in plan.joints:
         if change.attributes == ("gravity",):
-            gravity = _text(plan.identified.gravity)
+            gravity = _text(plan.gravity)
             edits[0, "gravity"] = _set_option(text, root, "gravity", gravity)
             carried.append(replace(change.part, detail=f"gravity → {gravity}"))
             continue
         element = _find_joint(path, joints, change.part.of, has_include=b"<include" in text)
         details = []
         for name in change.attributes:
-            value = _mjcf_value(plan.forces[change.part.of], name, element, root)
+            value = _mjcf_value(path, plan.forces[change.part.of], name, element, root)
             edits[element.start, name] = set_attribute(text, element, name, value)
             details.append(f"{name} {element.attributes.get(name, 'default')} → {value}")
         carried.append(replace(change.part, detail=", ".join(details)))
     for body_change in plan.bodies:
-        name = plan.body(body_change).name
+        name = body_change.body.name
         inertial = bodies[name].first("inertial") if name in bodies else None
-        reason = _inertial_mismatch(inertial, body_change) if inertial else "the file has no inertial of this body"
+        reason = (
+            _inertial_mismatch(path, inertial, body_change) if inertial else "the file has no inertial of this body"
+        )
         if inertial is None or reason:
             plan.not_carried.append(replace(body_change.part, detail=reason))
             continue
-        mass, com, inertia = rounded_inertial(plan.pi(body_change))
+        mass, com, inertia = rounded_inertial(_realizable(plan, body_change))
         xx, xy, yy, xz, yz, zz = symmetric_entries(inertia)
         full = _text([xx, yy, zz, xy, xz, yz])
         new = f'<inertial pos="{_text(com)}" mass="{mass!r}" fullinertia="{full}"/>'
@@ -312,6 +340,19 @@ def _write_mjcf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
         detail = f"inertial, mass {inertial.attributes['mass']} → {mass!r}"
         carried.append(replace(body_change.part, detail=detail))
     return apply_edits(text, _merged(edits.values())), carried
+
+
+def _realizable(plan: _Plan, change: _BodyChange) -> Array:
+    """New parameters of a body, shape (10,).
+
+    Raises
+    ------
+    ModelError
+        If no body can have them.
+    """
+    if not is_acceptable(change.pi):
+        raise unrealizable_error(plan.identified.robot, change.body.name)
+    return change.pi
 
 
 def _merged(edits: Iterable[Edit]) -> list[Edit]:
@@ -340,10 +381,27 @@ def _find_joint(path: Path, joints: dict[str, Element], name: str, has_include: 
     raise ModelError(path, f"has no joint named {name}; {hint}")
 
 
-def _mjcf_value(forces: JointForces, name: str, joint: Element, root: Element) -> str:
+def _read_numbers(path: Path, element: Element, name: str, default: str) -> Array:
+    """The numbers in an attribute.
+
+    Raises
+    ------
+    ModelError
+        If it holds something else.
+    """
+    written = element.attributes.get(name, default)
+    try:
+        return np.array([float(x) for x in written.split()])
+    except ValueError:
+        raise ModelError(
+            f"{path}: {element.tag} {element.name}".rstrip(), f"{name} is not a number: {written}"
+        ) from None
+
+
+def _mjcf_value(path: Path, forces: JointForces, name: str, joint: Element, root: Element) -> str:
     """An attribute of a joint in MJCF."""
     if name == "springref":
-        shift = float(joint.attributes.get("ref", 0.0))  # in the file's own unit
+        shift = float(_read_numbers(path, joint, "ref", "0").sum())  # in the file's own unit
         is_angle = joint.attributes.get("type", "hinge") == "hinge"
         unit = np.degrees(1.0) if is_angle and _uses_degrees(root) else 1.0
         return _number(forces.springref * unit + shift)
@@ -366,10 +424,10 @@ def _set_option(text: bytes, root: Element, name: str, value: str) -> Edit:
     return Edit(root.content, root.content, f'\n  <option {name}="{value}"/>'.encode())
 
 
-def _inertial_mismatch(inertial: Element, change: _BodyChange) -> str:
+def _inertial_mismatch(path: Path, inertial: Element, change: _BodyChange) -> str:
     """Reason why an inertial cannot be replaced, since it is not the URDF's; empty if it is."""
-    mass = float(inertial.attributes.get("mass", 0.0))
-    com = np.array([float(x) for x in inertial.attributes.get("pos", "0 0 0").split()])
+    mass = float(_read_numbers(path, inertial, "mass", "0").sum())
+    com = _read_numbers(path, inertial, "pos", "0 0 0")
     is_same_mass = abs(mass - change.mass) <= _MASS_TOLERANCE * change.mass
     if is_same_mass and com.shape == (3,) and np.abs(com - change.com).max() <= _COM_TOLERANCE:
         return ""
@@ -413,12 +471,12 @@ def _write_urdf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
             details.append(f"{written} {before} → {_number(value)}")
         carried.append(replace(change.part, detail=", ".join(details)))
     for body_change in plan.bodies:
-        body = plan.body(body_change)
-        new = link_parameters(body, plan.pi(body_change), plan.identified.robot.links)
+        pi = _realizable(plan, body_change)
+        new = link_parameters(body_change.body, pi, plan.identified.robot.links)
         if not set(new) <= links:
             plan.not_carried.append(replace(body_change.part, detail="the file has no such link"))
             continue
         inertias |= new
-        mass = four_digits(float(plan.pi(body_change)[0]))
+        mass = four_digits(float(pi[0]))
         carried.append(replace(body_change.part, detail=f"inertial, mass {four_digits(body_change.mass)} → {mass}"))
     return replace_parameters(text, inertias, dynamics), carried

@@ -19,6 +19,6 @@ class ExportReport(Result):
     """Result of `idtool export`."""
 
     file: str | None = field("The file that was written; null if none was.")
-    patched: str | None = field("The simulator's file that it is a copy of; null without `--patch`.")
     carried: tuple[ExportedPart, ...] = field("Parts that the file contains.")
     not_carried: tuple[ExportedPart, ...] = field("Parts that the simulator cannot represent.")
+    patched: str | None = field("The simulator's file that it is a copy of; null without `--patch`.")
