@@ -408,35 +408,41 @@ class _Sides:
 
 def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
     """All differences, those to be made first and the largest share first; and the effects that are to be changed."""
+    differing: dict[TermKey, list[Change]] = {}
+    significant = []
+    for key in sides.keys:
+        if key == _ALL_BODIES:
+            differing[key] = _bodies_changes(sides)
+            is_significant = _bodies_differ(sides)
+        else:
+            differing[key] = [_change(sides, key)]
+            is_significant = _is_significant(differing[key][0])
+        if is_significant:
+            significant.append(key)
+
     joints = sides.fitted.experiment.equation.joints
     torque_std = np.array([sides.fitted.evaluation.torque_std[name] for name in joints])
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2
     before = sides.squared_errors(())
-    after = sides.squared_errors(sides.keys)
+    after = sides.squared_errors(significant)
     smallest = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
-    gap = float(weights @ np.maximum(before - after, 0.0))
-    changes: list[Change] = []
-    made = []
-    for key in sides.keys:
-        if key == _ALL_BODIES:
-            differing = _bodies_changes(sides)
-            is_significant = _bodies_differ(sides)
-        else:
-            differing = [_change(sides, key)]
-            is_significant = _is_significant(differing[0])
-        reason = ""
-        share = 0.0
-        if not is_significant:
-            reason = _INSIGNIFICANT
-        else:
-            reopened = sides.squared_errors([other for other in sides.keys if other != key]) - after
-            share = float(weights @ reopened) / gap if gap > 0 else 0.0
-            if not (reopened > smallest).any():
-                reason = "hardly changes the torque"
-        if not reason:
-            made.append(key)
-        changes += [replace(change, share=share, reason=reason) for change in differing]
-    changes += _delay_changes(sides)
+    gap = float(weights @ (before - after))
+    shares: dict[TermKey, float] = {}
+    reasons = dict.fromkeys(sides.keys, _INSIGNIFICANT)
+    for key in significant:
+        reopened = sides.squared_errors([other for other in significant if other != key]) - after
+        shares[key] = float(weights @ reopened) / gap if gap > 0 else 0.0
+        reasons[key] = "" if (reopened > smallest).any() else "hardly changes the torque"
+    made = [key for key in significant if not reasons[key]]
+    if made and weights @ sides.squared_errors(made) > (1 - _MIN_SHARE) * (weights @ before):
+        for key in made:
+            shares[key] = 0.0
+            reasons[key] = "does not reduce the torque error together with the other changes"
+        made = []
+
+    changes = list(_delay_changes(sides))
+    for key, own in differing.items():
+        changes += [replace(change, share=shares.get(key, 0.0), reason=reasons[key]) for change in own]
     return sorted(changes, key=lambda change: (bool(change.reason), -(change.share or 0.0))), made
 
 

@@ -29,7 +29,7 @@ def comparison_report(comparison: Comparison) -> AgainstReport:
         summary="",
     )
     unit = common_unit(simulator.experiment.model.units)
-    return report.model_copy(update={"summary": against_summary(report, unit)})
+    return report.model_copy(update={"summary": against_summary(report, unit, comparison.measured.floor["overall"])})
 
 
 def _pair(pair: LogPair) -> LogPairReport:

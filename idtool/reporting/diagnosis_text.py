@@ -90,7 +90,7 @@ def summary(report: DiagnosisReport) -> str:
     )
 
 
-def against_summary(report: AgainstReport, unit: str) -> str:
+def against_summary(report: AgainstReport, unit: str, floor: float) -> str:
     """The difference between robot and simulator in a sentence or two.
 
     Parameters
@@ -99,13 +99,15 @@ def against_summary(report: AgainstReport, unit: str) -> str:
         The content of `against`.
     unit
         Unit of the torque of all joints.
+    floor
+        Noise floor of the robot's logs, over all joints.
     """
     before = report.torque_before["overall"] or 0.0
     after = report.torque_after["overall"] or 0.0
     if not report.changes:
         return (
-            "No change is needed in the simulator: no effect differs significantly from the robot's. The simulator's "
-            f"torque error on the robot's logs is {before:.3g} {unit} RMS."
+            "No change to make in the simulator was found. Its torque error on the robot's logs is "
+            f"{before:.3g} {unit} RMS, and the noise floor is {floor:.3g} {unit}."
         )
     effects = [change for change in report.changes if change.effect != BODIES]
     bodies = [owner_name(change) for change in report.changes if change.effect == BODIES]

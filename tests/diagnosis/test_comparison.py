@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commands import idtool, refuse
+from commands import LEG, TRAIN, VALIDATE, idtool, refuse
 from simulator_pair import JOINTS, KD, KP, MJCF, ROBOT, URDF, Machine, robot, write_log, write_pair
 
 DELAY = 0.004  # s
@@ -147,10 +147,20 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     write_log(pair / "same.csv", again)
     found = diagnosed(pair, "same.csv", "--against", "simulator/run1.csv", "--out", "same", *EFFECTS)["against"]
     assert found["changes"] == []
-    assert found["summary"].startswith("No change is needed in the simulator")
+    assert found["summary"].startswith("No change to make in the simulator was found")
     done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
     assert done.out.startswith("nothing to change in the file\n")
     assert (pair / "same.xml").read_text() == MJCF
+
+
+def test_changes_that_only_make_up_for_each_other_are_not_asked_for(tmp_path: Path) -> None:
+    """The sample leg as its own simulator: the URDF's bodies are wrong, so each log gets effects of its own."""
+    logs = (TRAIN, "--against", VALIDATE)
+    done = idtool("diagnose", LEG, *logs, "--no-simulation", "--json", "--out", tmp_path)
+    against = done.json["against"]
+    assert against["torque_after"]["overall"] <= against["torque_before"]["overall"]
+    assert against["changes"] == []
+    assert "simulator_bodies_differ" in {notice["code"] for notice in done.json["notices"]}
 
 
 @pytest.fixture(scope="module")
