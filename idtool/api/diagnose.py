@@ -8,13 +8,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from idtool.api.data import Logs, call_text, changed_options, load_experiment
+from idtool.api.data import Logs, LogSource, as_list, call_text, changed_options, load_experiment
 from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption, parse_candidates
-from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
+from idtool.api.log import Log
+from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
+from idtool.data.logs import read_log
+from idtool.data.pairing import check_joints, paired_paths
 from idtool.diagnosis.records import Diagnosis
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.diagnosis_text import owner_name
 from idtool.reporting.fit_report import model_config
@@ -86,6 +90,8 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         lines = [f"DiagnosisResult: {self.summary}"]
         for i, step in enumerate(self.steps, 1):
             lines.append(f"  {i}. {step.effect} on {owner_name(step)}")
+        if self.against is not None:
+            lines.insert(1, f"  {self.against.summary}")
         lines += table_lines(["torque RMS", "before", "after", "noise floor", "gap closed"], rows)
         lines += notice_lines(self.notices)
         return "\n".join(lines)
@@ -97,14 +103,17 @@ def diagnose(
     *,
     validate: Logs = (),
     holdout: float = 0.3,
-    inertia: Literal["refit", "fixed"] = "refit",
+    inertia: Literal["refit", "fixed"] | None = None,
     effects: Sequence[str] | None = None,
     most: int = 12,
     assume: Sequence[str | EffectAssumption] = (),
+    against: Logs = (),
     simulation: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
     """Find where model and data disagree, identify the missing effects and add them, like `idtool diagnose`.
+
+    With ``against``, find what to change in a simulator of the model.
 
     Parameters
     ----------
@@ -118,7 +127,7 @@ def diagnose(
         Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
     inertia
         ``refit``: the inertia is identified again at every step; ``fixed``: the inertia of the URDF is kept, so
-        that a payload, a torque gain or a tilted base can be found.
+        that a payload, a torque gain or a tilted base can be found. None: ``fixed`` with ``against``, else ``refit``.
     effects
         Ids of the effects to search for; None: all.
     most
@@ -126,6 +135,9 @@ def diagnose(
     assume
         Effects to start with: ``"parallel_spring:hip"``, ``("parallel_spring", "hip")``, or ``"gravity_tilt"`` for one
         that has neither joint nor link.
+    against
+        Logs of a simulator of the model under the same commands: one for each of ``logs``, in the same order, or a
+        folder with a log of the same name for each. They are in SI units, whatever ``log.scale`` says.
     simulation
         Whether to simulate the models too.
     progress
@@ -144,6 +156,7 @@ def diagnose(
     >>> diagnosis.verdict
     'no_disagreement'
     """
+    from idtool.diagnosis.comparison import compare
     from idtool.diagnosis.diagnose import Options
     from idtool.diagnosis.diagnose import diagnose as search
 
@@ -152,14 +165,59 @@ def diagnose(
         raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
     candidates = None if effects is None else parse_candidates(effects)
     assumptions = tuple(parse_assumption(text) for text in assume)
+    options = changed_options(
+        diagnose,
+        holdout=holdout,
+        inertia=inertia,
+        effects=effects,
+        most=most,
+        assume=assume,
+        against=[str(_path(log)) for log in as_list(against)] or (),
+        simulation=simulation,
+    )
+    if inertia is None:
+        inertia = "fixed" if as_list(against) else "refit"
+    model = as_model(model)
+    simulated_logs = _paired(logs, against)
     experiment = load_experiment(model, logs, validate, holdout, report_progress)
     check_assumptions(assumptions, experiment.model)
-    options = changed_options(
-        diagnose, holdout=holdout, inertia=inertia, effects=effects, most=most, assume=assume, simulation=simulation
-    )
     search_options = Options(inertia, candidates, most, assumptions, simulation)
-    diagnosis = search(experiment, search_options, report_progress)
-    result = DiagnosisResult.from_result(diagnosis_report(diagnosis, inertia))
+    comparison = None
+    if simulated_logs:
+        simulated = _simulator_experiment(model, simulated_logs, experiment, holdout)
+        comparison = compare(experiment, simulated, search_options, report_progress)
+        diagnosis = comparison.measured
+    else:
+        diagnosis = search(experiment, search_options, report_progress)
+    result = DiagnosisResult.from_result(diagnosis_report(diagnosis, inertia, comparison))
     result._diagnosis = diagnosis
     result._made_by = call_text("diagnose", model, logs, validate=validate, **options)
     return result
+
+
+def _paired(logs: Logs, against: Logs) -> list[LogSource]:
+    """The simulator's log of each log; empty if there are none."""
+    simulated = as_list(against)
+    if not simulated:
+        return []
+    names = [_path(log) for log in as_list(logs)]
+    folder_or_logs = paired_paths(names, [_path(log) for log in simulated])
+    is_folder = len(simulated) == 1 and folder_or_logs[0] != _path(simulated[0])
+    return list(folder_or_logs) if is_folder else simulated
+
+
+def _path(log: LogSource) -> Path:
+    return log.path if isinstance(log, Log) else Path(log)
+
+
+def _simulator_experiment(model: Model, logs: Sequence[LogSource], robot: Experiment, holdout: float) -> Experiment:
+    """The simulator's logs with the model, for the joints of the robot's logs."""
+    settings = model.settings
+    joints = robot.model.names
+    options = settings.log
+    records = []
+    for log in logs:
+        record = log.record if isinstance(log, Log) else read_log(log, topic=options.topic, columns=options.columns)
+        check_joints(record, joints)
+        records.append(record)
+    return prepare(model.robot, settings.model_copy(update={"joints": list(joints)}), records, (), holdout)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Literal
 
 from idtool.api.results import notice_lines
-from idtool.common.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.notice import Notice
 from idtool.common.outputs import check_file, write_all
-from idtool.reporting.export import read_identified, to_drake, to_mujoco
+from idtool.reporting.export import patched, read_identified, to_drake, to_mujoco
 from idtool.reporting.export.identified import CONFIG, URDF
 from idtool.reporting.results.base import notice_fields
+from idtool.reporting.results.diagnosis import AgainstReport, ChangeReport
 from idtool.reporting.results.export import ExportedPart, ExportReport
 
 Simulator = Literal["mujoco", "drake"]
+DIAGNOSIS = "diagnosis.json"
 
 
 class ExportResult(ExportReport):
@@ -24,6 +27,7 @@ class ExportResult(ExportReport):
     _text: bytes
     _folder: Path
     _name: str
+    _inputs: tuple[Path, ...]
 
     @property
     def text(self) -> str:
@@ -32,7 +36,7 @@ class ExportResult(ExportReport):
 
     @property
     def default_file(self) -> Path:
-        """Default path of the file, beside the identified model."""
+        """Default path of the file: beside the identified model, or beside the file that was patched."""
         return self._folder / self._name
 
     def save(self, file: str | os.PathLike[str] | None = None) -> Path:
@@ -41,7 +45,7 @@ class ExportResult(ExportReport):
         Parameters
         ----------
         file
-            Where to; None: beside the identified model.
+            Where to; None: the default path.
 
         Returns
         -------
@@ -50,10 +54,10 @@ class ExportResult(ExportReport):
         Raises
         ------
         OutputError
-            If the file cannot be written, or would overwrite the identified model.
+            If the file cannot be written, or would overwrite an input.
         """
         path = self.default_file if file is None else Path(file)
-        check_file(path, [self._folder / URDF, self._folder / CONFIG])
+        check_file(path, self._inputs)
         write_all(path.parent, {path.name: self._text})
         return path
 
@@ -65,17 +69,26 @@ class ExportResult(ExportReport):
         return "\n".join([*lines, *notice_lines(self.notices)])
 
 
-def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool = False) -> ExportResult:
+def export(
+    folder: str | os.PathLike[str],
+    to: Simulator | None = None,
+    *,
+    rotor_bodies: bool = False,
+    patch: str | os.PathLike[str] | None = None,
+) -> ExportResult:
     """Write the identified model as a file for a simulator, like `idtool export`.
 
     Parameters
     ----------
     folder
-        The folder that a fit was saved to.
+        The folder that a fit or a diagnosis was saved to.
     to
-        The simulator.
+        The simulator; None with ``patch``.
     rotor_bodies
         For MuJoCo: represent rotors that armature cannot fully represent as bodies that are held by constraints.
+    patch
+        A simulator's own MJCF or URDF. The result is a copy of it with the changes that a diagnosis with ``against``
+        found, or else with all values of the model.
 
     Raises
     ------
@@ -83,23 +96,53 @@ def export(folder: str | os.PathLike[str], to: Simulator, *, rotor_bodies: bool 
         If the folder contains no identified model, or the simulator would reject the model.
     """
     if rotor_bodies and to != "mujoco":
-        raise ConfigError("--rotor-bodies", f"is only for mujoco; omit it for {to}")
+        raise ConfigError("--rotor-bodies", "is only for --to mujoco; omit it")
+    if (to is None) == (patch is None):
+        what = "is missing; give mujoco or drake, or a file with --patch" if patch is None else "is not for --patch"
+        raise ConfigError("--to", what)
     source = Path(folder)
     if source.is_file():
         source = source.parent
     identified = read_identified(source)
-    exported = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
+    inputs = [source / URDF, source / CONFIG]
+    target = source
+    if patch is not None:
+        target = Path(patch).parent
+        inputs.append(Path(patch))
+        exported = patched(identified, Path(patch), _changes(source))
+    else:
+        exported = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
     notices = list(identified.model.notices)
     if to == "mujoco" and any(part.what == "rotor" for part in exported.not_carried):
         message = "use --rotor-bodies to represent the rotors completely, each as a body with its own coordinate"
         notices.append(Notice("rotors_simplified", "note", None, message))
     result = ExportResult(
         file=None,
+        patched=None if patch is None else str(patch),
         carried=[ExportedPart(**vars(part)) for part in exported.carried],
         not_carried=[ExportedPart(**vars(part)) for part in exported.not_carried],
         **notice_fields(notices),
     )
     result._text = exported.text
-    result._folder = source
+    result._folder = target
     result._name = exported.name
+    result._inputs = tuple(inputs)
     return result
+
+
+def _changes(folder: Path) -> tuple[ChangeReport, ...] | None:
+    """The changes that the diagnosis in a folder asks for; None if its model is not from one with ``--against``.
+
+    Raises
+    ------
+    ModelError
+        If diagnosis.json cannot be read.
+    """
+    file = folder / DIAGNOSIS
+    if not file.is_file() or b"idtool diagnose" not in (folder / CONFIG).read_bytes().partition(b"\n")[0]:
+        return None
+    try:
+        against = json.loads(file.read_bytes())["against"]
+        return None if against is None else AgainstReport.model_validate(against).changes
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ModelError(file, f"is not the result of idtool diagnose ({type(error).__name__})") from None

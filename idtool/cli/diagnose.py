@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
+    AgainstOption,
     AssumeOption,
     ConfigOption,
     EffectsOption,
@@ -38,10 +39,11 @@ def diagnose_command(
     out: OutOption = None,
     holdout: HoldoutOption = 0.3,
     validate: ValidateOption = None,
-    inertia: InertiaOption = "refit",
+    inertia: InertiaOption = None,
     effects: EffectsOption = None,
     max_effects: MaxEffectsOption = 12,
     assume: AssumeOption = None,
+    against: AgainstOption = None,
     report_only: ReportOnlyOption = False,
     explain: ExplainOption = False,
     no_simulation: NoSimulationOption = False,
@@ -69,6 +71,7 @@ def diagnose_command(
             effects=effect_ids,
             most=max_effects,
             assume=assume or (),
+            against=against or (),
             simulation=not no_simulation,
             progress=progress,
         )

@@ -17,8 +17,23 @@ def export_command(
         Path,
         typer.Argument(help="Folder with the results of idtool fit or diagnose.", metavar="OUT", show_default=False),
     ],
-    to: Annotated[Literal["mujoco", "drake"], typer.Option("--to", help="Simulator.", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="File to write; default: OUT/mujoco.xml or OUT/drake.urdf.")] = None,
+    to: Annotated[
+        Literal["mujoco", "drake"] | None, typer.Option("--to", help="Simulator.", show_default=False)
+    ] = None,
+    patch: Annotated[
+        Path | None,
+        typer.Option(
+            "--patch",
+            metavar="FILE",
+            help="Instead of --to: write a copy of this MJCF or URDF with the changes that idtool diagnose --against "
+            "found, or else with all values of the model.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File to write; default: OUT/mujoco.xml, OUT/drake.urdf, or FILE with _patched in its name."),
+    ] = None,
     rotor_bodies: Annotated[
         bool,
         typer.Option(
@@ -40,7 +55,7 @@ def export_command(
         check_file(out, [])
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        result = export(folder, to, rotor_bodies=rotor_bodies)
+        result = export(folder, to, rotor_bodies=rotor_bodies, patch=patch)
         file = result.save(out)
     report = result.model_copy(update={"file": str(file)})
     show_export(terminal, report)

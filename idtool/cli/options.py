@@ -112,10 +112,11 @@ MaxRmsOption = Annotated[
     ),
 ]
 InertiaOption = Annotated[
-    Literal["refit", "fixed"],
+    Literal["refit", "fixed"] | None,
     typer.Option(
         help="refit: identify the inertia again at every step; fixed: keep that of the URDF, so that payloads, gains "
-        "and tilted bases can be found."
+        "and tilted bases can be found. Default: refit; with --against fixed.",
+        show_default=False,
     ),
 ]
 EffectsOption = Annotated[str | None, typer.Option(help="Effects to search for, separated by commas; default: all.")]
@@ -125,6 +126,14 @@ AssumeOption = Annotated[
     typer.Option(
         metavar="EFFECT:JOINT",
         help="Start with this effect, on this joint or link if it acts on one; repeatable.",
+    ),
+]
+AgainstOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="LOG",
+        help="A simulator's log under the same commands as the log; or a folder with a log of the same name for each. "
+        "Lists what to change in the simulator. Repeatable: one for each log, in the same order.",
     ),
 ]
 ReportOnlyOption = Annotated[

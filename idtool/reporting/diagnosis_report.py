@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping
 
 from idtool.common.notice import Notice
+from idtool.diagnosis.comparison import Comparison
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
+from idtool.reporting.comparison_report import comparison_report
 from idtool.reporting.diagnosis_text import next_steps, summary
 from idtool.reporting.fit_report import fit_report, parameter_units
 from idtool.reporting.results.base import notice_fields, plain_data
@@ -28,7 +30,7 @@ _MIN_RELATIVE_GAP = 0.05  # of the error before: a gap to the noise floor that i
 _MIN_RELATIVE_INCREASE = 0.02  # of the rollout's error before: how much larger it must be to be called worse
 
 
-def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
+def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison | None = None) -> DiagnosisReport:
     """The content of diagnosis.json.
 
     Parameters
@@ -37,9 +39,11 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         The result.
     inertia
         ``refit`` or ``fixed``: whether the inertia was identified anew at every step or taken from the URDF.
+    comparison
+        The comparison with the simulator that the diagnosis is part of; None: there is none.
     """
     model = fit_report(diagnosis.last)
-    warnings = [*diagnosis.last.notices, *diagnosis.notices]
+    warnings = [*diagnosis.last.notices, *diagnosis.notices, *(comparison.notices if comparison else ())]
     report = DiagnosisReport(
         versions=model.versions,
         inputs=model.inputs,
@@ -71,6 +75,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str) -> DiagnosisReport:
         ),
         notices=notice_fields([*diagnosis.faults, *warnings])["notices"],
         warnings=notice_fields(warnings)["warnings"],
+        against=comparison_report(comparison) if comparison else None,
         seconds=diagnosis.seconds,
         summary="",
         next=(),

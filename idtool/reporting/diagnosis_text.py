@@ -4,22 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
-from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, ErrorLevel, StepReport
+from idtool.reporting.results.diagnosis import (
+    AgainstReport,
+    CandidateReport,
+    ChangeReport,
+    DiagnosisReport,
+    ErrorLevel,
+    StepReport,
+)
 from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
+BODIES = "rigid_body"  # a change of a link's inertia
 
 
 def effect_name(effect: str) -> str:
     """An effect's id in plain words."""
+    if effect == BODIES:
+        return "inertia"
     kind = effect_types().get(effect)
     return (kind.label if kind else "") or effect.replace("_", " ")
 
 
-def owner_name(effect: EffectReport | CandidateReport) -> str:
+def owner_name(effect: EffectReport | CandidateReport | ChangeReport) -> str:
     """Joint or link of an effect, or what it acts on of the whole robot."""
+    if effect.effect == COMMAND_DELAY:
+        return "the controller"
     return target_name(effect.effect, effect.joint, effect.link)
 
 
@@ -77,6 +90,37 @@ def summary(report: DiagnosisReport) -> str:
     )
 
 
+def against_summary(report: AgainstReport, unit: str, floor: float) -> str:
+    """The difference between robot and simulator in a sentence or two.
+
+    Parameters
+    ----------
+    report
+        The content of `against`.
+    unit
+        Unit of the torque of all joints.
+    floor
+        Noise floor of the robot's logs, over all joints.
+    """
+    before = report.torque_before["overall"] or 0.0
+    after = report.torque_after["overall"] or 0.0
+    if not report.changes:
+        return (
+            "No change to make in the simulator was found. Its torque error on the robot's logs is "
+            f"{before:.3g} {unit} RMS, and the noise floor is {floor:.3g} {unit}."
+        )
+    effects = [change for change in report.changes if change.effect != BODIES]
+    bodies = [owner_name(change) for change in report.changes if change.effect == BODIES]
+    differences = [_effect_on_owner(change) for change in effects]
+    if bodies:
+        differences.append(f"the inertia of the links ({', '.join(bodies)})")
+    names = _join_words(differences)
+    return (
+        f"Simulator and robot differ in {names}. With these changes, the simulator's torque error on the robot's "
+        f"logs goes from {before:.3g} to {after:.3g} {unit} RMS."
+    )
+
+
 def next_steps(report: DiagnosisReport) -> list[str]:
     """Suggested next steps, one sentence each.
 
@@ -97,6 +141,11 @@ def next_steps(report: DiagnosisReport) -> list[str]:
     if owners := [owner_name(step) for step in report.steps if step.effect == UNKNOWN]:
         what = "is not explained by any known effect: see the residual maps in diagnosis.html"
         steps.append(f"The remaining residual on {_join_words(owners)} {what}.")
+    if report.against is not None and report.against.changes:
+        steps.append(
+            "Make the changes in the simulator: idtool export OUT --patch FILE writes a copy of its MJCF or URDF with "
+            "those that the file can represent."
+        )
     if "overall" in report.rollout_worse:
         steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
     return steps
@@ -106,7 +155,7 @@ def _overall(level: ErrorLevel) -> float | None:
     return level.torque["overall"]
 
 
-def _effect_on_owner(effect: StepReport | CandidateReport) -> str:
+def _effect_on_owner(effect: StepReport | CandidateReport | ChangeReport) -> str:
     name = effect_name(effect.effect)
     kind = effect_types().get(effect.effect, NamedEffect)
     article = ""

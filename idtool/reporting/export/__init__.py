@@ -4,5 +4,15 @@ from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.drake import to_drake
 from idtool.reporting.export.identified import IdentifiedModel, identified_model, read_identified
 from idtool.reporting.export.mujoco import to_mujoco
+from idtool.reporting.export.patch import patched
 
-__all__ = ["Export", "IdentifiedModel", "Part", "identified_model", "read_identified", "to_drake", "to_mujoco"]
+__all__ = [
+    "Export",
+    "IdentifiedModel",
+    "Part",
+    "identified_model",
+    "patched",
+    "read_identified",
+    "to_drake",
+    "to_mujoco",
+]

@@ -22,6 +22,7 @@ from idtool.reporting.plots.log_series import LogFigures, log_figures, log_serie
 from idtool.reporting.plots.residuals import residual_figures
 from idtool.reporting.plots.torques import torque_figure
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
+from idtool.reporting.sections.against import ChangesSection, SimulatorGapSection, UnchangedSection
 from idtool.reporting.sections.diagnosis import CandidatesSection, ErrorsBeforeAfterSection, parameter_texts
 from idtool.reporting.sections.fit import BodiesSection, FrictionSection
 from idtool.reporting.sections.simulation import SimulationErrorsSection
@@ -29,8 +30,10 @@ from idtool.reporting.simulation_report import simulation_report
 
 _STEPS = ("The steps", "diagnosis_steps.html")
 _SIMULATION = SimulationErrorsSection("diagnosis_simulation.html")
+_AGAINST = (ChangesSection(), SimulatorGapSection(), UnchangedSection())
 _SECTIONS = (
     ("Findings", "diagnosis_findings.html"),
+    *_AGAINST,
     ErrorsBeforeAfterSection(),
     _STEPS,
     ("Residual by state, time and frequency", "residuals.html"),
@@ -74,6 +77,7 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
     first = diagnosis.first.evaluation
     robot = robot_view(diagnosis.last.experiment.model, views, last.traces)
     shown_if = {_STEPS: bool(report.steps), _SIMULATION: simulation is not None}
+    shown_if |= {section: section.table(report) is not None for section in _AGAINST}
     sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     return render(
         f"{Path(report.urdf).stem}: diagnosis",

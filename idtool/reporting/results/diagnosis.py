@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from idtool.reporting.results.base import (
     ByJointOrNone,
@@ -131,6 +131,65 @@ class ResidualMaps(Record):
     after: Annotated[ReadOnly[ResidualMap], Keys("joint")] = field("Residuals of the model with the effects.")
 
 
+class ComparedParameter(Record):
+    """A parameter in the simulator and on the robot."""
+
+    simulator: Any = field("Value in the simulator; null: the simulator has no such effect.")
+    simulator_standard_error: Any = field("Its standard error; null: not known.")
+    robot: Any = field("Value on the robot; null: the robot has no such effect.")
+    robot_standard_error: Any = field("Its standard error; null: not known.")
+    unit: str | None = field("Unit; null: none.")
+
+
+class ChangeReport(Record):
+    """A change to make in the simulator, or a difference that needs none."""
+
+    effect: str = field(
+        "Id of the effect, see [Effects](effects.md); `rigid_body` for the inertia of a link, `command_delay` for the "
+        "controller's delay."
+    )
+    joint: str | None = field("The joint it acts on; null if it has none.")
+    link: str | None = field("The link it acts on; null if it has none.")
+    parameters: Annotated[ReadOnly[ComparedParameter], Keys("parameter")] = field("Its parameters.")
+    share: float | None = field(
+        "Fraction of the squared torque gap that opens again without this change; for `rigid_body`, without the "
+        "inertia of all links; null for `command_delay`."
+    )
+    reason: str = field("Why it need not be made; empty for a change to make.")
+
+
+class LogPairReport(Record):
+    """A log of the robot, and the simulator's under the same commands."""
+
+    log: str = field("The robot's log.")
+    simulation: str = field("The simulator's log.")
+    offset: float = field("Time in the robot's log, from its start, at which the simulator's log starts [s].")
+    seconds: float = field("Duration of the overlap [s].")
+    torque_rms: ByJointOrNone | None = field(
+        "RMS difference of the logged torques [N·m or N]; null if one of the logs has none."
+    )
+    position_rms: ByJointOrNone = field("RMS difference of the logged positions [rad or m].")
+
+
+class AgainstReport(Record):
+    """The robot against its simulator."""
+
+    pairs: tuple[LogPairReport, ...] = field("The logs in pairs.")
+    changes: tuple[ChangeReport, ...] = field(
+        "Changes to make in the simulator, the one that closes most of the gap first."
+    )
+    unchanged: tuple[ChangeReport, ...] = field("Effects that need no change.")
+    torque_before: ByJointOrNone = field("Torque error of the simulator's model on the robot's logs [N·m or N].")
+    torque_after: ByJointOrNone = field("Torque error of the simulator's model with the changes.")
+    position_before: ByJointOrNone | None = field(
+        "Position error of rollouts of the simulator's model on the robot's logs [rad or m]; null if not simulated."
+    )
+    position_after: ByJointOrNone | None = field("Position error of rollouts with the changes.")
+    simulator_rms: ByJointOrNone = field("Torque error of the simulator's model on the simulator's own logs.")
+    simulator_effects: tuple[EffectReport, ...] = field("Effects found in the simulator, besides friction.")
+    summary: str = field("The difference as sentences.")
+
+
 class DiagnosisReport(ReproducibleResult):
     """Result of `idtool diagnose`."""
 
@@ -161,6 +220,7 @@ class DiagnosisReport(ReproducibleResult):
     known: tuple[KnownValue, ...] = field("Known values.")
     solver: SolverReport = field("The final model's solution.")
     residual_maps: ResidualMaps = field("Residuals for plots.")
+    against: AgainstReport | None = field("The robot against its simulator; null without `--against`.")
     seconds: float = field("Wall time [s].")
     summary: str = field("The verdict as sentences.")
     next: Sentences = field("Suggested next steps, one sentence each.")

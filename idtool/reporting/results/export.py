@@ -21,3 +21,4 @@ class ExportReport(Result):
     file: str | None = field("The file that was written; null if none was.")
     carried: tuple[ExportedPart, ...] = field("Parts that the file contains.")
     not_carried: tuple[ExportedPart, ...] = field("Parts that the simulator cannot represent.")
+    patched: str | None = field("The simulator's file that it is a copy of; null without `--patch`.")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, owner_name, position_units
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
+from idtool.reporting.sections.against import ChangesSection, SimulatorGapSection
 from idtool.reporting.sections.diagnosis import (
     CandidatesSection,
     ErrorsBeforeAfterSection,
@@ -46,6 +47,10 @@ def show_diagnosis(
     _show_errors(terminal, report)
     if explain:
         _show_rejected(terminal, report.steps)
+    if report.against is not None:
+        terminal.say(report.against.summary, "bold")
+        terminal.say("")
+        terminal.sections([ChangesSection(), SimulatorGapSection()], report)
     for text in report.next:
         terminal.say(f"next: {text}")
     terminal.notices(report.further_notices)

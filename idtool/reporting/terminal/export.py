@@ -7,8 +7,16 @@ from idtool.reporting.terminal.base import Terminal
 
 
 def show_export(terminal: Terminal, report: ExportReport) -> None:
-    """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line."""
-    for what in dict.fromkeys(part.what for part in report.carried):
+    """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line.
+
+    Of a patched file every change has a line of its own.
+    """
+    if report.patched is not None:
+        for part in report.carried:
+            terminal.say(f"changed: {part.what} of {part.of}: {part.detail}")
+        if not report.carried:
+            terminal.say("nothing to change in the file")
+    for what in dict.fromkeys(part.what for part in report.carried if report.patched is None):
         names = dict.fromkeys(part.of for part in report.carried if part.what == what)
         terminal.say(f"exported: {what} of {', '.join(names)}")
     groups: dict[tuple[str, str], list[ExportedPart]] = {}
@@ -17,7 +25,7 @@ def show_export(terminal: Terminal, report: ExportReport) -> None:
     for (what, detail), parts in groups.items():
         sizes = [(abs(part.value), part.unit) for part in parts if part.value is not None]
         bound = "up to " if len(sizes) > 1 else ""
-        size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes else ""
+        size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes and report.patched is None else ""
         terminal.say(f"not exported: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
     terminal.say(f"written: {report.file}")
     terminal.notices(report.notices)

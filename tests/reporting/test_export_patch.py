@@ -1,0 +1,148 @@
+"""A simulator's own file with the values of an identified model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from exported import model_of
+from simulator_pair import JOINTS, MJCF, URDF
+
+from idtool.common.exceptions import ModelError
+from idtool.reporting.export import Export, patched
+from idtool.reporting.results.diagnosis import ChangeReport, ComparedParameter
+
+FRICTION = {
+    "yaw": {"viscous": 0.3, "coulomb": 0.2},
+    "shoulder": {"viscous": 0.1, "coulomb": 0.0},
+    "elbow": {"viscous": 0.2, "coulomb": 0.1},
+}
+
+
+def export(folder: Path, text: str, changes: list[ChangeReport] | None, *effects: dict[str, Any]) -> Export:
+    (folder / "arm.urdf").write_text(URDF)
+    identified = model_of(folder / "arm.urdf", friction=FRICTION, effects=list(effects))
+    (folder / "scene.xml").write_text(text)
+    return patched(identified, folder / "scene.xml", changes)
+
+
+def change(effect: str, owner: str | None, link: str | None = None, **values: tuple[Any, Any]) -> ChangeReport:
+    parameters = {}
+    for name, (simulator, robot) in values.items():
+        parameters[name] = ComparedParameter(
+            simulator=simulator, simulator_standard_error=None, robot=robot, robot_standard_error=None, unit=None
+        )
+    return ChangeReport(effect=effect, joint=owner, link=link, parameters=parameters, share=0.5, reason="")
+
+
+def loaded(result: Export) -> Any:
+    return mujoco.MjModel.from_xml_string(result.text.decode())
+
+
+def test_without_changes_every_value_is_written(tmp_path: Path) -> None:
+    rotor = {"effect": "rotor_inertia", "joint": "elbow", "parameters": {"inertia": 0.05}}
+    offset = {"effect": "torque_offset", "joint": "elbow", "parameters": {"offset": 0.3}}
+    result = export(tmp_path, MJCF, None, rotor, offset)
+    model = loaded(result)
+    for joint, friction in FRICTION.items():
+        dof = model.joint(joint).dofadr[0]
+        assert model.dof_damping[dof].ravel()[0] == friction["viscous"]
+        if friction["coulomb"]:
+            assert model.dof_frictionloss[dof] == friction["coulomb"]
+    assert model.dof_armature.tolist() == [0.0, 0.0, 0.05]
+    assert [(part.what, part.of) for part in result.not_carried] == [("torque_offset", "elbow")]
+    np.testing.assert_allclose(model.body_mass[1:], [3, 2, 1])
+
+
+@pytest.mark.parametrize(("angle", "unit"), [("radian", 1.0), ("degree", np.degrees(1.0)), (None, np.degrees(1.0))])
+def test_a_spring_is_in_the_units_of_the_file(tmp_path: Path, angle: str | None, unit: float) -> None:
+    compiler = f'<compiler angle="{angle}"/>' if angle else "<compiler/>"
+    text = MJCF.replace('<compiler angle="radian"/>', compiler)
+    text = text.replace('name="elbow" axis="0 1 0"', f'name="elbow" axis="0 1 0" ref="{float(0.1 * unit)!r}"')
+    values = {"stiffness": 7.0, "rest_position": 0.4}
+    spring = change("parallel_spring", "elbow", **{name: (None, value) for name, value in values.items()})
+    result = export(tmp_path, text, [spring], {"effect": "parallel_spring", "joint": "elbow", "parameters": values})
+    model = loaded(result)
+    at = model.joint("elbow").id
+    assert model.jnt_stiffness[at].ravel()[0] == 7.0
+    assert model.qpos_spring[at] == pytest.approx(0.5, rel=1e-5)  # 0.4 from the URDF's zero, which is at ref
+
+
+def test_what_the_robot_has_not_is_removed(tmp_path: Path) -> None:
+    changes = [
+        change("rotor_inertia", "elbow", inertia=(0.1, None)),
+        change("coulomb_friction", "yaw", coulomb=(0.4, 0.0)),
+        change("parallel_spring", "elbow", stiffness=(5.0, None), rest_position=(0.2, None)),
+    ]
+    text = MJCF.replace('name="elbow"', 'name="elbow" armature="0.1" stiffness="5" springref="0.2"')
+    model = loaded(export(tmp_path, text, changes))
+    assert not model.dof_armature.any()
+    assert not model.jnt_stiffness.any()
+    assert model.dof_frictionloss[0] == 0.0
+    assert model.dof_damping.ravel()[0] == 0.5  # as it was: nothing said that it changes
+
+
+def test_the_values_are_those_of_the_changes_and_other_effects_on_the_attribute_are_kept(tmp_path: Path) -> None:
+    drag = {"effect": "quadratic_drag", "joint": "elbow", "parameters": {"drag": 0.01}}
+    result = export(tmp_path, MJCF, [change("viscous_friction", "elbow", viscous=(0.2, 0.7))], drag)
+    assert 'damping="0.7 0.01"' in result.text.decode()
+
+
+def test_gravity_is_an_option_of_the_file(tmp_path: Path) -> None:
+    tilt = change("gravity_tilt", None, gravity=(None, [0.5, 0.0, -9.797]))
+    for text in (MJCF, MJCF.replace("<worldbody>", '<option gravity="0 0 -9.81" timestep="0.002"/><worldbody>')):
+        result = export(tmp_path, text, [tilt])
+        model = loaded(result)
+        np.testing.assert_allclose(model.opt.gravity, [0.5, 0.0, -9.797])
+        assert model.opt.timestep == 0.002
+
+
+def test_an_inertial_in_another_frame_is_left_alone(tmp_path: Path) -> None:
+    body = change(
+        "rigid_body",
+        None,
+        "lower",
+        mass=(1.0, 1.2),
+        com=([0.0, 0.0, -0.12], [0.0, 0.0, -0.13]),
+        inertia_com=([0.008, 0.0, 0.008, 0.0, 0.0, 0.001], [0.009, 0.0, 0.009, 0.0, 0.0, 0.001]),
+    )
+    result = export(tmp_path, MJCF, [body])
+    at = loaded(result).body("lower")
+    assert (at.mass[0], at.ipos[2]) == (1.2, -0.13)
+    turned = MJCF.replace('pos="0 0 -0.12"', 'pos="0 0.12 0"')
+    left = export(tmp_path, turned, [body])
+    assert left.text.decode() == turned
+    (part,) = left.not_carried
+    assert "so its frame is unknown" in part.detail
+    drawn = MJCF.replace('<inertial pos="0 0 -0.12" mass="1" diaginertia="0.008 0.008 0.001"/>', "")
+    (part,) = export(tmp_path, drawn, [body]).not_carried
+    assert part.detail == "the file has no inertial of this body"
+
+
+def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:
+    spring = change("parallel_spring", "elbow", stiffness=(None, 7.0), rest_position=(None, 0.4))
+    with pytest.raises(ModelError, match=r"scene\.xml: joint elbow: ref is not a number: zero"):
+        export(tmp_path, MJCF.replace('name="elbow"', 'name="elbow" ref="zero"'), [spring])
+
+
+def test_names_elsewhere_in_the_file_are_not_joints(tmp_path: Path) -> None:
+    """An equality may bear the name of a joint; only the joint is changed."""
+    equality = '<equality><joint name="elbow" joint1="yaw" joint2="elbow" active="false"/></equality></mujoco>'
+    text = MJCF.replace("</mujoco>", equality)
+    result = export(tmp_path, text, [change("viscous_friction", "elbow", viscous=(0.2, 0.7))])
+    assert result.text.decode().count("damping=") == text.count("damping=") + 1
+    assert equality in result.text.decode()
+    assert loaded(result).joint("elbow").damping.ravel()[0] == 0.7
+
+
+def test_what_has_no_place_is_listed_with_both_values(tmp_path: Path) -> None:
+    stribeck = change("stribeck_friction", JOINTS[0], stribeck=(None, 0.5), velocity=(None, 0.1))
+    delay = change("command_delay", None, delay=(0.001, 0.006))
+    result = export(tmp_path, MJCF, [stribeck, delay])
+    assert result.text.decode() == MJCF
+    assert [part.of for part in result.not_carried] == ["yaw", "the controller"]
+    assert "stribeck none → 0.5000, velocity none → 0.1000" in result.not_carried[0].detail
+    assert "delay 0.001000 → 0.006000" in result.not_carried[1].detail
