@@ -280,7 +280,7 @@ class EffectSearch:
         if failure:
             self._restore(before)
             return not_fitted_reason(failure)
-        if not self._is_improved(before.current):
+        if is_reportable(winner.probe.effect) and not self._is_improved(before.current):
             self._restore(before)
             return "increases the error on the held-out data when all effects are fitted together"
         return ""

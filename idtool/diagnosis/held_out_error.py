@@ -14,8 +14,8 @@ from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
 _BLOCK_SECONDS = 0.5
-_MIN_SIGNIFICANCE = 2.0  # standard errors, by which an increase is no chance
-_MIN_INCREASE = 0.02  # of a joint's squared error, below which an increase does not matter
+_MIN_SIGNIFICANCE = 2.5  # standard errors, by which an increase is no chance
+_MIN_INCREASE = 0.05  # of a joint's squared error, below which an increase does not matter
 
 
 @dataclass(frozen=True)
